@@ -1,0 +1,21 @@
+"""Errors that are the user's to mend: one sentence that says what is wrong, where, and what to do."""
+
+
+class SDMError(ValueError):
+    """Base of every error that bad input causes; the commands print it and exit with code 2."""
+
+
+class MeshError(SDMError):
+    """A mesh that cannot be used: no triangles, NaN vertices, a face index out of range, an unreadable file."""
+
+
+class GridError(SDMError):
+    """A grid that cannot be used: no voxels, a spacing that is not positive, more memory than there is."""
+
+
+class DeviceError(SDMError):
+    """A device that is not there."""
+
+
+class FormatError(SDMError):
+    """A file that cannot be read or written in the format that was asked for."""

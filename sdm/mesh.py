@@ -1,0 +1,136 @@
+"""The triangle mesh that every distance is measured to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sdm.errors import MeshError
+
+# Squared lengths, areas and volumes of a mesh within this bound stay finite in float64, lengths in float32.
+LARGEST_COORDINATE = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A triangle mesh.
+
+    Args:
+        vertices: (V,3) coordinates in any one unit of length (millimetres for anatomy); NumPy, torch or
+            anything with DLPack. Kept as a float32 tensor on its device, without a copy where it is one already.
+        faces: (F,3) vertex indices, counter-clockwise seen from outside. Kept as an int32 tensor.
+        name: What messages call it, for example the file's name.
+        check: Look for values that are not finite and for indices out of range. On a GPU this waits for the
+            device, so a caller that made the arrays itself may turn it off.
+
+    Raises:
+        MeshError: No triangles, wrong shapes, NaN or infinite vertices, or a face index out of range.
+
+    Zero-area and repeated faces are welcome: every triangle counts. `inspect_mesh` tells what a mesh is like.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    name: str = "mesh"
+    check: bool = field(default=True, repr=False)
+
+    def __post_init__(self) -> None:
+        vertices = as_tensor(self.vertices, torch.float32, f"the vertices of {self.name}")
+        faces = as_tensor(self.faces, torch.int32, f"the faces of {self.name}", device=vertices.device)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        _check_shapes(vertices, faces, self.name)
+        if self.check:
+            _check_values(vertices, faces, self.name)
+
+    def __len__(self) -> int:
+        return self.faces.shape[0]
+
+    @property
+    def device(self) -> torch.device:
+        return self.vertices.device
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest x, y, z over the vertices that faces use, float64 (3,) each."""
+        used = self.vertices.detach()[self.faces.reshape(-1).long()]
+        low, high = used.amin(0), used.amax(0)
+        return low.cpu().double().numpy(), high.cpu().double().numpy()
+
+    def to(self, device: torch.device | str) -> TriangleMesh:
+        """The same mesh on another device."""
+        return TriangleMesh(self.vertices.to(device), self.faces.to(device), self.name, check=False)
+
+    def flipped(self) -> TriangleMesh:
+        """The same mesh inside out: each face's vertices in the other order."""
+        return TriangleMesh(self.vertices, self.faces.flip(1).contiguous(), self.name, check=False)
+
+    def numpy(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V,3) float32 and faces (F,3) int32 on the host."""
+        return self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy()
+
+
+def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | None = None) -> Tensor:
+    """`array` as a tensor of `dtype`, sharing memory where dtype, device and layout allow it.
+
+    Args:
+        array: A tensor, a NumPy array, anything with DLPack, or nested lists of numbers.
+        dtype: Wanted type. Integers too large for it are an error, never wrapped around.
+        what: What messages call it.
+        device: Where it is wanted; where it is already if None.
+    """
+    if isinstance(array, Tensor):
+        tensor = array
+    elif hasattr(array, "__dlpack__") and not isinstance(array, np.ndarray):
+        tensor = torch.from_dlpack(array)
+    else:
+        host = np.asarray(array)
+        if host.dtype.kind not in "fiu":
+            raise MeshError(f"{what} hold {host.dtype} values; give an array of numbers")
+        # torch cannot hold views with negative strides, foreign byte orders or read-only memory safely.
+        if not host.flags.writeable or not host.dtype.isnative or any(s < 0 for s in host.strides):
+            host = np.array(host, dtype=host.dtype.newbyteorder("="), order="C")
+        if host.dtype in (np.uint16, np.uint32, np.uint64):
+            host = host.astype(np.int64)
+        tensor = torch.from_numpy(host)
+    if not dtype.is_floating_point:
+        if tensor.dtype.is_floating_point:
+            raise MeshError(f"{what} hold {tensor.dtype} values; give integers")
+        if tensor.dtype == torch.int64 and tensor.numel():
+            low, high = int(tensor.min()), int(tensor.max())
+            if low < -(2**31) or high >= 2**31:
+                raise MeshError(f"{what} hold the index {high if high >= 2**31 else low}, which is out of range")
+    return tensor.to(device=device, dtype=dtype).contiguous()
+
+
+def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise MeshError(f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed")
+    if faces.ndim != 2 or (faces.shape[1] != 3 and faces.numel()):
+        raise MeshError(f"the faces of {name} have shape {tuple(faces.shape)}; (F, 3) is needed: triangulate first")
+    if faces.shape[0] == 0:
+        raise MeshError(f"{name} has no triangles; give a surface mesh, not points or lines")
+    if faces.shape[0] > 2**28:
+        raise MeshError(f"{name} has {faces.shape[0]} triangles; at most {2**28} are supported: split it")
+
+
+def _check_values(vertices: Tensor, faces: Tensor, name: str) -> None:
+    count = vertices.shape[0]
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= count:
+        bad = low if low < 0 else high
+        raise MeshError(f"a face of {name} uses vertex {bad}, but its {count} vertices are numbered 0 to {count - 1}")
+    # A NaN in a vertex that no face uses cannot matter, yet it tells of a damaged file.
+    fine = torch.isfinite(vertices.detach()).all(1)
+    if not bool(fine.all()):
+        index = int((~fine).nonzero()[0])
+        raise MeshError(f"vertex {index} of {name} is {vertices[index].tolist()}; every coordinate must be finite")
+    largest = float(vertices.detach().abs().max())
+    if largest > LARGEST_COORDINATE:
+        raise MeshError(
+            f"a coordinate of {name} is {largest:g}; at most {LARGEST_COORDINATE:g} is supported: use a larger unit"
+        )
