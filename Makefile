@@ -1,0 +1,61 @@
+# Everything happens in .venv, which the first target makes. PYTHON= chooses the interpreter (3.11 to 3.13).
+# PIP_ARGS= goes to every `pip install`, for example --extra-index-url with PyTorch's CPU builds.
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+PIP_ARGS ?=
+ARGS ?=
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
+CODE = $(wildcard sdm kernels tests bench)
+
+.PHONY: demo test test-all lint format bench install clean help
+.DEFAULT_GOAL := help
+
+help: ## List the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST) | expand -t 12
+
+demo: $(VENV)/.installed ## Compute the built-in mesh's map: demo/demo.nii.gz and demo/demo.png
+	$(BIN)/sdm demo --out demo $(ARGS)
+
+test: $(VENV)/.installed-dev ## Run the quick tests
+	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+
+test-all: $(VENV)/.installed-dev ## Run every test
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/.installed-dev ## Check style, types and import rules
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-cache
+
+format: $(VENV)/.installed-dev ## Put the code into the house format
+	$(BIN)/ruff check --fix $(CODE)
+	$(BIN)/ruff format $(CODE)
+
+bench: $(VENV)/.installed-bench ## Compare with the other libraries on this machine
+	$(BIN)/sdm bench $(ARGS)
+
+install: $(VENV)/.installed ## Make the environment alone
+
+clean: ## Remove what the targets made
+	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find sdm kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(VENV)/.made:
+	@sh tools/make_venv.sh "$(VENV)" "$(PYTHON)"
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.made pyproject.toml constraints.txt
+	@echo "Installing sdm and its libraries into $(VENV); the first time takes minutes"
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.made pyproject.toml constraints.txt
+	@echo "Installing sdm and its tools into $(VENV); the first time takes minutes"
+	$(INSTALL) -e ".[dev]"
+	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-bench: $(VENV)/.installed-dev
+	$(INSTALL) -e ".[dev,bench]"
+	@touch $@
