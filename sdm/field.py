@@ -46,14 +46,17 @@ class SDM:
         """The surface where the distance is `level`, by scikit-image's marching cubes, facing outward.
 
         Raises:
-            SDMError: No voxel edge crosses `level`.
+            SDMError: No voxel edge crosses `level`, or the grid is one voxel thin.
         """
         from skimage.measure import marching_cubes
 
         values = self.numpy()
-        if min(values.shape) < 2 or not values.min() < level < values.max():
+        if min(values.shape) < 2:
+            raise SDMError(f"a grid of shape {self.grid.shape} is one voxel thin: a surface needs two along each axis")
+        if not values.min() < level < values.max():
             raise SDMError(f"the map runs from {values.min():g} to {values.max():g}: no surface at level {level:g}")
-        index, faces, _, _ = marching_cubes(values, level, gradient_direction="ascent", allow_degenerate=False)
+        # "descent" puts the low side, the inside of a signed distance map, behind the faces.
+        index, faces, _, _ = marching_cubes(values, level, gradient_direction="descent", allow_degenerate=False)
         affine = self.grid.affine
         points = index.astype(np.float64) @ affine[:3, :3].T + affine[:3, 3]
         if np.linalg.det(affine[:3, :3]) < 0:

@@ -15,6 +15,8 @@ from sdm.errors import GridError
 if TYPE_CHECKING:
     from sdm.mesh import TriangleMesh
 
+    Numbers = Sequence[float] | np.ndarray
+
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -40,6 +42,16 @@ class Grid:
     shape: tuple[int, int, int]
     direction: tuple[tuple[float, float, float], ...] = IDENTITY
 
+    if TYPE_CHECKING:  # what may be given is wider than what is kept
+
+        def __init__(
+            self,
+            origin: Numbers,
+            spacing: Numbers,
+            shape: Numbers,
+            direction: Sequence[Numbers] | np.ndarray = IDENTITY,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         origin = _triple(self.origin, "origin")
         spacing = _triple(self.spacing, "spacing")
@@ -48,11 +60,9 @@ class Grid:
             raise GridError(f"the grid's origin {origin} is not finite; give three finite coordinates")
         if not all(math.isfinite(s) and s > 0 for s in spacing):
             raise GridError(f"the grid's spacing {spacing} must be three positive lengths")
-        if not all(n == int(n) and n >= 1 for n in size):
+        if not all(math.isfinite(n) and n == int(n) and n >= 1 for n in size):
             raise GridError(f"the grid's shape {tuple(self.shape)} must be three whole numbers of at least 1")
-        direction = np.asarray(self.direction, dtype=np.float64)
-        if direction.shape != (3, 3) or not np.allclose(direction.T @ direction, np.eye(3), atol=1e-4):
-            raise GridError("the grid's direction is not a rotation or reflection: sheared grids are not supported")
+        direction = _orthonormal(self.direction)
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "spacing", spacing)
         object.__setattr__(self, "shape", tuple(int(n) for n in size))
@@ -64,7 +74,7 @@ class Grid:
         mesh: TriangleMesh,
         *,
         resolution: int | None = None,
-        spacing: float | Sequence[float] | None = None,
+        spacing: float | Numbers | None = None,
         margin: float = 0.05,
     ) -> Grid:
         """The grid of cubic voxels that holds `mesh` with room around it.
@@ -87,22 +97,24 @@ class Grid:
         extent = float((high - low).max())
         room = margin * extent
         if spacing is not None:
-            step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (3,))
+            step = np.asarray(_triple([spacing] * 3 if np.ndim(spacing) == 0 else spacing, "spacing"))
             if not (np.isfinite(step).all() and (step > 0).all()):
                 raise GridError(f"the grid's spacing {spacing} must be positive")
             count = np.ceil((high - low + 2 * room) / step - 1e-6) + 1
             if count.max() >= 2**31:
-                raise GridError(f"a spacing of {spacing} gives {count.max():.0f} voxels along an axis: choose a larger one")
+                raise GridError(
+                    f"a spacing of {spacing} gives {count.max():.0f} voxels along an axis: choose a larger one"
+                )
             origin = (low + high) / 2 - step * (count - 1) / 2
-            return cls(tuple(origin), tuple(step), tuple(int(n) for n in count))
+            return cls(origin, step, count)
         resolution = 128 if resolution is None else resolution
-        if resolution != int(resolution) or resolution < 1:
+        if not (isinstance(resolution, int | float | np.number) and resolution >= 1 and resolution % 1 == 0):
             raise GridError(f"the grid's resolution {resolution} must be a whole number of at least 1")
         if extent == 0:
             raise GridError(f"{mesh.name} has size zero, so a resolution says nothing: give a spacing")
         step = (extent + 2 * room) / max(resolution - 1, 1)
         origin = (low + high) / 2 - step * (resolution - 1) / 2
-        return cls(tuple(origin), (step,) * 3, (int(resolution),) * 3)
+        return cls(origin, (step,) * 3, (resolution,) * 3)
 
     @property
     def size(self) -> int:
@@ -128,7 +140,7 @@ class Grid:
         return self.direction == IDENTITY
 
     @classmethod
-    def from_affine(cls, affine: np.ndarray, shape: Sequence[int]) -> Grid:
+    def from_affine(cls, affine: np.ndarray, shape: Numbers) -> Grid:
         """The grid of an image: `affine` (4,4) maps voxel indices to coordinates.
 
         Raises:
@@ -144,8 +156,7 @@ class Grid:
         # Headers keep float32: take the axis directions for exact where they are within its rounding.
         if np.allclose(direction, np.round(direction), atol=1e-6):
             direction = np.round(direction) + 0.0
-        rows = tuple(tuple(row) for row in direction)
-        return cls(tuple(matrix[:3, 3]), tuple(spacing), tuple(int(n) for n in shape), rows)
+        return cls(matrix[:3, 3], spacing, shape, direction)
 
     def points(self, begin: int = 0, end: int | None = None) -> torch.Tensor:
         """Voxel centres (n,ny,nz,3) of the slab `begin <= i < end`, float32 on the host.
@@ -160,8 +171,29 @@ class Grid:
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
 
 
-def _triple(values: Sequence[float], what: str) -> tuple[float, float, float]:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape != (3,):
+def _triple(values: object, what: str) -> tuple[float, float, float]:
+    array = _numbers(values)
+    if array is None or array.shape != (3,):
         raise GridError(f"the grid's {what} must be three numbers, not {values!r}")
     return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def _numbers(values: object) -> np.ndarray | None:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _orthonormal(matrix: object) -> np.ndarray:
+    """A direction matrix without its header's rounding: distances are measured in its frame, so it must not scale."""
+    direction = _numbers(matrix)
+    if direction is None or direction.shape != (3, 3) or not np.isfinite(direction).all():
+        raise GridError("the grid's direction must be a finite 3 x 3 matrix")
+    error = float(np.abs(direction.T @ direction - np.eye(3)).max())
+    if error > 1e-4:
+        raise GridError("the grid's direction is not a rotation or reflection: sheared grids are not supported")
+    if error > 1e-12:
+        left, _, right = np.linalg.svd(direction)
+        direction = left @ right
+    return direction

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -38,6 +38,10 @@ class TriangleMesh:
     name: str = "mesh"
     check: bool = field(default=True, repr=False)
 
+    if TYPE_CHECKING:  # what may be given is wider than what is kept
+
+        def __init__(self, vertices: Any, faces: Any, name: str = "mesh", check: bool = True) -> None: ...
+
     def __post_init__(self) -> None:
         vertices = as_tensor(self.vertices, torch.float32, f"the vertices of {self.name}")
         faces = as_tensor(self.faces, torch.int32, f"the faces of {self.name}", device=vertices.device)
@@ -52,6 +56,7 @@ class TriangleMesh:
 
     @property
     def device(self) -> torch.device:
+        """Where vertices and faces are."""
         return self.vertices.device
 
     @property
@@ -88,18 +93,19 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
     elif hasattr(array, "__dlpack__") and not isinstance(array, np.ndarray):
         tensor = torch.from_dlpack(array)
     else:
-        host = np.asarray(array)
-        if host.dtype.kind not in "fiu":
-            raise MeshError(f"{what} hold {host.dtype} values; give an array of numbers")
+        host = _host_array(array, what)
         # torch cannot hold views with negative strides, foreign byte orders or read-only memory safely.
         if not host.flags.writeable or not host.dtype.isnative or any(s < 0 for s in host.strides):
             host = np.array(host, dtype=host.dtype.newbyteorder("="), order="C")
-        if host.dtype in (np.uint16, np.uint32, np.uint64):
-            host = host.astype(np.int64)
         tensor = torch.from_numpy(host)
+    if tensor.is_complex() or tensor.dtype == torch.bool:
+        raise MeshError(f"{what} hold {tensor.dtype} values; give an array of numbers")
     if not dtype.is_floating_point:
-        if tensor.dtype.is_floating_point:
+        if tensor.dtype.is_floating_point and tensor.numel():
             raise MeshError(f"{what} hold {tensor.dtype} values; give integers")
+        # Torch compares few unsigned integers, and too large ones would wrap around.
+        if tensor.dtype in (torch.uint16, torch.uint32, torch.uint64):
+            tensor = tensor.to(torch.int64)
         if tensor.dtype == torch.int64 and tensor.numel():
             low, high = int(tensor.min()), int(tensor.max())
             if low < -(2**31) or high >= 2**31:
@@ -107,13 +113,23 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
     return tensor.to(device=device, dtype=dtype).contiguous()
 
 
+def _host_array(array: Any, what: str) -> np.ndarray:
+    try:
+        host = np.asarray(array)
+    except ValueError as error:
+        raise MeshError(f"{what} are rows of different lengths; give an array of numbers") from error
+    if host.dtype.kind not in "fiu":
+        raise MeshError(f"{what} hold {host.dtype} values; give an array of numbers")
+    return host.astype(np.float64) if host.dtype == np.longdouble else host
+
+
 def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
+    if faces.numel() == 0 or vertices.numel() == 0:
+        raise MeshError(f"{name} has no triangles; give a surface mesh, not points or lines")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise MeshError(f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed")
-    if faces.ndim != 2 or (faces.shape[1] != 3 and faces.numel()):
+    if faces.ndim != 2 or faces.shape[1] != 3:
         raise MeshError(f"the faces of {name} have shape {tuple(faces.shape)}; (F, 3) is needed: triangulate first")
-    if faces.shape[0] == 0:
-        raise MeshError(f"{name} has no triangles; give a surface mesh, not points or lines")
     if faces.shape[0] > 2**28:
         raise MeshError(f"{name} has {faces.shape[0]} triangles; at most {2**28} are supported: split it")
 
