@@ -1,0 +1,83 @@
+"""What an open mesh's boundary adds to the count of crossings, exactly.
+
+Sweep each boundary edge to infinity along -x. Surface and swept strips together are closed, and the ray along +x
+never meets a strip, so the crossings count the winding number of both; the surface's own is that count less the
+strips' solid angles (the idea of the Antipodal Method, arXiv 2605.01536). A strip's solid angle is that of the
+triangle of its edge and the direction -x. Where the ray passes an edge, the count jumps and a strip's solid angle
+jumps back: both take the side from the same integer test, so their sum does not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.crossings import is_left
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, to_lattice
+
+wp.set_module_options({"enable_backward": False})
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+TINY = wp.constant(wp.float64(1.0e-300))
+
+
+@wp.struct
+class Boundary:
+    """Directed boundary edges of each mesh of a batch, the surface on their left; an edge met twice stands twice."""
+
+    ends: wp.array(dtype=wp.vec3)  # (2 * meshes * count) first and last point, scaled
+    lattice: wp.array(dtype=wp.vec2i)  # (2 * meshes * count) their (y,z) on the lattice
+    count: wp.int32  # edges of each mesh
+
+
+@wp.kernel
+def _gather(begin: int, vertices: wp.array2d(dtype=wp.vec3), edges: wp.array2d(dtype=wp.int32), tree: Tree, out: Boundary):
+    i = begin + wp.tid()
+    mesh = i / out.count
+    e = i - mesh * out.count
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    for end in range(2):
+        v = scale * vertices[mesh, edges[e, end]]
+        out.ends[2 * i + end] = v
+        out.lattice[2 * i + end] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
+
+
+def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array, launch: Any) -> None:
+    """Fill `out` from the meshes' `vertices` (meshes, V) and their shared boundary `edges` (E, 2)."""
+    launch(_gather, vertices.shape[0] * edges.shape[0], [vertices, edges, tree, out], vertices.device)
+
+
+@wp.func
+def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
+    """The boundary's share of the winding number at p (scaled): add it to the count of crossings."""
+    zero = wp.float64(0.0)
+    q = to_lattice(tree, mesh, p[1], p[2])
+    # The sum of all half solid angles is the argument of a product of complex numbers and a count of its full turns.
+    re = wp.float64(1.0)
+    im = wp.float64(0.0)
+    turns = int(0)
+    for e in range(boundary.count):
+        at = 2 * (mesh * boundary.count + e)
+        a = wp.vec3d(boundary.ends[at]) - p
+        b = wp.vec3d(boundary.ends[at + 1]) - p
+        la = wp.length(a)
+        lb = wp.length(b)
+        x = la * lb + wp.dot(a, b) - a[0] * lb - b[0] * la
+        left = is_left(boundary.lattice[at], boundary.lattice[at + 1], q)
+        y = wp.abs(a[1] * b[2] - a[2] * b[1]) + TINY
+        size = wp.float64(1.0) / (wp.abs(x) + y)
+        x = x * size
+        y = wp.where(left, -y * size, y * size)
+        new_re = re * x - im * y
+        new_im = re * y + im * x
+        if im >= zero and y > zero and new_im < zero:
+            turns = turns + 1
+        if im < zero and y < zero and new_im >= zero:
+            turns = turns - 1
+        size = wp.float64(1.0) / (wp.abs(new_re) + wp.abs(new_im) + TINY)
+        re = new_re * size
+        im = new_im * size
+    pi = wp.float64(wp.PI)
+    return (wp.atan2(im, re) + wp.float64(2.0) * pi * wp.float64(turns)) / (wp.float64(2.0) * pi)

@@ -1,0 +1,322 @@
+"""A bounding volume hierarchy without pointers: triangles along a Hilbert curve under a complete binary tree.
+
+Triangles are sorted along a Hilbert curve and cut into 2^depth runs of nearly equal length, the leaves. Node i has
+the children 2i and 2i+1, the root is node 1, leaf j is node 2^depth + j. Boxes are filled level by level, so the
+whole build is a sort and a few short launches, is the same every time, and needs no memory but the arrays below.
+A batch of meshes with the same number of triangles is built by the same launches: mesh m has its own slice of every
+array, and its number sits above the curve's code in the sort keys.
+
+Coordinates are scaled by a power of two, which is exact, so that squares neither overflow nor vanish.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.geometry import unit_normal
+
+wp.set_module_options({"enable_backward": False})
+
+TRIANGLES_PER_LEAF = 4
+CURVE_BITS = wp.constant(10)
+# The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
+LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
+# Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
+LATTICE_SLACK = wp.constant(wp.float64(2.0**-27))
+
+# Entries of a mesh's frame.
+SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 8
+_SCALE = wp.constant(SCALE)
+_UNSCALE = wp.constant(UNSCALE)
+_LOW_X = wp.constant(LOW_X)
+_LATTICE = wp.constant(LATTICE)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+
+
+@wp.struct
+class Tree:
+    """The hierarchy of a batch of meshes. Triangle `t` of mesh `m` in curve order is slot `m * count + t`."""
+
+    corners: wp.array(dtype=wp.vec3)  # (4 * slots) corner a, b, c and unit normal, scaled
+    lattice: wp.array(dtype=wp.vec2i)  # (3 * slots) corners' (y,z) on the lattice
+    face: wp.array(dtype=wp.int32)  # (slots) index of the face before sorting
+    low: wp.array(dtype=wp.vec3)  # (meshes * 2^(depth+1)) boxes, scaled
+    high: wp.array(dtype=wp.vec3)
+    frame: wp.array(dtype=wp.float64)  # (meshes * FRAME_SIZE) scale, its inverse, lattice's origin and steps per unit
+    count: wp.int32  # triangles of each mesh
+    depth: wp.int32
+
+
+def depth_for(faces: int) -> int:
+    """Levels below the root for a mesh of `faces` triangles."""
+    return max(0, math.ceil(math.log2(max(1, faces) / TRIANGLES_PER_LEAF)))
+
+
+def sizes(meshes: int, faces: int) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Shape and Warp type of each array of a `Tree`, for whoever allocates them."""
+    slots = meshes * faces
+    nodes = meshes << (depth_for(faces) + 1)
+    return {
+        "corners": ((4 * slots, 3), wp.float32),
+        "lattice": ((3 * slots, 2), wp.int32),
+        "face": ((slots,), wp.int32),
+        "low": ((nodes, 3), wp.float32),
+        "high": ((nodes, 3), wp.float32),
+        "frame": ((meshes * FRAME_SIZE,), wp.float64),
+    }
+
+
+@wp.func
+def first_triangle(tree: Tree, leaf: int):
+    """The first triangle (in curve order) of a leaf; its end is the first of the next."""
+    return int((wp.int64(leaf) * wp.int64(tree.count)) >> wp.int64(tree.depth))
+
+
+@wp.func
+def box_distance2(p: wp.vec3, low: wp.vec3, high: wp.vec3):
+    """Squared distance of p from a box."""
+    dx = wp.max(wp.max(low[0] - p[0], p[0] - high[0]), 0.0)
+    dy = wp.max(wp.max(low[1] - p[1], p[1] - high[1]), 0.0)
+    dz = wp.max(wp.max(low[2] - p[2], p[2] - high[2]), 0.0)
+    return dx * dx + dy * dy + dz * dz
+
+
+@wp.func
+def to_lattice(tree: Tree, mesh: int, y: wp.float64, z: wp.float64):
+    """Scaled (y,z) on the mesh's lattice: monotone in each coordinate, and 0..2^29 within the mesh's box.
+
+    A subtraction and a product cannot be fused, so every kernel on every device snaps a point to the same place.
+    """
+    base = mesh * _FRAME_SIZE
+    steps = tree.frame[base + _LATTICE]
+    row = wp.floor((y - tree.frame[base + _LOW_X + 1]) * steps)
+    column = wp.floor((z - tree.frame[base + _LOW_X + 2]) * steps)
+    limit = wp.float64(2.0) * LATTICE_STEPS
+    return wp.vec2i(int(wp.clamp(row, -limit, limit)), int(wp.clamp(column, -limit, limit)))
+
+
+@wp.kernel
+def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32)):
+    i = begin + wp.tid()
+    bounds[i] = wp.where((i / 3) % 2 == 0, float(wp.inf), -float(wp.inf))
+
+
+@wp.kernel
+def _reduce_bounds(
+    begin: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    run: int,
+    bounds: wp.array(dtype=wp.float32),
+):
+    i = begin + wp.tid()
+    count = faces.shape[0]
+    runs = (count + run - 1) / run
+    mesh = i / runs
+    start = (i - mesh * runs) * run
+    low = vertices[mesh, faces[start, 0]]
+    high = low
+    for f in range(start, wp.min(start + run, count)):
+        for corner in range(3):
+            v = vertices[mesh, faces[f, corner]]
+            low = wp.min(low, v)
+            high = wp.max(high, v)
+    for axis in range(3):
+        wp.atomic_min(bounds, 6 * mesh + axis, low[axis])
+        wp.atomic_max(bounds, 6 * mesh + 3 + axis, high[axis])
+
+
+@wp.kernel
+def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.float64)):
+    mesh = begin + wp.tid()
+    largest = wp.float64(0.0)
+    for i in range(6):
+        largest = wp.max(largest, wp.float64(wp.abs(bounds[6 * mesh + i])))
+    # A power of two that brings the largest coordinate into (1/2, 1]; multiplying by it rounds nothing.
+    scale = wp.float64(1.0)
+    half = wp.float64(0.5)
+    two = wp.float64(2.0)
+    if largest > wp.float64(0.0):
+        while largest * scale > wp.float64(1.0):
+            scale = scale * half
+        while largest * scale <= half:
+            scale = scale * two
+    base = mesh * _FRAME_SIZE
+    frame[base + _SCALE] = scale
+    frame[base + _UNSCALE] = wp.float64(1.0) / scale
+    extent = wp.float64(0.0)
+    for axis in range(3):
+        low = wp.float64(bounds[6 * mesh + axis]) * scale
+        high = wp.float64(bounds[6 * mesh + 3 + axis]) * scale
+        frame[base + _LOW_X + axis] = low
+        if axis > 0:
+            extent = wp.max(extent, high - low)
+    frame[base + _LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
+
+
+@wp.func
+def hilbert_code(x: wp.uint32, y: wp.uint32, z: wp.uint32):
+    """Position along a 3D Hilbert curve of 10 bits an axis (Skilling 2004). It never jumps, unlike Morton order."""
+    v = wp.vec3ui(x, y, z)
+    one = wp.uint32(1)
+    q = one << wp.uint32(CURVE_BITS - 1)
+    while q > one:
+        mask = q - one
+        for axis in range(3):
+            if (v[axis] & q) != wp.uint32(0):
+                v[0] = v[0] ^ mask
+            else:
+                t = (v[0] ^ v[axis]) & mask
+                v[0] = v[0] ^ t
+                v[axis] = v[axis] ^ t
+        q = q >> one
+    v[1] = v[1] ^ v[0]
+    v[2] = v[2] ^ v[1]
+    t = wp.uint32(0)
+    q = one << wp.uint32(CURVE_BITS - 1)
+    while q > one:
+        if (v[2] & q) != wp.uint32(0):
+            t = t ^ (q - one)
+        q = q >> one
+    code = wp.uint32(0)
+    for bit in range(CURVE_BITS):
+        shift = wp.uint32(CURVE_BITS - 1 - bit)
+        for axis in range(3):
+            code = (code << one) | (((v[axis] ^ t) >> shift) & one)
+    return code
+
+
+@wp.func
+def cell_along(x: float, low: float, high: float):
+    """The curve's cell of x between low and high, also for points outside."""
+    share = float(0.0)
+    if high > low:
+        share = (x - low) / (high - low)
+    return wp.uint32(wp.clamp(share * 1024.0, 0.0, 1023.0))
+
+
+@wp.func
+def curve_code(p: wp.vec3, low: wp.vec3, high: wp.vec3):
+    """Position of p along the curve through the cube on the box's longest edge."""
+    size = wp.max(wp.max(high[0] - low[0], high[1] - low[1]), high[2] - low[2])
+    top = low + wp.vec3(size, size, size)
+    return hilbert_code(
+        cell_along(p[0], low[0], top[0]), cell_along(p[1], low[1], top[1]), cell_along(p[2], low[2], top[2])
+    )
+
+
+@wp.kernel
+def _make_keys(
+    begin: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
+    frame: wp.array(dtype=wp.float64),
+    keys: wp.array(dtype=wp.int64),
+    slots: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    count = faces.shape[0]
+    mesh = i / count
+    f = i - mesh * count
+    scale = float(frame[mesh * _FRAME_SIZE + _SCALE])
+    a = scale * vertices[mesh, faces[f, 0]]
+    b = scale * vertices[mesh, faces[f, 1]]
+    c = scale * vertices[mesh, faces[f, 2]]
+    low = scale * wp.vec3(bounds[6 * mesh], bounds[6 * mesh + 1], bounds[6 * mesh + 2])
+    high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
+    # The middle of the triangle's box: for long triangles better than the mean of the corners.
+    middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
+    keys[i] = (wp.int64(mesh) << wp.int64(3 * CURVE_BITS)) | wp.int64(curve_code(middle, low, high))
+    slots[i] = f
+
+
+@wp.kernel
+def _gather_triangles(
+    begin: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    sorted_faces: wp.array(dtype=wp.int32),
+    tree: Tree,
+):
+    i = begin + wp.tid()
+    mesh = i / tree.count
+    f = sorted_faces[i]
+    tree.face[i] = f
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    for corner in range(3):
+        v = scale * vertices[mesh, faces[f, corner]]
+        tree.corners[4 * i + corner] = v
+        tree.lattice[3 * i + corner] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
+    n = unit_normal(
+        wp.vec3d(tree.corners[4 * i]), wp.vec3d(tree.corners[4 * i + 1]), wp.vec3d(tree.corners[4 * i + 2])
+    )
+    tree.corners[4 * i + 3] = wp.vec3(n)
+
+
+@wp.kernel
+def _bound_leaves(begin: int, tree: Tree):
+    i = begin + wp.tid()
+    leaves = 1 << tree.depth
+    mesh = i / leaves
+    leaf = i - mesh * leaves
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    high = -low
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        slot = mesh * tree.count + t
+        for corner in range(3):
+            v = tree.corners[4 * slot + corner]
+            low = wp.min(low, v)
+            high = wp.max(high, v)
+    node = mesh * 2 * leaves + leaves + leaf
+    tree.low[node] = low
+    tree.high[node] = high
+
+
+@wp.kernel
+def _bound_level(begin: int, tree: Tree, width: int):
+    """Boxes of the `width` nodes of one level, from their children's."""
+    i = begin + wp.tid()
+    mesh = i / width
+    node = width + i - mesh * width
+    base = mesh * (2 << tree.depth)
+    left = base + 2 * node
+    tree.low[base + node] = wp.min(tree.low[left], tree.low[left + 1])
+    tree.high[base + node] = wp.max(tree.high[left], tree.high[left + 1])
+
+
+def build(
+    tree: Tree,
+    vertices: wp.array,
+    faces: wp.array,
+    bounds: wp.array,
+    keys: wp.array,
+    slots: wp.array,
+    launch: Any,
+) -> None:
+    """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
+
+    Args:
+        tree: What to fill.
+        vertices: (meshes, V) vec3.
+        faces: (F, 3) int32, shared by the meshes.
+        bounds: (6 * meshes) float32: afterwards each mesh's lowest and highest coordinates.
+        keys: (2 * meshes * F) int64, scratch.
+        slots: (2 * meshes * F) int32, scratch.
+        launch: `sdm.kernels.launch.launch`.
+    """
+    device = vertices.device
+    meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
+    run = 64
+    launch(_reset_bounds, 6 * meshes, [bounds], device)
+    launch(_reduce_bounds, meshes * -(-faces.shape[0] // run), [vertices, faces, run, bounds], device)
+    launch(_make_frames, meshes, [bounds, tree.frame], device)
+    launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
+    wp.utils.radix_sort_pairs(keys, slots, total)
+    launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
+    launch(_bound_leaves, meshes << tree.depth, [tree], device)
+    for level in range(tree.depth - 1, -1, -1):
+        launch(_bound_level, meshes << level, [tree, 1 << level], device)

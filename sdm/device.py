@@ -1,0 +1,75 @@
+"""Where to compute, and whether there is room."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+from torch import Tensor
+
+from sdm.errors import DeviceError, GridError
+
+
+def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) -> torch.device:
+    """The device to compute on.
+
+    Args:
+        wanted: A device's name. None or `"auto"`: where the first of `tensors` on a GPU is, else a GPU if there is
+            one, else the CPU.
+        tensors: What is to be computed with.
+
+    Raises:
+        DeviceError: The device is not there.
+    """
+    if wanted is None or wanted == "auto":
+        for tensor in tensors:
+            if tensor is not None and tensor.is_cuda:
+                return tensor.device
+        return torch.device("cuda", torch.cuda.current_device()) if torch.cuda.is_available() else torch.device("cpu")
+    try:
+        device = torch.device(wanted)
+    except RuntimeError:
+        raise DeviceError(f"there is no device called {wanted!r}; use cpu, cuda or cuda:N") from None
+    if device.type not in ("cpu", "cuda"):
+        raise DeviceError(f"the device {wanted} is not supported; use cpu, cuda or cuda:N")
+    if device.type == "cuda":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if count == 0:
+            raise DeviceError(f"the device {wanted} was asked for, but no CUDA device is there; use cpu")
+        if device.index is not None and device.index >= count:
+            raise DeviceError(f"the device {wanted} was asked for, but there are only cuda:0 to cuda:{count - 1}")
+        if device.index is None:
+            device = torch.device("cuda", torch.cuda.current_device())
+    return device
+
+
+def free_memory(device: torch.device) -> int:
+    """Bytes that a new tensor on `device` may take: free memory, and what torch keeps for reuse."""
+    if device.type == "cuda":
+        free, _ = torch.cuda.mem_get_info(device)
+        return free + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    try:
+        with open("/proc/meminfo") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable"):
+                    return 1024 * int(line.split()[1])
+    except OSError:
+        pass
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def require_memory(needed: int, device: torch.device, what: str) -> None:
+    """Refuse what cannot fit, before hours of work and a crash.
+
+    Raises:
+        GridError: Says how much is needed and how much there is.
+    """
+    # Small things fit, and asking costs time.
+    if needed < 1 << 26 or torch.compiler.is_compiling():
+        return
+    free = free_memory(device)
+    if needed > free:
+        raise GridError(
+            f"{what} needs {needed / 2**30:.1f} GiB, but {device} has {free / 2**30:.1f} GiB free; "
+            "choose a lower resolution, or write a .zarr file, which goes slab by slab"
+        )

@@ -1,0 +1,220 @@
+"""The engine as torch operators: `torch.ops.sdm.*`, with fake implementations and gradients.
+
+The gradient of a signed distance with respect to its point is the unit vector away from the inside; with respect to
+the corners of the closest triangle it is minus that vector times the closest point's barycentric coordinates. On the
+surface itself the vector is the face's normal. The gradient of the sign is zero.
+
+An empty list of hierarchy tensors means: build one here, and let it go afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.hierarchy import as_warp, build, on_current_stream, one_of, unpack
+from sdm.kernels import dense, points
+from sdm.kernels.launch import launch
+
+# Fewer points than this are queried in the order they come in.
+SMALLEST_SORT = 1 << 12
+# Points of a grid that the backward pass looks up at a time.
+BACKWARD_CHUNK = 1 << 22
+
+
+def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], kind: int, hits: bool) -> list[Tensor]:
+    if not tensors:
+        tensors, kind = build(vertices[None], faces)
+    count = at.shape[0]
+    values = torch.empty(count, dtype=torch.float32, device=at.device)
+    found = []
+    if hits:
+        found = [torch.empty_like(at), torch.empty(count, dtype=torch.int32, device=at.device), torch.empty_like(at)]
+    sort = count >= SMALLEST_SORT
+    keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
+    order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
+    with on_current_stream(at, at, *tensors):
+        hierarchy, winding = unpack(tensors, kind, 1)
+        where = as_warp(at, wp.vec3)
+        by = as_warp(order, wp.int32)
+        if sort:
+            points.sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch)
+        room = None
+        if hits:
+            room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
+        points.query_points(hierarchy, winding, where, by, as_warp(values, wp.float32), room, launch)
+    return [values, *found]
+
+
+@torch.library.custom_op("sdm::distance", mutates_args=())
+def distance(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+    """Signed distance (N,) of points (N,3) from a mesh; no gradients (see `closest`)."""
+    return _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=False)[0]
+
+
+@distance.register_fake
+def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+    return points.new_empty(points.shape[0])
+
+
+@torch.library.custom_op("sdm::closest", mutates_args=())
+def closest(
+    vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Signed distance (N,), closest point (N,3), face (N,) and barycentric coordinates (N,3)."""
+    values, point, face, barycentric = _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=True)
+    return values, point, face, barycentric
+
+
+@closest.register_fake
+def _(
+    vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    count = points.shape[0]
+    face = points.new_empty(count, dtype=torch.int32)
+    return points.new_empty(count), points.new_empty(count, 3), face, points.new_empty(count, 3)
+
+
+def outward(vertices: Tensor, faces: Tensor, at: Tensor, values: Tensor, point: Tensor, face: Tensor) -> Tensor:
+    """Unit vectors (N,3) along which the signed distance grows: away from the closest point, or the face's normal."""
+    away = (at - point) / values[:, None]
+    corners = vertices[faces[face.clamp(min=0).long()].long()].double()
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = torch.nn.functional.normalize(normal, dim=1, eps=0.0).nan_to_num(0.0).to(away.dtype)
+    # Within a few roundings of the surface the difference above is noise.
+    scale = torch.maximum(at.abs().amax(1), point.abs().amax(1))
+    near = values.abs() <= 8 * torch.finfo(torch.float32).eps * scale
+    away = torch.where(near[:, None], normal, away)
+    return torch.nn.functional.normalize(away, dim=1)
+
+
+def _to_vertices(vertices: Tensor, faces: Tensor, face: Tensor, barycentric: Tensor, flow: Tensor) -> Tensor:
+    """Sum of -barycentric * flow over the corners of the closest faces: (V,3)."""
+    weighted = -barycentric[:, :, None] * flow[:, None, :]
+    corners = faces[face.clamp(min=0).long()].long()
+    return torch.zeros_like(vertices).index_add_(0, corners.reshape(-1), weighted.reshape(-1, 3))
+
+
+def _closest_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    vertices, faces, at = inputs[:3]
+    ctx.mark_non_differentiable(output[1], output[2], output[3])
+    ctx.save_for_backward(vertices, faces, at, *output)
+
+
+def _closest_backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+    vertices, faces, at, values, point, face, barycentric = ctx.saved_tensors
+    flow = grad[:, None] * outward(vertices, faces, at, values, point, face)
+    to_vertices = _to_vertices(vertices, faces, face, barycentric, flow) if ctx.needs_input_grad[0] else None
+    return to_vertices, None, flow if ctx.needs_input_grad[2] else None, None, None
+
+
+closest.register_autograd(_closest_backward, setup_context=_closest_setup)
+
+
+@torch.library.custom_op("sdm::winding_number", mutates_args=())
+def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+    """Generalised winding number (N,) of a mesh about points (N,3)."""
+    if not hierarchy:
+        hierarchy, kind = build(vertices[None], faces)
+    at = points.contiguous()
+    values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
+    with on_current_stream(at, at, *hierarchy):
+        tree, winding = unpack(hierarchy, kind, 1)
+        _points().query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
+    return values
+
+
+def _points() -> Any:
+    # The operators' argument names shadow the module of the same name.
+    return points
+
+
+@winding_number.register_fake
+def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+    return points.new_empty(points.shape[0])
+
+
+@torch.library.custom_op("sdm::distance_map", mutates_args=())
+def distance_map(
+    vertices: Tensor,
+    faces: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    origin: Sequence[float],
+    spacing: Sequence[float],
+    shape: Sequence[int],
+    first: int,
+) -> tuple[Tensor, Tensor]:
+    """Signed distances (B,n,ny,nz) of meshes (B,V,3), and the number of ambiguous voxels of each (B,).
+
+    `shape` is the slab's (n,ny,nz); its voxel (0,0,0) is the grid's voxel (first,0,0).
+    """
+    meshes = vertices.shape[0]
+    if not hierarchy:
+        hierarchy, kind = build(vertices.contiguous(), faces)
+    values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
+    ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
+    with on_current_stream(vertices, *hierarchy):
+        tree, winding = unpack(hierarchy, kind, meshes)
+        slab = dense.Slab()
+        slab.origin = wp.vec3d(*origin)
+        slab.spacing = wp.vec3d(*spacing)
+        slab.shape = wp.vec3i(*shape)
+        slab.first = first
+        dense.query_slab(tree, winding, slab, as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), launch)
+    return values, ambiguous
+
+
+@distance_map.register_fake
+def _(
+    vertices: Tensor,
+    faces: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    origin: Sequence[float],
+    spacing: Sequence[float],
+    shape: Sequence[int],
+    first: int,
+) -> tuple[Tensor, Tensor]:
+    meshes = vertices.shape[0]
+    return vertices.new_empty((meshes, *shape)), vertices.new_empty(meshes, dtype=torch.int32)
+
+
+def _map_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    vertices, faces, hierarchy, ctx.kind, ctx.origin, ctx.spacing, ctx.shape, ctx.first = inputs
+    ctx.mark_non_differentiable(output[1])
+    ctx.save_for_backward(vertices, faces, *hierarchy)
+
+
+def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
+    vertices, faces, *hierarchy = ctx.saved_tensors
+    result = torch.zeros_like(vertices)
+    chunk = max(1, BACKWARD_CHUNK // max(1, ctx.shape[1] * ctx.shape[2]))
+    for mesh in range(vertices.shape[0]):
+        tensors, kind = (one_of(hierarchy, mesh, vertices.shape[0]), ctx.kind) if hierarchy else ([], ctx.kind)
+        if not tensors:
+            tensors, kind = build(vertices[mesh : mesh + 1].contiguous(), faces)
+        for begin in range(0, ctx.shape[0], chunk):
+            end = min(begin + chunk, ctx.shape[0])
+            at = _centres(ctx, begin, end, grad.device)
+            values, point, face, barycentric = closest(vertices[mesh], faces, at, tensors, kind)
+            flow = grad[mesh, begin:end].reshape(-1, 1) * outward(vertices[mesh], faces, at, values, point, face)
+            result[mesh] += _to_vertices(vertices[mesh], faces, face, barycentric, flow)
+    return result, *[None] * 7
+
+
+def _centres(ctx: Any, begin: int, end: int, device: torch.device) -> Tensor:
+    """Voxel centres (N,3) float32 of part of the slab, as the kernels see them."""
+    ranges = ((ctx.first + begin, ctx.first + end), (0, ctx.shape[1]), (0, ctx.shape[2]))
+    axes = [
+        torch.arange(low, high, device=device, dtype=torch.float64) * s + o
+        for (low, high), s, o in zip(ranges, ctx.spacing, ctx.origin, strict=True)
+    ]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).float()
+
+
+distance_map.register_autograd(_map_backward, setup_context=_map_setup)
