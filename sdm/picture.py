@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,15 +16,16 @@ from sdm.picture_surface import draw_surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 FORMATS = ("png", "pdf", "svg", "jpg", "webp")
 # Low values, the inside, are red: the colour of the surface beside the slices.
-COLOURS = "RdBu"
+COLOURS = ("#8c1d2c", "#c9453f", "#ea8a6c", "#f8c9b0", "#f8f7f5", "#c3dcec", "#80b5d8", "#3f86bd", "#1f5a96")
 # The outside reaches much further than the inside is deep: past this ratio the colours stop, and the bar says so.
-OUTSIDE_TO_INSIDE = 3.0
-STYLE = {
+OUTSIDE_TO_INSIDE = 2.0
+STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 10.0,
@@ -32,6 +34,8 @@ STYLE = {
     "xtick.color": "0.35",
     "ytick.color": "0.35",
     "axes.labelcolor": "0.2",
+    "grid.color": "0.84",
+    "grid.linewidth": 0.6,
     "svg.fonttype": "none",
 }
 
@@ -55,7 +59,7 @@ def picture(
         facts: What to list beside the slices, by name; the grid's shape, spacing and the distances' range are there.
         dpi: Pixels per inch of a figure 13.3 inches wide and 7.5 high.
 
-    Negative (red) is inside. Colours are symmetric about zero and end at three times the greatest depth inside
+    Negative (red) is inside. Colours are symmetric about zero and end at twice the greatest depth inside
     where the map goes further; slices show voxels as they are, without smoothing. Needs no display.
 
     Raises:
@@ -76,7 +80,7 @@ def _write(figure: Figure, target: Path, kind: str, dpi: int) -> None:
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         figure.savefig(part, format=kind, dpi=dpi)
-        os.replace(part, target)
+        part.replace(target)
     except OSError as error:
         raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
     finally:
@@ -95,13 +99,22 @@ def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> 
     limit, extend = _colour_limit(values)
 
     draw_surface(figure, (0.0, 0.02, 0.5, 0.89), field, unit)
-    cells = figure.add_gridspec(2, 2, left=0.545, right=0.975, bottom=0.085, top=0.885, wspace=0.24, hspace=0.27)
+    cells = figure.add_gridspec(2, 2, left=0.575, right=0.975, bottom=0.085, top=0.885, wspace=0.24, hspace=0.27)
     # The places of a technical drawing: the view along z below, those along y and x above it and to the right.
     image = _slice(figure.add_subplot(cells[1, 0]), field, values, (0, 1), limit, unit)
     _slice(figure.add_subplot(cells[0, 0]), field, values, (0, 2), limit, unit)
     _slice(figure.add_subplot(cells[0, 1]), field, values, (1, 2), limit, unit)
-    _legend(figure.add_subplot(cells[1, 1]), image, extend, field, values, unit, facts)
+    axes = figure.add_subplot(cells[1, 1])
+    axes.axis("off")
+    _colour_bar(figure, axes, image, extend, unit)
+    _list(axes, facts | _known(field, values, limit, unit))
     return figure
+
+
+def _colour_map() -> LinearSegmentedColormap:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("inside_outside", COLOURS)
 
 
 def _colour_limit(values: np.ndarray) -> tuple[float, str]:
@@ -115,6 +128,12 @@ def _colour_limit(values: np.ndarray) -> tuple[float, str]:
     limit = limit if limit > 0 else 1.0
     ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
     return limit, ends[low < -limit, high > limit]
+
+
+def _line_step(limit: float) -> float:
+    """A round distance between lines of equal distance: three to seven of them on each side."""
+    power = 10.0 ** math.floor(math.log10(limit / 3))
+    return power * max(x for x in (1.0, 2.0, 5.0) if x * power <= limit / 3 * 1.0001)
 
 
 def _slice(
@@ -131,59 +150,60 @@ def _slice(
     ticks = [start[a] + grid.spacing[a] * np.arange(grid.shape[a]) for a in (right, up)]
     half = [grid.spacing[a] / 2 for a in (right, up)]
     extent = (ticks[0][0] - half[0], ticks[0][-1] + half[0], ticks[1][0] - half[1], ticks[1][-1] + half[1])
-    image = axes.imshow(cut, cmap=COLOURS, vmin=-limit, vmax=limit, origin="lower", extent=extent, interpolation="none")
+    image = axes.imshow(
+        cut, cmap=_colour_map(), vmin=-limit, vmax=limit, origin="lower", extent=extent, interpolation="none"
+    )
     size = (extent[1] - extent[0], extent[3] - extent[2])
     axes.set_aspect("equal" if max(size) < 8 * min(size) else "auto")
 
     if min(cut.shape) > 1 and np.isfinite(cut).all():
-        levels = np.linspace(-limit, limit, 13)
-        thin = [x for x in levels if x != 0 and cut.min() < x < cut.max()]
-        if thin:
-            axes.contour(*ticks, cut, levels=thin, colors="0.25", linewidths=0.35, alpha=0.45, linestyles="solid")
+        step = _line_step(limit)
+        levels = step * np.arange(np.ceil(cut.min() / step), np.floor(cut.max() / step) + 1)
+        thin = levels[(levels != 0) & (levels > cut.min()) & (levels < cut.max())]
+        if 0 < thin.size < 100:
+            axes.contour(*ticks, cut, levels=thin, colors="0.15", linewidths=0.35, alpha=0.4, linestyles="solid")
         if cut.min() < 0 < cut.max():
             axes.contour(*ticks, cut, levels=[0.0], colors="black", linewidths=1.5)
-    suffix = f" ({unit})" if unit else ""
-    axes.set_xlabel(names[right] + suffix, labelpad=2)
-    axes.set_ylabel(names[up] + suffix, labelpad=2)
+    axes.set_xlabel(names[right] + _in(unit), labelpad=2)
+    axes.set_ylabel(names[up] + _in(unit), labelpad=2)
     axes.tick_params(labelsize=8, length=2.5, width=0.6)
     place = start[normal] + grid.spacing[normal] * middle
+    # Voxels placed around zero miss it by a rounding, which no reader wants to see.
+    place = 0.0 if abs(place) < 1e-6 * grid.spacing[normal] else place
     axes.set_title(f"{names[normal]} = {place:.3g}{' ' + unit if unit else ''}", fontsize=10, color="0.2", pad=5)
     return image
 
 
-def _legend(
-    axes: Axes,
-    image: AxesImage,
-    extend: str,
-    field: SDM,
-    values: np.ndarray,
-    unit: str | None,
-    facts: dict[str, str],
-) -> None:
-    """The colour bar above a list of what is known of the map."""
-    axes.axis("off")
-    suffix = f" {unit}" if unit else ""
-    figure = axes.get_figure(root=True)
-    assert figure is not None  # a type checker's doubt: the axes were made by a figure
-    bar = figure.colorbar(
-        image, cax=axes.inset_axes((0.0, 0.86, 1.0, 0.055)), orientation="horizontal", extend=extend
-    )
+def _colour_bar(figure: Figure, axes: Axes, image: AxesImage, extend: str, unit: str | None) -> None:
+    place = axes.inset_axes((0.0, 0.86, 1.0, 0.055))
+    bar = figure.colorbar(image, cax=place, orientation="horizontal", extend=extend)
     bar.ax.axvline(0.0, color="black", linewidth=1.5)
     bar.ax.tick_params(labelsize=8, length=2.5, width=0.6)
-    bar.ax.set_title(f"signed distance{f' ({unit})' if unit else ''}: inside < 0 < outside", fontsize=10, color="0.2")
+    bar.ax.set_title(f"signed distance{_in(unit)}", fontsize=10, color="0.2", pad=5)
 
-    finite = values[np.isfinite(values)]
+
+def _known(field: SDM, values: np.ndarray, limit: float, unit: str | None) -> dict[str, str]:
+    suffix = f" {unit}" if unit else ""
     spacing = field.grid.spacing
     steps = f"{spacing[0]:.4g}" if len(set(spacing)) == 1 else _times(tuple(f"{s:.4g}" for s in spacing))
-    known = {"grid": f"{_times(field.grid.shape)} voxels", "voxel": f"{steps}{suffix}"}
+    known = {"grid": _times(field.grid.shape), "voxel": f"{steps}{suffix}"}
+    finite = values[np.isfinite(values)]
     if finite.size:
-        known["distances"] = f"{finite.min():.3g} to {finite.max():.3g}{suffix}"
-    lines = facts | known
-    step = min(0.095, 0.7 / len(lines))
+        known["distances"] = f"{finite.min():.3g} to {finite.max():.3g}{suffix}".replace("-", "\N{MINUS SIGN}")
+        known["lines"] = f"every {_line_step(limit):g}{suffix}"
+    return known | {"sign": "negative inside"}
+
+
+def _list(axes: Axes, lines: dict[str, str]) -> None:
+    step = min(0.1, 0.72 / len(lines))
     for row, (name, value) in enumerate(lines.items()):
-        y = 0.62 - step * row
-        axes.text(0.0, y, name, transform=axes.transAxes, fontsize=10, color="0.45", va="center")
-        axes.text(0.3, y, value, transform=axes.transAxes, fontsize=10, color="0.1", va="center")
+        y = 0.66 - step * row
+        axes.text(0.0, y, name, transform=axes.transAxes, fontsize=11, color="0.45", va="center")
+        axes.text(0.36, y, value, transform=axes.transAxes, fontsize=11, color="0.1", va="center")
+
+
+def _in(unit: str | None) -> str:
+    return f" ({unit})" if unit else ""
 
 
 def _times(shape: tuple[object, ...]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from sdm.grid import Grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
 
 # matplotlib sorts and paints triangles one by one: past this many voxels along an axis it takes minutes.
 LARGEST_AXIS = 160
@@ -29,26 +30,27 @@ def draw_surface(figure: Figure, place: tuple[float, float, float, float], field
     """
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    coarse = _thinned(field)
+    coarse = _drawable(field)
     try:
         mesh = coarse.to_mesh()
     except SDMError:
         return _say_nothing_there(figure, place, field)
     vertices, faces = mesh.numpy()
-    corners = vertices[faces]
+    corners = vertices.astype(np.float64)[faces]
     colours = _colours(coarse, corners)
 
-    axes = figure.add_axes(place, projection="3d", computed_zorder=False)
+    axes = cast("Axes3D", figure.add_axes(place, projection="3d", computed_zorder=False))
     solid = Poly3DCollection(corners, facecolors=colours, edgecolors=colours, linewidths=0.25, zsort="average")
     axes.add_collection3d(solid)
     low, high = corners.min((0, 1)), corners.max((0, 1))
     pad = 0.04 * float((high - low).max()) or 1.0
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), zlim=(low[2] - pad, high[2] + pad))
-    axes.set_box_aspect(high - low + 2 * pad, zoom=0.95)
+    axes.set_box_aspect(high - low + 2 * pad)
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
     axes.set_proj_type("persp", focal_length=1.6)
     suffix = f" ({unit})" if unit else ""
-    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis), ("z", axes.zaxis)):
+    for name in "xyz":
+        axis: Any = getattr(axes, f"{name}axis")
         axis.set_pane_color((0.965, 0.968, 0.975, 1.0))
         axis.set_label_text(name + suffix)
     axes.tick_params(labelsize=8, pad=1)
@@ -57,15 +59,16 @@ def draw_surface(figure: Figure, place: tuple[float, float, float, float], field
     return None
 
 
-def _thinned(field: SDM) -> SDM:
-    """Every n-th voxel of a map that is too large to draw."""
-    steps = [math.ceil(n / LARGEST_AXIS) for n in field.grid.shape]
-    if max(steps) == 1:
-        return field
-    values = field.values.detach()[:: steps[0], :: steps[1], :: steps[2]]
+def _drawable(field: SDM) -> SDM:
+    """Every n-th voxel of a map that is too large to draw, and the farthest distance where there is none."""
     grid = field.grid
+    steps = [math.ceil(n / LARGEST_AXIS) for n in grid.shape]
+    values = field.values.detach()[:: steps[0], :: steps[1], :: steps[2]].cpu()
+    finite = values[values.isfinite()]
+    if finite.numel():
+        values = values.nan_to_num(float(finite.max()), float(finite.max()), float(finite.min()))
     spacing = tuple(s * n for s, n in zip(grid.spacing, steps, strict=True))
-    return SDM(values, Grid(grid.origin, spacing, tuple(values.shape), grid.direction))
+    return SDM(values, Grid(grid.origin, spacing, values.shape, grid.direction))
 
 
 def _colours(field: SDM, corners: np.ndarray) -> np.ndarray:
@@ -80,7 +83,7 @@ def _colours(field: SDM, corners: np.ndarray) -> np.ndarray:
         index = points @ inverse[:3, :3].T + inverse[:3, 3]
         return map_coordinates(volume, index.T, order=1, mode="nearest")
 
-    centres = corners.mean(1, dtype=np.float64)
+    centres = corners.mean(1)
     slopes = [at(np.gradient(values, grid.spacing[a], axis=a), centres) for a in range(3)]
     normals = np.stack(slopes, -1) @ rotation.T
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -110,10 +113,10 @@ def _say_nothing_there(figure: Figure, place: tuple[float, float, float, float],
     values = field.numpy()
     if min(values.shape) < 2:
         why = "the grid is one voxel thin"
-    elif np.isfinite(values).all():
-        why = f"every distance is {'inside' if values.max() < 0 else 'outside'}"
+    elif not np.isfinite(values).any():
+        why = "no distance is finite"
     else:
-        why = "some distances are not finite"
+        why = f"no voxel is {'outside' if values[np.isfinite(values)].max() < 0 else 'inside'}"
     axes = figure.add_axes(place)
     axes.axis("off")
     axes.text(0.5, 0.5, f"no surface to draw:\n{why}", ha="center", va="center", fontsize=14, color="0.45")
