@@ -20,7 +20,9 @@ from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.topology import boundary_edges
 
-wp.config.quiet = True
+# Warp greets and reports every module that it compiles; a library should not. Whoever set a level keeps it.
+if wp.config.log_level == wp.LOG_INFO:
+    wp.config.log_level = wp.LOG_ERROR
 wp.init()
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.

@@ -100,16 +100,17 @@ def _to_vertices(vertices: Tensor, faces: Tensor, face: Tensor, barycentric: Ten
 
 
 def _closest_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
-    vertices, faces, at = inputs[:3]
+    vertices, faces, at, hierarchy, _ = inputs
+    ctx.tensors = len(hierarchy)
     ctx.mark_non_differentiable(output[1], output[2], output[3])
     ctx.save_for_backward(vertices, faces, at, *output)
 
 
-def _closest_backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+def _closest_backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Any, ...]:
     vertices, faces, at, values, point, face, barycentric = ctx.saved_tensors
     flow = grad[:, None] * outward(vertices, faces, at, values, point, face)
     to_vertices = _to_vertices(vertices, faces, face, barycentric, flow) if ctx.needs_input_grad[0] else None
-    return to_vertices, None, flow if ctx.needs_input_grad[2] else None, None, None
+    return to_vertices, None, flow if ctx.needs_input_grad[2] else None, [None] * ctx.tensors, None
 
 
 closest.register_autograd(_closest_backward, setup_context=_closest_setup)
@@ -204,7 +205,7 @@ def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
             values, point, face, barycentric = closest(vertices[mesh], faces, at, tensors, kind)
             flow = grad[mesh, begin:end].reshape(-1, 1) * outward(vertices[mesh], faces, at, values, point, face)
             result[mesh] += _to_vertices(vertices[mesh], faces, face, barycentric, flow)
-    return result, *[None] * 7
+    return result, None, [None] * len(hierarchy), None, None, None, None, None
 
 
 def _centres(ctx: Any, begin: int, end: int, device: torch.device) -> Tensor:
