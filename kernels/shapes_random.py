@@ -1,0 +1,130 @@
+"""Numbers in [0,1) that depend on a seed and an index alone: Philox and Sobol."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# Numbers that one Philox block gives.
+LANES = 4
+# Bits of a Sobol point; after 2^30 points the sequence starts anew under another shift.
+SOBOL_BITS = 30
+_SOBOL_BITS = wp.constant(SOBOL_BITS)
+_UNIT = wp.constant(1.0 / 2.0**24)
+_MASK = wp.constant(wp.int64((1 << SOBOL_BITS) - 1))
+_LAP = wp.constant(wp.int64(SOBOL_BITS))
+_DROPPED = wp.constant(wp.int64(SOBOL_BITS - 24))
+_ONE = wp.constant(wp.int64(1))
+_NONE = wp.constant(wp.int64(0))
+
+
+@wp.func
+def mulhi(a: wp.uint32, b: wp.uint32):
+    return wp.uint32((wp.uint64(a) * wp.uint64(b)) >> wp.uint64(32))
+
+
+@wp.func
+def philox(counter: wp.vec4ui, low: wp.uint32, high: wp.uint32):
+    """Philox4x32-10 of Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011."""
+    c0 = counter[0]
+    c1 = counter[1]
+    c2 = counter[2]
+    c3 = counter[3]
+    k0 = low
+    k1 = high
+    for _ in range(10):
+        h0 = mulhi(wp.uint32(0xD2511F53), c0)
+        l0 = wp.uint32(0xD2511F53) * c0
+        h1 = mulhi(wp.uint32(0xCD9E8D57), c2)
+        l1 = wp.uint32(0xCD9E8D57) * c2
+        c0 = h1 ^ c1 ^ k0
+        c1 = l1
+        c2 = h0 ^ c3 ^ k1
+        c3 = l0
+        k0 = k0 + wp.uint32(0x9E3779B9)
+        k1 = k1 + wp.uint32(0xBB67AE85)
+    return wp.vec4ui(c0, c1, c2, c3)
+
+
+@wp.func
+def unit_float(bits: wp.uint32):
+    """The upper 24 bits as a number in [0,1): exact in float32."""
+    return float(bits >> wp.uint32(8)) * _UNIT
+
+
+@wp.func
+def counter_of(index: wp.int64, block: int, purpose: int):
+    bits = wp.uint64(index)
+    return wp.vec4ui(
+        wp.uint32(bits & wp.uint64(0xFFFFFFFF)), wp.uint32(bits >> wp.uint64(32)), wp.uint32(block), wp.uint32(purpose)
+    )
+
+
+@wp.kernel
+def philox_kernel(
+    low: wp.uint32, high: wp.uint32, purpose: int, index: wp.array[wp.int64], values: wp.array2d[wp.uint32]
+):
+    b, block = wp.tid()
+    word = philox(counter_of(index[b], block, purpose), low, high)
+    for lane in range(4):
+        d = 4 * block + lane
+        if d < values.shape[1]:
+            values[b, d] = word[lane]
+
+
+@wp.kernel
+def uniform_kernel(low: wp.uint32, high: wp.uint32, index: wp.array[wp.int64], values: wp.array2d[float]):
+    b, block = wp.tid()
+    word = philox(counter_of(index[b], block, 0), low, high)
+    for lane in range(4):
+        d = 4 * block + lane
+        if d < values.shape[1]:
+            values[b, d] = unit_float(word[lane])
+
+
+@wp.kernel
+def sobol_kernel(
+    low: wp.uint32,
+    high: wp.uint32,
+    index: wp.array[wp.int64],
+    directions: wp.array2d[wp.int64],
+    values: wp.array2d[float],
+):
+    b, d = wp.tid()
+    position = index[b] & _MASK
+    gray = position ^ (position >> _ONE)
+    word = _NONE
+    for k in range(_SOBOL_BITS):
+        if ((gray >> wp.int64(k)) & _ONE) != _NONE:
+            word = word ^ directions[d, k]
+    # One random shift of all points keeps their even spread and makes seeds differ.
+    lap = index[b] >> _LAP
+    shift = philox(counter_of(lap, d / 4, 1), low, high)
+    word = word ^ wp.int64(shift[d % 4] >> wp.uint32(2))
+    values[b, d] = float(word >> _DROPPED) * _UNIT
+
+
+def fill_uniform(seed: int, index: Any, values: Any, device: Any) -> None:
+    """Fill `values` (B,D) float32 with independent numbers in [0,1) for `index` (B,) int64."""
+    blocks = -(-values.shape[1] // LANES)
+    inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index]
+    wp.launch(uniform_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)
+
+
+def fill_sobol(seed: int, index: Any, directions: Any, values: Any, device: Any) -> None:
+    """Fill `values` (B,D) float32 with the points number `index` (B,) int64 of a shifted Sobol sequence.
+
+    `directions` (D,30) int64 are the direction numbers of each axis.
+    """
+    inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index, directions]
+    wp.launch(sobol_kernel, dim=values.shape, inputs=inputs, outputs=[values], device=device)
+
+
+def fill_words(seed: int, purpose: int, index: Any, values: Any, device: Any) -> None:
+    """Fill `values` (B,D) uint32 with the raw words of Philox, for tests and for whole numbers."""
+    blocks = -(-values.shape[1] // LANES)
+    inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, purpose, index]
+    wp.launch(philox_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)

@@ -1,0 +1,23 @@
+"""Shape families: parameters to vertices on the device, with fixed faces. See README.md beside this file."""
+
+from sdm.shapes.cochlea import Cochlea
+from sdm.shapes.cochlea_design import CochleaDesign
+from sdm.shapes.family import Family, Group, Parameter
+from sdm.shapes.sampling import grid, sobol, uniform
+from sdm.shapes.solids import Cuboid, Cylinder, Ellipsoid, GeometricShapes, Rhomboid
+
+__all__ = [
+    "Cochlea",
+    "CochleaDesign",
+    "Cuboid",
+    "Cylinder",
+    "Ellipsoid",
+    "Family",
+    "GeometricShapes",
+    "Group",
+    "Parameter",
+    "Rhomboid",
+    "grid",
+    "sobol",
+    "uniform",
+]

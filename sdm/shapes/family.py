@@ -1,0 +1,222 @@
+"""What a shape family is: a box of parameters, and vertices on fixed faces for every point of the box."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from sdm.device import choose_device
+from sdm.errors import MeshError
+from sdm.grid import Grid
+from sdm.mesh import TriangleMesh
+from sdm.shapes import sampling
+
+# Shapes that decide how large a family's grid must be, besides the corners of its box.
+PROBES = 512
+MOST_CORNERS = 256
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a family.
+
+    Args:
+        name: Its name.
+        low: Least value.
+        high: Greatest value, more than `low`.
+        unit: Unit, for example "mm" or "rad"; "1" for a plain number.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = "1"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise MeshError(f"the parameter {self.name} runs from {self.low} to {self.high}; give low < high, both finite")
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Samples of a batch that share faces: `vertices[i]` (V,3) belongs to sample `rows[i]` of the batch."""
+
+    rows: Tensor
+    vertices: Tensor
+    faces: Tensor
+
+
+class Family(ABC):
+    """A family of meshes: parameters theta to vertices, faces fixed.
+
+    A subclass sets `parameters` and `triangles` and defines `vertices`. The faces are (F,3) int32,
+    counter-clockwise seen from outside; they close the surface for every theta in the box.
+    """
+
+    parameters: tuple[Parameter, ...]
+    triangles: Tensor
+    name: ClassVar[str] = "shape"
+
+    @abstractmethod
+    def vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) float32 for theta (B,P) float32, on theta's device, differentiable in theta.
+
+        Values are not checked (that would wait for a GPU): see `check`.
+        """
+
+    @property
+    def faces(self) -> Tensor:
+        """The faces (F,3) int32, on the host."""
+        return self.faces_on("cpu")
+
+    def faces_on(self, device: torch.device | str) -> Tensor:
+        """The faces (F,3) int32 on a device: the same tensor each time, so that what is known about it lasts."""
+        return self._on(device, "triangles", [self.triangles])[0]
+
+    def mesh(self, theta: Any) -> TriangleMesh:
+        """The mesh of one theta (P,), on its device.
+
+        Raises:
+            MeshError: theta is outside the box, not finite, or not one sample.
+        """
+        theta = self.check(theta)
+        if theta.shape[0] != 1:
+            raise MeshError(f"theta holds {theta.shape[0]} samples; mesh() takes one: use vertices() for a batch")
+        return TriangleMesh(self.vertices(theta)[0], self.faces_on(theta.device), self.name, check=False)
+
+    def groups(self, theta: Tensor, host: Tensor | None = None) -> Iterator[Group]:
+        """The batch in groups that share faces, with no triangle more than each sample needs: here one group.
+
+        Args:
+            theta: (B,P) float32.
+            host: The same on the host, so that a family whose faces differ need not wait for the device.
+        """
+        rows = torch.arange(theta.shape[0], device=theta.device)
+        yield Group(rows, self.vertices(theta), self.faces_on(theta.device))
+
+    def check(self, theta: Any) -> Tensor:
+        """theta as float32 (B,P), after a look at every value (on a GPU this waits for the device).
+
+        Raises:
+            MeshError: One sentence: the wrong width, a value that is not finite, or one outside the box.
+        """
+        tensor = theta if isinstance(theta, Tensor) else torch.as_tensor(theta)
+        tensor = as_theta(tensor[None] if tensor.ndim == 1 else tensor, len(self.parameters), self.name)
+        values = tensor.detach().cpu()
+        for column, p in enumerate(self.parameters):
+            # The ends as float32, so that a bound that float32 cannot hold does not refuse itself.
+            low, high = torch.tensor([p.low, p.high], dtype=torch.float32)
+            wrong = ~((values[:, column] >= low) & (values[:, column] <= high))
+            if bool(wrong.any()):
+                row = int(wrong.nonzero()[0])
+                value = float(values[row, column])
+                where = f"theta[{row}]" if len(values) > 1 else "theta"
+                raise MeshError(
+                    f"{p.name} of {where} is {value:g}; {self.name} takes {p.low:g} to {p.high:g}"
+                    + ("" if p.unit == "1" else f" {p.unit}")
+                )
+        return tensor
+
+    def from_unit(self, unit: Tensor) -> Tensor:
+        """theta (B,P) for points (B,P) of the unit cube."""
+        low, width = self._on(unit.device, "box", self._box())
+        return torch.addcmul(low, unit, width)
+
+    def to_unit(self, theta: Tensor) -> Tensor:
+        """Points (B,P) of the unit cube for theta (B,P)."""
+        low, width = self._on(theta.device, "box", self._box())
+        return (theta - low) / width
+
+    def sample(
+        self,
+        count: int,
+        *,
+        seed: int = 0,
+        start: int = 0,
+        sampler: str = "uniform",
+        device: torch.device | str | None = None,
+    ) -> Tensor:
+        """theta (count,P) of the samples number `start` to `start + count - 1`: see `sample_at`."""
+        where = choose_device(device)
+        index = torch.arange(start, start + count, dtype=torch.int64, device=where)
+        return self.sample_at(index, seed=seed, sampler=sampler)
+
+    def sample_at(self, index: Tensor | Sequence[int], *, seed: int = 0, sampler: str = "uniform") -> Tensor:
+        """theta (B,P) of the samples with these global numbers.
+
+        Args:
+            index: (B,) int64, 0 or more; the result is on its device.
+            seed: Any whole number of 64 bits.
+            sampler: "uniform" or "sobol".
+
+        A sample depends on (seed, number) alone, however the numbers are split into batches.
+        """
+        numbers = sampling.as_index(index)
+        return self.from_unit(sampling.draw(sampler, seed, numbers, len(self.parameters)))
+
+    def grid_samples(self, per_axis: int, *, device: torch.device | str | None = None) -> Tensor:
+        """theta (per_axis^P, P) of the tensor grid over the box, its faces included: 625 for 5 and 4 parameters."""
+        unit = sampling.grid(per_axis, len(self.parameters))
+        return self.from_unit(unit.to(choose_device(device)))
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """Lowest and highest x, y, z (3,) over the box of parameters: over its corners and 512 Sobol points."""
+        width = len(self.parameters)
+        unit = sampling.sobol(0, torch.arange(PROBES), width)
+        if 2**width <= MOST_CORNERS:
+            corners = torch.tensor(list(itertools.product((0.0, 1.0), repeat=width)))
+            unit = torch.cat([unit, corners])
+        lows, highs = [], []
+        with torch.no_grad():
+            for part in unit.split(16):
+                points = self.vertices(self.from_unit(part))
+                lows.append(points.amin((0, 1)))
+                highs.append(points.amax((0, 1)))
+        return torch.stack(lows).amin(0), torch.stack(highs).amax(0)
+
+    def grid(self, resolution: int = 64, *, margin: float = 0.05) -> Grid:
+        """A cube of voxels that holds every shape of the family, with `margin` of its edge on each side."""
+        low, high = self.bounds()
+        corners = torch.stack([low, high, low])
+        box = TriangleMesh(corners, torch.tensor([[0, 1, 2]]), self.name)
+        return Grid.around(box, resolution=resolution, margin=margin)
+
+    def _box(self) -> list[Tensor]:
+        low = torch.tensor([p.low for p in self.parameters], dtype=torch.float32)
+        high = torch.tensor([p.high for p in self.parameters], dtype=torch.float32)
+        return [low, high - low]
+
+    def _on(self, device: torch.device | str, key: str, tensors: list[Tensor]) -> list[Tensor]:
+        """`tensors` on a device, copied there once."""
+        where = torch.device(device)
+        if where.type == "cuda" and where.index is None:
+            where = torch.device("cuda", torch.cuda.current_device())
+        copies: dict[tuple[torch.device, str], list[Tensor]] = self.__dict__.setdefault("_copies", {})
+        if (where, key) not in copies:
+            copies[where, key] = [t.to(where) for t in tensors]
+        return copies[where, key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "_copies"}
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{p.name} {p.low:g}..{p.high:g} {p.unit}" for p in self.parameters)
+        return f"{type(self).__name__}({names}; {self.triangles.shape[0]} triangles)"
+
+
+def as_theta(theta: Tensor, width: int, name: str) -> Tensor:
+    """theta as float32 (B,width).
+
+    Raises:
+        MeshError: Another shape.
+    """
+    if theta.ndim != 2 or theta.shape[1] != width:
+        raise MeshError(f"theta has shape {tuple(theta.shape)}; {name} needs (B, {width})")
+    return theta.to(torch.float32)

@@ -1,0 +1,119 @@
+"""Points of the unit cube: each a pure function of a seed and its own number.
+
+- `uniform`: Philox4x32-10, a counter-based generator: independent numbers.
+- `sobol`: a Sobol sequence under a random shift of its bits: evenly spread, so better for fitting smooth functions.
+- `grid`: the tensor grid.
+
+The same numbers come out on every device, for every split into batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.errors import MeshError
+from sdm.hierarchy import as_warp, on_current_stream
+from sdm.kernels import shapes_random
+
+SAMPLERS = ("uniform", "sobol")
+LARGEST_GRID = 1 << 28
+
+
+def draw(sampler: str, seed: int, index: Tensor, width: int) -> Tensor:
+    """`uniform` or `sobol` by name.
+
+    Raises:
+        MeshError: There is no sampler of that name.
+    """
+    if sampler == "uniform":
+        return uniform(seed, index, width)
+    if sampler == "sobol":
+        return sobol(seed, index, width)
+    raise MeshError(f"there is no sampler called {sampler!r}; use {' or '.join(SAMPLERS)}")
+
+
+def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
+    """Independent uniform numbers in [0,1), multiples of 2^-24.
+
+    Args:
+        seed: Any whole number of 64 bits.
+        index: (B,) int64 numbers of the samples, 0 or more.
+        width: Numbers for each sample.
+
+    Returns:
+        (B,width) float32 on the index's device.
+    """
+    numbers = as_index(index)
+    values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
+    if values.numel():
+        with on_current_stream(values, numbers) as device:
+            shapes_random.fill_uniform(
+                _seed(seed), as_warp(numbers, wp.int64), as_warp(values, wp.float32), device
+            )
+    return values
+
+
+def sobol(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
+    """Points of a Sobol sequence in [0,1), its bits shifted at random by the seed.
+
+    Args:
+        seed: Any whole number of 64 bits.
+        index: (B,) int64 places in the sequence, 0 or more. After 2^30 the sequence starts anew, shifted otherwise.
+        width: Axes, at most 21,201.
+
+    Returns:
+        (B,width) float32 on the index's device.
+
+    Direction numbers of Joe and Kuo, SIAM Journal on Scientific Computing 30, 2008. Any 2^m points that start at a
+    multiple of 2^m are as evenly spread as without the shift.
+    """
+    numbers = as_index(index)
+    values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
+    if values.numel():
+        directions = _directions(width, numbers.device)
+        with on_current_stream(values, numbers, directions) as device:
+            shapes_random.fill_sobol(
+                _seed(seed),
+                as_warp(numbers, wp.int64),
+                as_warp(directions, wp.int64),
+                as_warp(values, wp.float32),
+                device,
+            )
+    return values
+
+
+def grid(per_axis: int, width: int) -> Tensor:
+    """All points (per_axis^width, width) of the tensor grid over [0,1]^width, ends included; the last axis runs first.
+
+    Raises:
+        MeshError: Fewer than 2 points for each axis, or more than 2^28 in all.
+    """
+    if per_axis < 2:
+        raise MeshError(f"a grid of {per_axis} points for each axis has no width; give 2 or more")
+    if per_axis**width > LARGEST_GRID:
+        raise MeshError(f"a grid of {per_axis} points for each of {width} axes is too large: use a random sampler")
+    axis = torch.linspace(0, 1, per_axis)
+    return torch.cartesian_prod(*[axis] * width).reshape(-1, width)
+
+
+def as_index(index: Tensor | Sequence[int]) -> Tensor:
+    """Sample numbers as contiguous (B,) int64."""
+    numbers = index if isinstance(index, Tensor) else torch.as_tensor(list(index), dtype=torch.int64)
+    if numbers.ndim != 1 or numbers.dtype.is_floating_point:
+        raise MeshError(f"sample numbers have shape {tuple(numbers.shape)} and type {numbers.dtype}; (B,) whole needed")
+    return numbers.to(torch.int64).contiguous()
+
+
+def _seed(seed: int) -> int:
+    return int(seed) & (2**64 - 1)
+
+
+@cache
+def _directions(width: int, device: torch.device) -> Tensor:
+    engine = torch.quasirandom.SobolEngine(width)
+    return engine.sobolstate.to(dtype=torch.int64, device=device).contiguous()
