@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -52,19 +53,21 @@ def test_the_version_is_said_once(root):
 @pytest.mark.slow
 def test_an_installed_copy_works_from_inside_the_checkout(root, tmp_path):
     """The wheel holds every module, and ./sdm, which hides it there, finds the kernels too."""
-    pytest.importorskip("setuptools")
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(tmp_path)]
     source = tmp_path / "source"
-    subprocess.run(["git", "clone", "--quiet", "--no-hardlinks", str(root), str(source)], check=True)
-    subprocess.run([*build, str(source)], check=True)
+    source.mkdir()
+    for name in ("sdm", "kernels"):
+        shutil.copytree(root / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(root / name, source / name)
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*build, "-w", str(tmp_path), str(source)], check=True)
     (wheel,) = tmp_path.glob("*.whl")
 
     place = tmp_path / "venv"
     venv.create(place, system_site_packages=False, symlinks=True)
     python = place / "bin" / "python"
-    site = Path(
-        subprocess.check_output([python, "-c", "import site; print(site.getsitepackages()[0])"], text=True).strip()
-    )
+    where = subprocess.check_output([python, "-c", "import site; print(site.getsitepackages()[0])"], text=True)
+    site = Path(where.strip())
     # The libraries are borrowed, this project's editable copy is not: a .pth file is read from site folders alone.
     libraries = Path(pytest.__file__).parents[1]
     pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", str(wheel)]
