@@ -44,7 +44,7 @@ def test_size_and_bytes():
 
 
 def test_numbers_of_any_kind_become_plain_tuples():
-    grid = Grid(np.zeros(3), [1, 2, 3], torch.tensor([4, 5, 6]), np.eye(3))
+    grid = Grid(np.zeros(3), [1, 2, 3], np.array([4, 5, 6]), np.eye(3))
     assert grid == Grid((0.0, 0.0, 0.0), (1.0, 2.0, 3.0), (4, 5, 6))
     assert hash(grid) == hash(Grid((0, 0, 0), (1, 2, 3), (4, 5, 6)))
     assert all(type(n) is int for n in grid.shape)
