@@ -14,12 +14,20 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.crossings import is_left
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, to_lattice
+from sdm.kernels.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, SCALE, Tree, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
+_LATTICE = wp.constant(LATTICE)
+# Rays further off than this are not on the lattice: `to_lattice` stops there.
+LATTICE_LIMIT = wp.constant(wp.float64(2.0) * LATTICE_STEPS)
+# Within this many steps of a strip the lattice decides; the angle then changes by one part in as many.
+NEAR = wp.constant(wp.float64(1024.0))
+# By this share of a step, and its square, `is_left` breaks ties (any small number will do).
+MOVE = wp.constant(wp.float64(1.0e-10))
+MOVE2 = wp.constant(wp.float64(1.0e-20))
 TINY = wp.constant(wp.float64(1.0e-300))
 
 
@@ -33,7 +41,9 @@ class Boundary:
 
 
 @wp.kernel
-def _gather(begin: int, vertices: wp.array2d(dtype=wp.vec3), edges: wp.array2d(dtype=wp.int32), tree: Tree, out: Boundary):
+def _gather(
+    begin: int, vertices: wp.array2d(dtype=wp.vec3), edges: wp.array2d(dtype=wp.int32), tree: Tree, out: Boundary
+):
     i = begin + wp.tid()
     mesh = i / out.count
     e = i - mesh * out.count
@@ -50,24 +60,61 @@ def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.arr
 
 
 @wp.func
+def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
+    """length - ahead for a vector of that length, `ahead` along +x and the rest of squared length `aside2`."""
+    if ahead > wp.float64(0.0):
+        return aside2 / (length + ahead)
+    return length - ahead
+
+
+@wp.func
 def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
-    """The boundary's share of the winding number at p (scaled): add it to the count of crossings."""
+    """The boundary's share of the winding number at p (scaled): add it to the count of crossings.
+
+    Seen from behind a corner the angles of the two strips that meet there hang on the direction in which the ray
+    passes it. So where a ray comes near a strip's edge, its angle is that on the lattice, with the ray moved as
+    `is_left` moves it; then angles and sides agree.
+    """
     zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    base = mesh * _FRAME_SIZE
+    steps = tree.frame[base + _LATTICE]
+    step = one
+    if steps > zero:
+        step = one / steps
     q = to_lattice(tree, mesh, p[1], p[2])
+    limit = int(LATTICE_LIMIT)
+    on_lattice = wp.abs(q[0]) < limit and wp.abs(q[1]) < limit
     # The sum of all half solid angles is the argument of a product of complex numbers and a count of its full turns.
-    re = wp.float64(1.0)
-    im = wp.float64(0.0)
+    re = one
+    im = zero
     turns = int(0)
     for e in range(boundary.count):
         at = 2 * (mesh * boundary.count + e)
         a = wp.vec3d(boundary.ends[at]) - p
         b = wp.vec3d(boundary.ends[at + 1]) - p
-        la = wp.length(a)
-        lb = wp.length(b)
-        x = la * lb + wp.dot(a, b) - a[0] * lb - b[0] * la
-        left = is_left(boundary.lattice[at], boundary.lattice[at + 1], q)
-        y = wp.abs(a[1] * b[2] - a[2] * b[1]) + TINY
-        size = wp.float64(1.0) / (wp.abs(x) + y)
+        across = a[1] * b[2] - a[2] * b[1]
+        left = across > zero
+        if on_lattice:
+            first = boundary.lattice[at]
+            second = boundary.lattice[at + 1]
+            left = is_left(first, second, q)
+            width = wp.abs(b[1] - a[1]) + wp.abs(b[2] - a[2])
+            if wp.abs(across) <= NEAR * step * (width + step):
+                a = wp.vec3d(
+                    a[0], step * (wp.float64(first[0] - q[0]) + MOVE2), step * (wp.float64(first[1] - q[1]) - MOVE)
+                )
+                b = wp.vec3d(
+                    b[0], step * (wp.float64(second[0] - q[0]) + MOVE2), step * (wp.float64(second[1] - q[1]) - MOVE)
+                )
+                across = a[1] * b[2] - a[2] * b[1]
+        aside_a = a[1] * a[1] + a[2] * a[2]
+        aside_b = b[1] * b[1] + b[2] * b[2]
+        la = wp.sqrt(a[0] * a[0] + aside_a)
+        lb = wp.sqrt(b[0] * b[0] + aside_b)
+        x = strip_side(a[0], aside_a, la) * strip_side(b[0], aside_b, lb) + a[1] * b[1] + a[2] * b[2]
+        y = wp.abs(across) + TINY
+        size = one / (wp.abs(x) + y)
         x = x * size
         y = wp.where(left, -y * size, y * size)
         new_re = re * x - im * y
@@ -76,7 +123,7 @@ def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
             turns = turns + 1
         if im < zero and y < zero and new_im >= zero:
             turns = turns - 1
-        size = wp.float64(1.0) / (wp.abs(new_re) + wp.abs(new_im) + TINY)
+        size = one / (wp.abs(new_re) + wp.abs(new_im) + TINY)
         re = new_re * size
         im = new_im * size
     pi = wp.float64(wp.PI)
