@@ -16,6 +16,7 @@ import warp as wp
 
 # Below this share of its longest edge a triangle's width leaves its plane without digits; its edges then do for it.
 NARROWEST = wp.constant(wp.float64(1e-11))
+TURN = wp.constant(wp.float64(2 * np.pi))
 # One launch takes this many points, so that progress shows and no launch runs for long.
 CHUNK = 1 << 18
 
@@ -135,7 +136,7 @@ def _winding_kernel(
         lc = wp.length(c)
         divisor = la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
         total += wp.atan2(wp.dot(a, wp.cross(b, c)), divisor)
-    winding[n] = total / wp.float64(2.0 * wp.pi)
+    winding[n] = total / TURN
 
 
 @wp.kernel(enable_backward=False)

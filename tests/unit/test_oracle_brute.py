@@ -37,7 +37,7 @@ def test_equals_the_oracle(name):
     w = brute.winding_number(points)
     clear = expected > 1e-7 * scale
     expected = oracle.winding_number(case.vertices, case.faces, points)
-    np.testing.assert_allclose(w[clear], expected[clear], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(w[clear], expected[clear], rtol=0, atol=1e-9)
 
 
 def test_threads_and_slices_cover_every_point(monkeypatch):
