@@ -17,10 +17,10 @@ SLOTS = ("kind", "x", "y", "z", "shear_xy", "shear_xz", "shear_yz", "u1", "u2", 
 
 
 @wp.func
-def slot(theta: wp.array2d[float], b: int, column: wp.array2d[int], default: wp.array[float], kind: int, which: int):
+def slot(theta: wp.array2d[float], b: int, column: wp.array2d[int], fallback: wp.array[float], kind: int, which: int):
     """What a solid's slot holds: a column of theta, or a constant where the kind has no column for it."""
     c = column[kind, which]
-    value = default[which]
+    value = fallback[which]
     if c >= 0:
         value = theta[b, c]
     return value
@@ -31,29 +31,29 @@ def solids_kernel(
     theta: wp.array2d[float],
     unit: wp.array2d[wp.vec3],
     column: wp.array2d[int],
-    default: wp.array[float],
+    fallback: wp.array[float],
     vertices: wp.array2d[wp.vec3],
 ):
     b, v = wp.tid()
     # Every kind has the same column for the kind itself.
-    kind = wp.clamp(int(wp.floor(slot(theta, b, column, default, 0, 0))), 0, 3)
+    kind = wp.clamp(int(wp.floor(slot(theta, b, column, fallback, 0, 0))), 0, 3)
     p = unit[kind, v]
-    x = slot(theta, b, column, default, kind, 1) * p[0]
-    y = slot(theta, b, column, default, kind, 2) * p[1]
-    z = slot(theta, b, column, default, kind, 3) * p[2]
+    x = slot(theta, b, column, fallback, kind, 1) * p[0]
+    y = slot(theta, b, column, fallback, kind, 2) * p[1]
+    z = slot(theta, b, column, fallback, kind, 3) * p[2]
     if kind == _RHOMBOID:
-        xy = slot(theta, b, column, default, kind, 4)
-        xz = slot(theta, b, column, default, kind, 5)
-        yz = slot(theta, b, column, default, kind, 6)
+        xy = slot(theta, b, column, fallback, kind, 4)
+        xz = slot(theta, b, column, fallback, kind, 5)
+        yz = slot(theta, b, column, fallback, kind, 6)
         x = x + xy * y + xz * z
         y = y + yz * z
-    u1 = slot(theta, b, column, default, kind, 7)
-    u2 = slot(theta, b, column, default, kind, 8)
-    u3 = slot(theta, b, column, default, kind, 9)
+    u1 = slot(theta, b, column, fallback, kind, 7)
+    u2 = slot(theta, b, column, fallback, kind, 8)
+    u3 = slot(theta, b, column, fallback, kind, 9)
     shift = wp.vec3(
-        slot(theta, b, column, default, kind, 10),
-        slot(theta, b, column, default, kind, 11),
-        slot(theta, b, column, default, kind, 12),
+        slot(theta, b, column, fallback, kind, 10),
+        slot(theta, b, column, fallback, kind, 11),
+        slot(theta, b, column, fallback, kind, 12),
     )
     vertices[b, v] = wp.quat_rotate(uniform_rotation(u1, u2, u3), wp.vec3(x, y, z)) + shift
 

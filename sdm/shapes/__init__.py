@@ -3,6 +3,7 @@
 from sdm.shapes.cochlea import Cochlea
 from sdm.shapes.cochlea_design import CochleaDesign
 from sdm.shapes.family import Family, Group, Parameter
+from sdm.shapes.mesh_folder import MeshFolder
 from sdm.shapes.sampling import grid, sobol, uniform
 from sdm.shapes.solids import Cuboid, Cylinder, Ellipsoid, GeometricShapes, Rhomboid
 
@@ -15,6 +16,7 @@ __all__ = [
     "Family",
     "GeometricShapes",
     "Group",
+    "MeshFolder",
     "Parameter",
     "Rhomboid",
     "grid",

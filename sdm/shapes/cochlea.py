@@ -86,7 +86,7 @@ class Cochlea(Family):
     def vertices(self, theta: Tensor) -> Tensor:
         """Vertices (B,V,3) [mm] for theta (B,4) = (a, alpha, b, phi), differentiable in theta."""
         theta = as_theta(theta, 4, self.name)
-        return _cochlea_vertices(theta, self._on(theta.device, "tables", self._tables), self._count)
+        return _cochlea_vertices(theta, self._on(theta.device, "tables", lambda: self._tables), self._count)
 
 
 def _angles(steps: int, end: float) -> np.ndarray:

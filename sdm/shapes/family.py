@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -30,7 +31,7 @@ class Parameter:
     Args:
         name: Its name.
         low: Least value.
-        high: Greatest value, more than `low`.
+        high: Greatest value; the same as `low` for a parameter that is fixed.
         unit: Unit, for example "mm" or "rad"; "1" for a plain number.
     """
 
@@ -40,8 +41,8 @@ class Parameter:
     unit: str = "1"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise MeshError(f"the parameter {self.name} runs from {self.low} to {self.high}; give low < high, both finite")
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
+            raise MeshError(f"{self.name} runs from {self.low} to {self.high}; give two finite numbers, the lower first")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Family(ABC):
     parameters: tuple[Parameter, ...]
     triangles: Tensor
     name: ClassVar[str] = "shape"
+    _tables: Sequence[Tensor] = ()
 
     @abstractmethod
     def vertices(self, theta: Tensor) -> Tensor:
@@ -78,7 +80,7 @@ class Family(ABC):
 
     def faces_on(self, device: torch.device | str) -> Tensor:
         """The faces (F,3) int32 on a device: the same tensor each time, so that what is known about it lasts."""
-        return self._on(device, "triangles", [self.triangles])[0]
+        return self._on(device, "triangles", lambda: [self.triangles])[0]
 
     def mesh(self, theta: Any) -> TriangleMesh:
         """The mesh of one theta (P,), on its device.
@@ -126,13 +128,13 @@ class Family(ABC):
 
     def from_unit(self, unit: Tensor) -> Tensor:
         """theta (B,P) for points (B,P) of the unit cube."""
-        low, width = self._on(unit.device, "box", self._box())
+        low, width = self._on(unit.device, "box", self._box)
         return torch.addcmul(low, unit, width)
 
     def to_unit(self, theta: Tensor) -> Tensor:
         """Points (B,P) of the unit cube for theta (B,P)."""
-        low, width = self._on(theta.device, "box", self._box())
-        return (theta - low) / width
+        low, width = self._on(theta.device, "box", self._box)
+        return torch.where(width > 0, (theta - low) / width.clamp_min(1e-30), 0)
 
     def sample(
         self,
@@ -188,19 +190,28 @@ class Family(ABC):
         box = TriangleMesh(corners, torch.tensor([[0, 1, 2]]), self.name)
         return Grid.around(box, resolution=resolution, margin=margin)
 
+    @property
+    def fingerprint(self) -> str:
+        """Hash of what the family is: its name, parameters, faces and constants. Equal on every machine."""
+        digest = hashlib.sha256(repr((type(self).__qualname__, self.name, self.parameters)).encode())
+        for tensor in (self.triangles, *self._tables):
+            digest.update(repr((str(tensor.dtype), tuple(tensor.shape))).encode())
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
     def _box(self) -> list[Tensor]:
         low = torch.tensor([p.low for p in self.parameters], dtype=torch.float32)
         high = torch.tensor([p.high for p in self.parameters], dtype=torch.float32)
         return [low, high - low]
 
-    def _on(self, device: torch.device | str, key: str, tensors: list[Tensor]) -> list[Tensor]:
-        """`tensors` on a device, copied there once."""
+    def _on(self, device: torch.device | str, key: str, make: Callable[[], Sequence[Tensor]]) -> list[Tensor]:
+        """What `make` makes, on a device: made and copied there once, then kept under `key`."""
         where = torch.device(device)
         if where.type == "cuda" and where.index is None:
             where = torch.device("cuda", torch.cuda.current_device())
         copies: dict[tuple[torch.device, str], list[Tensor]] = self.__dict__.setdefault("_copies", {})
         if (where, key) not in copies:
-            copies[where, key] = [t.to(where) for t in tensors]
+            copies[where, key] = [t.to(where) for t in make()]
         return copies[where, key]
 
     def __getstate__(self) -> dict[str, Any]:

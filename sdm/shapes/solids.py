@@ -68,7 +68,7 @@ class _Solids(Family):
     def vertices(self, theta: Tensor) -> Tensor:
         """Vertices (B,V,3) for theta (B,P), differentiable in theta (not in which solid it is)."""
         theta = as_theta(theta, len(self.parameters), self.name)
-        return _solids_vertices(theta, self._on(theta.device, "tables", self._tables), self._count)
+        return _solids_vertices(theta, self._on(theta.device, "tables", lambda: self._tables), self._count)
 
 
 def _lengths(sizes: tuple[float, float], *names: str) -> dict[str, Parameter]:

@@ -1,0 +1,191 @@
+"""A family from a folder of meshes: each sample is one of them, warped, scaled, turned and shifted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.errors import MeshError, SDMError
+from sdm.kernels import shapes_warped
+from sdm.mesh import TriangleMesh
+from sdm.shapes.family import Family, Group, Parameter, as_theta
+from sdm.shapes.vertex_op import vertex_op
+from sdm.topology import boundary_edges
+
+SUFFIXES = (".ply", ".stl", ".obj", ".off")
+# Half a wave of the warp spans a mesh of half-length 1, so it bends a shape as a whole.
+FREQUENCY = math.pi / 2
+# With every coefficient within [-1,1] this amplitude makes the warp's Lipschitz bound exactly 1.
+AMPLITUDE = 1 / (3 * math.sqrt(2) * FREQUENCY)
+LARGEST_WARP = 0.95
+
+_warped_vertices = vertex_op(
+    "warped_vertices",
+    shapes_warped.warped_vertices,
+    shapes_warped.warped_gradient,
+    (wp.vec3, wp.int32, wp.vec3, wp.float32, wp.float32),
+)
+
+
+class MeshFolder(Family):
+    """Your own closed meshes, varied at random.
+
+    Args:
+        source: A folder, whose .ply, .stl, .obj and .off files are read in order of name, or a sequence of meshes.
+        normalize: Put each mesh's box about the origin with its longest edge 2 long; otherwise each stays where it is.
+        rotation: Largest angle of the random rotation [degrees]; None for all rotations alike.
+        scale: Least and greatest factor.
+        shift: Largest shift along each axis, as a share of the mesh's half-length (half its box's longest edge).
+        warp: How far a smooth, low-order warp may bend: a bound on the Lipschitz constant of its displacement, from 0
+            to 0.95. Below 1 the map of space is a diffeomorphism whose Jacobian determinant is at least
+            (1 - warp)^3, so it never folds a surface through itself.
+        open_meshes: "reject" files whose mesh has a boundary, whose inside would not be defined, or "keep" them.
+        skip_bad: Go on without the files that cannot be used. `rejected` lists them with the reason either way.
+
+    Attributes:
+        meshes: Those that are used, outward oriented.
+        rejected: (name, reason) of each file that is not.
+
+    Parameters (26): `mesh`, whose whole part is the number of the mesh; `scale`; three of the rotation; three of the
+    shift; 18 coefficients of the warp.
+
+    Samples have different faces, in one of two layouts. `vertices` and `faces` hold all the meshes of the folder side
+    by side; in each sample all but one shrink to a point on the surface of that one, where their triangles change
+    neither distance nor winding number. This works wherever fixed faces do, and costs the triangles of the whole
+    folder. `groups` splits a batch by mesh instead, and costs each sample its own triangles alone.
+
+    Raises:
+        MeshError: No usable mesh, a file that is not usable (unless `skip_bad`), or a range that makes no sense.
+    """
+
+    name = "mesh-folder"
+
+    def __init__(
+        self,
+        source: str | Path | Sequence[TriangleMesh],
+        *,
+        normalize: bool = True,
+        rotation: float | None = None,
+        scale: tuple[float, float] = (0.9, 1.1),
+        shift: float = 0.1,
+        warp: float = 0.5,
+        open_meshes: str = "reject",
+        skip_bad: bool = False,
+    ) -> None:
+        self.parameters = _parameters(rotation, scale, shift, warp)
+        if open_meshes not in ("reject", "keep"):
+            raise MeshError(f"open_meshes is {open_meshes!r}; use 'reject' or 'keep'")
+        self.meshes, self.rejected = _read(source, open_meshes == "reject")
+        if self.rejected and not skip_bad:
+            name, reason = self.rejected[0]
+            others = f" (and {len(self.rejected) - 1} more)" if len(self.rejected) > 1 else ""
+            raise MeshError(f"{name} cannot be used: {reason}{others}; mend it, or go on without it by skip_bad=True")
+        if not self.meshes:
+            raise MeshError(f"there is no mesh to use in {source}; put {', '.join(SUFFIXES)} files there")
+        count = Parameter("mesh", 0.0, float(len(self.meshes)))
+        self.parameters = (count, *self.parameters)
+
+        sizes = [len(m.vertices) for m in self.meshes]
+        first = np.concatenate([[0], np.cumsum(sizes)])
+        self._sizes = sizes
+        self.triangles = torch.cat([m.faces + int(first[i]) for i, m in enumerate(self.meshes)])
+        uniform = 0.0 if rotation is None else 1.0
+        shared = [
+            torch.stack([m.vertices[int(m.faces[0, 0])] for m in self.meshes]),
+            torch.tensor([_frame(m, normalize) for m in self.meshes], dtype=torch.float32),
+            torch.tensor([AMPLITUDE, FREQUENCY, uniform]),
+        ]
+        owner = torch.repeat_interleave(torch.arange(len(sizes), dtype=torch.int32), torch.tensor(sizes))
+        rest = torch.cat([m.vertices for m in self.meshes])
+        self._tables = [rest, owner, *shared]
+
+    def vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) of all meshes for theta (B,26): one mesh a sample, the others shrunk to a point of it."""
+        theta = as_theta(theta, len(self.parameters), self.name)
+        tables = self._on(theta.device, "tables", lambda: self._tables)
+        return _warped_vertices(theta, tables, tables[0].shape[0])
+
+    def groups(self, theta: Tensor, host: Tensor | None = None) -> Iterator[Group]:
+        """The batch split by mesh, each group with that mesh's faces alone.
+
+        Without `host`, theta on the host, this waits for the device.
+        """
+        theta = as_theta(theta, len(self.parameters), self.name)
+        known = theta.detach().cpu() if host is None else host
+        which = known[:, 0].floor().long().clamp(0, len(self.meshes) - 1)
+        for number in which.unique().tolist():
+            rows = (which == number).nonzero().squeeze(1).to(theta.device, non_blocking=True)
+            tables = self._on(theta.device, f"tables {number}", partial(self._tables_of, number))
+            faces = self._on(theta.device, f"faces {number}", partial(self._faces_of, number))[0]
+            yield Group(rows, _warped_vertices(theta[rows], tables, tables[0].shape[0]), faces)
+
+    def _tables_of(self, number: int) -> list[Tensor]:
+        begin = sum(self._sizes[:number])
+        end = begin + self._sizes[number]
+        rest, owner, *shared = self._tables
+        return [rest[begin:end].contiguous(), owner[begin:end].contiguous(), *shared]
+
+    def _faces_of(self, number: int) -> list[Tensor]:
+        return [self.meshes[number].faces]
+
+
+def _parameters(
+    rotation: float | None, scale: tuple[float, float], shift: float, warp: float
+) -> tuple[Parameter, ...]:
+    if not 0 < scale[0] <= scale[1] < math.inf:
+        raise MeshError(f"the scale runs from {scale[0]} to {scale[1]}; give two positive factors, the lower first")
+    if not 0 <= shift < math.inf:
+        raise MeshError(f"the largest shift is {shift}; give a share of the mesh of at least 0")
+    if not 0 <= warp <= LARGEST_WARP:
+        raise MeshError(f"the warp is {warp}; give 0 to {LARGEST_WARP}, so that it never folds a mesh")
+    if rotation is not None and not 0 <= rotation <= 180:
+        raise MeshError(f"the largest rotation is {rotation}; give 0 to 180 degrees, or None for all rotations")
+    if rotation is None:
+        turn = [Parameter(f"u{i}", 0.0, 1.0) for i in (1, 2, 3)]
+    else:
+        most = math.radians(rotation) / math.sqrt(3)
+        turn = [Parameter(f"turn_{axis}", -most, most, "rad") for axis in "xyz"]
+    move = [Parameter(f"shift_{axis}", -shift, shift) for axis in "xyz"]
+    bend = [Parameter(f"{wave}_{to}{by}", -warp, warp) for wave in ("sin", "cos") for to in "xyz" for by in "xyz"]
+    return (Parameter("scale", *scale), *turn, *move, *bend)
+
+
+def _read(
+    source: str | Path | Sequence[TriangleMesh], closed: bool
+) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
+    from sdm.inspect import orient_outward
+    from sdm.io import load_mesh
+
+    if isinstance(source, str | Path):
+        folder = Path(source)
+        if not folder.is_dir():
+            raise MeshError(f"{folder} is not a folder; give a folder of meshes")
+        items: list[Path | TriangleMesh] = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    else:
+        items = list(source)
+    meshes, rejected = [], []
+    for item in items:
+        name = item.name
+        try:
+            mesh = load_mesh(item) if isinstance(item, Path) else item.to("cpu")
+            if closed and len(boundary_edges(mesh.vertices, mesh.faces)):
+                raise MeshError("it has holes, so its inside is not defined (open_meshes='keep' takes it all the same)")
+            if not float((mesh.vertices.amax(0) - mesh.vertices.amin(0)).max()) > 0:
+                raise MeshError("it has size zero")
+            meshes.append(orient_outward(mesh))
+        except (SDMError, OSError) as error:
+            rejected.append((name, str(error)))
+    return tuple(meshes), tuple(rejected)
+
+
+def _frame(mesh: TriangleMesh, normalize: bool) -> list[float]:
+    low, high = mesh.bounds
+    centre, half = (low + high) / 2, float((high - low).max()) / 2
+    return [*centre, half, *([0, 0, 0, 1] if normalize else [*centre, half])]

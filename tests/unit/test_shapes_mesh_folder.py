@@ -1,0 +1,160 @@
+"""A folder of meshes as a family: which files, which layout, and a warp that never folds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+import sdm
+from sdm.errors import MeshError
+from sdm.shapes import Cuboid, Ellipsoid, MeshFolder
+
+
+def solid(family, scale: float = 1.0) -> sdm.TriangleMesh:
+    mesh = family.mesh(family.from_unit(torch.full((1, len(family.parameters)), 0.4)))
+    return sdm.TriangleMesh(scale * mesh.vertices + 3, mesh.faces, family.name)
+
+
+def meshes() -> list[sdm.TriangleMesh]:
+    return [solid(Cuboid(triangles=300)), solid(Ellipsoid(triangles=1200), 5.0)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name, mesh in zip(("b.ply", "a.stl"), meshes(), strict=True):
+        trimesh.Trimesh(*mesh.numpy(), process=False).export(tmp_path / name)
+    (tmp_path / "notes.txt").write_text("not a mesh")
+    return tmp_path
+
+
+def test_reads_a_folder_in_order_of_names(folder):
+    family = MeshFolder(folder)
+    assert [len(m) for m in family.meshes] == [1200, 300]
+    assert family.rejected == ()
+    assert len(family.parameters) == 26
+    assert len(family.faces) == 1500
+
+
+def test_a_bad_file_is_named_with_its_reason(folder):
+    box = trimesh.creation.box()
+    box.update_faces(np.arange(10))
+    box.export(folder / "open.ply")
+    (folder / "broken.stl").write_bytes(b"nonsense")
+    with pytest.raises(MeshError, match="broken.stl cannot be used: .* 1 more.*skip_bad"):
+        MeshFolder(folder)
+    family = MeshFolder(folder, skip_bad=True)
+    assert len(family.meshes) == 2
+    assert [name for name, _ in family.rejected] == ["broken.stl", "open.ply"]
+    assert "holes" in family.rejected[1][1]
+    assert len(MeshFolder([m for m in meshes()], open_meshes="keep").meshes) == 2
+
+
+def test_an_empty_folder(tmp_path):
+    with pytest.raises(MeshError, match="no mesh to use"):
+        MeshFolder(tmp_path)
+    with pytest.raises(MeshError, match="is not a folder"):
+        MeshFolder(tmp_path / "missing")
+
+
+def test_an_inside_out_mesh_is_turned():
+    family = MeshFolder([meshes()[0].flipped()])
+    vertices, faces = family.mesh(family.sample(1, device="cpu")).numpy()
+    assert trimesh.Trimesh(vertices, faces, process=False).volume > 0
+
+
+def test_without_changes_each_mesh_is_itself():
+    given = meshes()
+    family = MeshFolder(given, normalize=False, rotation=0, scale=(1, 1), shift=0, warp=0)
+    theta = family.sample(20, device="cpu")
+    for group in family.groups(theta):
+        expected = given[int(theta[group.rows[0], 0])]
+        torch.testing.assert_close(group.vertices[0], expected.vertices, atol=2e-6, rtol=0)
+        assert torch.equal(group.faces, expected.faces)
+
+
+def test_normalized_meshes_fit_the_unit_box():
+    family = MeshFolder(meshes(), rotation=0, scale=(1, 1), shift=0, warp=0)
+    for group in family.groups(family.sample(20, device="cpu")):
+        assert float(group.vertices.abs().max()) == pytest.approx(1, abs=1e-5)
+
+
+def test_both_layouts_are_the_same_surface():
+    family = MeshFolder(meshes())
+    theta = family.sample(6, seed=4, device="cpu")
+    together = family.vertices(theta)
+    assert set(theta[:, 0].long().tolist()) == {0, 1}
+    seen = []
+    for group in family.groups(theta, theta.clone()):
+        for row, vertices in zip(group.rows.tolist(), group.vertices, strict=True):
+            seen.append(row)
+            corners = together[row][family.faces.long()]
+            real = (corners != corners[:, :1]).any(2).any(1)
+            assert torch.equal(corners[real], vertices[group.faces.long()])
+            # What is left is one point, a vertex of the mesh.
+            points = torch.unique(corners[~real].reshape(-1, 3), dim=0)
+            assert points.shape == (1, 3)
+            assert (vertices == points).all(1).any()
+    assert sorted(seen) == list(range(6))
+
+
+def test_both_layouts_have_the_same_distances():
+    family = MeshFolder(meshes())
+    theta = family.sample(3, seed=4, device="cpu")
+    grid = family.grid(10)
+    together = sdm.signed_distance_maps(family.vertices(theta), family.faces, grid, device="cpu")
+    for group in family.groups(theta):
+        alone = sdm.signed_distance_maps(group.vertices, group.faces, grid, device="cpu")
+        torch.testing.assert_close(together[group.rows], alone, atol=2e-6, rtol=0)
+
+
+@pytest.mark.parametrize("warp", [0.3, 0.95])
+def test_the_warp_is_bounded(warp):
+    # The worst coefficients of the box: neighbouring points never come closer than the bound allows.
+    family = MeshFolder([solid(Ellipsoid(triangles=1200))], rotation=0, scale=(1, 1), shift=0, warp=warp)
+    unit = torch.randint(0, 2, (64, 26), generator=torch.Generator().manual_seed(1)).float()
+    unit[:, 0] = 0.5
+    still = MeshFolder(family.meshes, rotation=0, scale=(1, 1), shift=0, warp=0)
+    rest = still.vertices(still.sample(1, device="cpu"))
+    moved = family.vertices(family.from_unit(unit))
+    edges = family.faces[:, :2].long()
+    before = (rest[:, edges[:, 0]] - rest[:, edges[:, 1]]).norm(dim=2)
+    change = ((moved - rest)[:, edges[:, 0]] - (moved - rest)[:, edges[:, 1]]).norm(dim=2)
+    assert float((change / before).max()) <= warp * 1.001
+    assert float((change / before).max()) > 0.4 * warp
+
+
+def test_small_rotations_stay_small():
+    family = MeshFolder([solid(Cuboid(triangles=12))], rotation=10, scale=(1, 1), shift=0, warp=0)
+    rest = family.vertices(family.from_unit(torch.full((1, 26), 0.5)))
+    turned = family.vertices(family.sample(200, device="cpu"))
+    cosine = torch.nn.functional.cosine_similarity(rest, turned, dim=2)
+    assert float(torch.rad2deg(cosine.clamp(max=1).acos()).max()) <= 10.01
+    norm = turned.norm(dim=2)
+    torch.testing.assert_close(norm, rest.norm(dim=2).expand_as(norm))
+
+
+@pytest.mark.parametrize("rotation", [None, 30.0])
+def test_gradient_is_the_finite_difference(rotation):
+    family = MeshFolder(meshes(), rotation=rotation)
+    theta = family.from_unit(0.1 + 0.8 * family.to_unit(family.sample(4, seed=6, device="cpu")))
+    theta[:, 0] = torch.tensor([0.5, 1.5, 0.5, 1.5])
+    weights = torch.randn(family.vertices(theta).shape, generator=torch.Generator().manual_seed(7))
+    theta.requires_grad_()
+    (family.vertices(theta) * weights).sum().backward()
+    for column in range(1, theta.shape[1]):
+        ends = theta.detach().clone(), theta.detach().clone()
+        ends[0][:, column] -= 2e-3
+        ends[1][:, column] += 2e-3
+        low, high = ((family.vertices(e).double() * weights).sum((1, 2)) for e in ends)
+        slope = (high - low) / (ends[1] - ends[0])[:, column].double()
+        torch.testing.assert_close(slope.float(), theta.grad[:, column], atol=0.3, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"warp": 1.0}, {"scale": (0, 1)}, {"shift": -1}, {"rotation": 200}, {"open_meshes": "maybe"}]
+)
+def test_senseless_options(arguments):
+    with pytest.raises(MeshError):
+        MeshFolder(meshes(), **arguments)
