@@ -1,0 +1,57 @@
+"""What a result was made on: a figure without it means little."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def describe(device: str, packages: tuple[str, ...] = ("warp-lang", "torch", "numpy")) -> dict[str, object]:
+    """Device, versions and commit, for a results file."""
+    return {
+        "device": device_name(device),
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "versions": {name: version for name in packages if (version := version_of(name)) is not None},
+        "commit": commit(),
+    }
+
+
+def version_of(package: str) -> str | None:
+    """The installed version of a distribution, None if there is none."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def device_name(device: str) -> str:
+    """The GPU's or the processor's name."""
+    if device.startswith("cuda"):
+        import torch
+
+        return torch.cuda.get_device_name(device)
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    found = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(found, platform.processor() or platform.machine())
+
+
+def commit() -> str:
+    """The checkout's commit, with `+` if tracked files differ from it; SDM_COMMIT where there is no git."""
+    try:
+        head = _git("rev-parse", "--short=12", "HEAD").strip()
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", "sdm", "kernels", "bench")
+        changed = [line for line in changed.splitlines() if "bench/results/" not in line]
+    except (OSError, subprocess.CalledProcessError):
+        return os.environ.get("SDM_COMMIT", "unknown")
+    return head + ("+" if changed else "")
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", "-C", str(ROOT), *words], check=True, capture_output=True, text=True).stdout
