@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
+from sdm.errors import MeshError
+
 # The boundary by indices of faces seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
@@ -22,15 +24,28 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
         as they are left over. Empty means closed: the winding number is a whole number everywhere off the surface.
 
     Vertices at exactly equal positions count as one, as in an STL file, if that is so in every mesh of the batch.
+
+    Raises:
+        MeshError: A face index out of range.
     """
+    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
+    now = None if faces.is_inference() else faces._version
     version, edges = _seen.get(faces, (None, None))
-    if edges is None or version != faces._version:
+    if edges is None or version is None or version != now:
+        _check_range(faces, vertices.shape[-2])
         edges = _unpaired(faces.long(), vertices.shape[-2])
-        _seen[faces] = (faces._version, edges)
+        _seen[faces] = (now, edges)
     if edges.shape[0] == 0:
         return edges
     same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))
     return _unpaired(same[faces.long()], vertices.shape[-2])
+
+
+def _check_range(faces: Tensor, count: int) -> None:
+    low, high = (int(bound) for bound in faces.aminmax())
+    if low < 0 or high >= count:
+        bad = low if low < 0 else high
+        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
 
 
 def _unpaired(faces: Tensor, count: int) -> Tensor:
