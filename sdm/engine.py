@@ -58,6 +58,8 @@ class MeshIndex:
     """
 
     def __init__(self, mesh: TriangleMesh, device: str | torch.device | None = None, *, orient: Orient = "keep") -> None:
+        if orient not in ("keep", "auto"):
+            raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
         self.device = choose_device(device, mesh.vertices)
         self.mesh = (orient_outward(mesh) if orient == "auto" else mesh).to(self.device)
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
@@ -96,13 +98,16 @@ class MeshIndex:
         return _at_points(self.mesh, points, return_closest, self._hierarchy, self._kind)
 
     def winding_number(self, points: Any) -> Tensor:
-        """Generalised winding number of the mesh about points (N,3): (N,) float32, more than 0.5 inside.
+        """Generalised winding number of the mesh about points (...,3): (...) float32, more than 0.5 inside.
 
         A whole number for closed meshes; exact to float32 for meshes with up to 1024 boundary edges; for others it is
         within 4e-4 near 0.25, 0.5 and 0.75, and elsewhere on the right side of them.
         """
         at = _as_points(points, self.device)
-        return torch.ops.sdm.winding_number(self.mesh.vertices, self.mesh.faces, at, self._hierarchy, self._kind)
+        values = torch.ops.sdm.winding_number(
+            self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._hierarchy, self._kind
+        )
+        return values.reshape(at.shape[:-1])
 
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
@@ -174,9 +179,17 @@ def signed_distance_map(
 
 
 @overload
-def signed_distance(mesh: TriangleMesh, points: Any, *, return_closest: Literal[False] = False) -> Tensor: ...
+def signed_distance(
+    mesh: TriangleMesh,
+    points: Any,
+    *,
+    return_closest: Literal[False] = False,
+    device: str | torch.device | None = None,
+) -> Tensor: ...
 @overload
-def signed_distance(mesh: TriangleMesh, points: Any, *, return_closest: Literal[True]) -> tuple[Tensor, Closest]: ...
+def signed_distance(
+    mesh: TriangleMesh, points: Any, *, return_closest: Literal[True], device: str | torch.device | None = None
+) -> tuple[Tensor, Closest]: ...
 def signed_distance(
     mesh: TriangleMesh, points: Any, *, return_closest: bool = False, device: str | torch.device | None = None
 ) -> Tensor | tuple[Tensor, Closest]:
