@@ -24,6 +24,8 @@ MOMENTS_SIZE = 17
 _SIZE = wp.constant(MOMENTS_SIZE)
 # The winding number is known at least this well where it is close to a threshold.
 FINEST = wp.constant(wp.float64(4.0e-4))
+# Further away than this many sizes of a mesh its winding number is zero, and float32 runs out of range.
+FARTHEST = wp.constant(wp.float64(1.0e12))
 
 
 @wp.func
@@ -191,6 +193,8 @@ def soup_winding(tree: Tree, moments: wp.array(dtype=wp.float32), mesh: int, p: 
     """The winding number at p (scaled): on the right side of 0.25, 0.5 and 0.75, to within `FINEST` of them."""
     half = wp.float64(0.5)
     quarter = wp.float64(0.25)
+    if wp.length(p) > FARTHEST:
+        return wp.float64(0.0)
     tolerance = float(2.0e-3)
     winding = wp.float64(0.0)
     settled = int(0)
