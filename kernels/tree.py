@@ -26,6 +26,7 @@ CURVE_BITS = wp.constant(10)
 LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
 # Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
 LATTICE_SLACK = wp.constant(wp.float64(2.0**-27))
+LARGEST_SCALE = wp.constant(wp.float64(2.0**126))
 
 # Entries of a mesh's frame.
 SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 8
@@ -142,7 +143,8 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     if largest > wp.float64(0.0):
         while largest * scale > wp.float64(1.0):
             scale = scale * half
-        while largest * scale <= half:
+        # It stays a float32 even for the smallest numbers.
+        while largest * scale <= half and scale < LARGEST_SCALE:
             scale = scale * two
     base = mesh * _FRAME_SIZE
     frame[base + _SCALE] = scale
