@@ -2,7 +2,8 @@
 
 The gradient of a signed distance with respect to its point is the unit vector away from the inside; with respect to
 the corners of the closest triangle it is minus that vector times the closest point's barycentric coordinates. On the
-surface itself the vector is the face's normal. The gradient of the sign is zero.
+surface itself the vector is the face's normal. The gradient of the sign is zero. There are no second derivatives:
+asking for one is an error.
 
 An empty list of hierarchy tensors means: build one here, and let it go afterwards.
 """
@@ -79,8 +80,29 @@ def _(
     return points.new_empty(count), points.new_empty(count, 3), face, points.new_empty(count, 3)
 
 
+class _Once(torch.autograd.Function):
+    """Passes `direction` on; whoever differentiates it further is told, not misled."""
+
+    @staticmethod
+    def forward(ctx: Any, direction: Tensor, *depends_on: Tensor) -> Tensor:
+        return direction.view_as(direction)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, ...]:
+        raise NotImplementedError("signed distances can be differentiated once; second derivatives are not there")
+
+
 def outward(vertices: Tensor, faces: Tensor, at: Tensor, values: Tensor, point: Tensor, face: Tensor) -> Tensor:
-    """Unit vectors (N,3) along which the signed distance grows: away from the closest point, or the face's normal."""
+    """Unit vectors (N,3) along which the signed distance grows: away from the closest point, or the face's normal.
+
+    Zero for a point that is not finite: its value is NaN, but the gradients of all others stay clean.
+    """
+    with torch.no_grad():
+        direction = _outward(vertices, faces, at, values, point, face)
+    return _Once.apply(direction, vertices, at) if torch.is_grad_enabled() else direction
+
+
+def _outward(vertices: Tensor, faces: Tensor, at: Tensor, values: Tensor, point: Tensor, face: Tensor) -> Tensor:
     away = (at - point) / values[:, None]
     corners = vertices[faces[face.clamp(min=0).long()].long()].double()
     normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -89,12 +111,12 @@ def outward(vertices: Tensor, faces: Tensor, at: Tensor, values: Tensor, point: 
     scale = torch.maximum(at.abs().amax(1), point.abs().amax(1))
     near = values.abs() <= 8 * torch.finfo(torch.float32).eps * scale
     away = torch.where(near[:, None], normal, away)
-    return torch.nn.functional.normalize(away, dim=1)
+    return torch.nn.functional.normalize(away, dim=1).masked_fill(face[:, None] < 0, 0.0)
 
 
 def _to_vertices(vertices: Tensor, faces: Tensor, face: Tensor, barycentric: Tensor, flow: Tensor) -> Tensor:
     """Sum of -barycentric * flow over the corners of the closest faces: (V,3)."""
-    weighted = -barycentric[:, :, None] * flow[:, None, :]
+    weighted = -barycentric.masked_fill(face[:, None] < 0, 0.0)[:, :, None] * flow[:, None, :]
     corners = faces[face.clamp(min=0).long()].long()
     return torch.zeros_like(vertices).index_add_(0, corners.reshape(-1), weighted.reshape(-1, 3))
 
@@ -108,6 +130,8 @@ def _closest_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]
 
 def _closest_backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Any, ...]:
     vertices, faces, at, values, point, face, barycentric = ctx.saved_tensors
+    # Where the value is NaN, so may be the gradient that comes back.
+    grad = grad.masked_fill(face < 0, 0.0)
     flow = grad[:, None] * outward(vertices, faces, at, values, point, face)
     to_vertices = _to_vertices(vertices, faces, face, barycentric, flow) if ctx.needs_input_grad[0] else None
     return to_vertices, None, flow if ctx.needs_input_grad[2] else None, [None] * ctx.tensors, None
