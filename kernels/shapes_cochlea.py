@@ -30,12 +30,12 @@ def fade(r: float, length: float):
 
 @wp.kernel
 def cochlea_kernel(
-    theta: wp.array2d[float],
-    stations: wp.array2d[float],
-    station: wp.array[int],
-    section: wp.array[wp.vec2],
-    constants: wp.array[float],
-    vertices: wp.array2d[wp.vec3],
+    theta: wp.array2d(dtype=float),
+    stations: wp.array2d(dtype=float),
+    station: wp.array(dtype=int),
+    section: wp.array(dtype=wp.vec2),
+    constants: wp.array(dtype=float),
+    vertices: wp.array2d(dtype=wp.vec3),
 ):
     b, v = wp.tid()
     s = station[v]
@@ -68,9 +68,7 @@ def cochlea_kernel(
     if unit[1] < 0.0:
         height = bottom
     rho = r + u
-    vertices[b, v] = wp.vec3(
-        rho * stations[s, 6], rho * stations[s, 7], z + height * unit[1] + stations[s, 5] * u
-    )
+    vertices[b, v] = wp.vec3(rho * stations[s, 6], rho * stations[s, 7], z + height * unit[1] + stations[s, 5] * u)
 
 
 def cochlea_vertices(theta: Any, tables: list[Any], vertices: Any, device: Any) -> None:

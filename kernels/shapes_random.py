@@ -65,7 +65,7 @@ def counter_of(index: wp.int64, block: int, purpose: int):
 
 @wp.kernel
 def philox_kernel(
-    low: wp.uint32, high: wp.uint32, purpose: int, index: wp.array[wp.int64], values: wp.array2d[wp.uint32]
+    low: wp.uint32, high: wp.uint32, purpose: int, index: wp.array(dtype=wp.int64), values: wp.array2d(dtype=wp.uint32)
 ):
     b, block = wp.tid()
     word = philox(counter_of(index[b], block, purpose), low, high)
@@ -76,7 +76,7 @@ def philox_kernel(
 
 
 @wp.kernel
-def uniform_kernel(low: wp.uint32, high: wp.uint32, index: wp.array[wp.int64], values: wp.array2d[float]):
+def uniform_kernel(low: wp.uint32, high: wp.uint32, index: wp.array(dtype=wp.int64), values: wp.array2d(dtype=float)):
     b, block = wp.tid()
     word = philox(counter_of(index[b], block, 0), low, high)
     for lane in range(4):
@@ -89,9 +89,9 @@ def uniform_kernel(low: wp.uint32, high: wp.uint32, index: wp.array[wp.int64], v
 def sobol_kernel(
     low: wp.uint32,
     high: wp.uint32,
-    index: wp.array[wp.int64],
-    directions: wp.array2d[wp.int64],
-    values: wp.array2d[float],
+    index: wp.array(dtype=wp.int64),
+    directions: wp.array2d(dtype=wp.int64),
+    values: wp.array2d(dtype=float),
 ):
     b, d = wp.tid()
     position = index[b] & _MASK

@@ -17,7 +17,14 @@ SLOTS = ("kind", "x", "y", "z", "shear_xy", "shear_xz", "shear_yz", "u1", "u2", 
 
 
 @wp.func
-def slot(theta: wp.array2d[float], b: int, column: wp.array2d[int], fallback: wp.array[float], kind: int, which: int):
+def slot(
+    theta: wp.array2d(dtype=float),
+    b: int,
+    column: wp.array2d(dtype=int),
+    fallback: wp.array(dtype=float),
+    kind: int,
+    which: int,
+):
     """What a solid's slot holds: a column of theta, or a constant where the kind has no column for it."""
     c = column[kind, which]
     value = fallback[which]
@@ -28,11 +35,11 @@ def slot(theta: wp.array2d[float], b: int, column: wp.array2d[int], fallback: wp
 
 @wp.kernel
 def solids_kernel(
-    theta: wp.array2d[float],
-    unit: wp.array2d[wp.vec3],
-    column: wp.array2d[int],
-    fallback: wp.array[float],
-    vertices: wp.array2d[wp.vec3],
+    theta: wp.array2d(dtype=float),
+    unit: wp.array2d(dtype=wp.vec3),
+    column: wp.array2d(dtype=int),
+    fallback: wp.array(dtype=float),
+    vertices: wp.array2d(dtype=wp.vec3),
 ):
     b, v = wp.tid()
     # Every kind has the same column for the kind itself.

@@ -25,7 +25,7 @@ _COSINES = wp.constant(COSINES)
 
 
 @wp.func
-def displacement(theta: wp.array2d[float], b: int, i: int, sine: wp.vec3, cosine: wp.vec3):
+def displacement(theta: wp.array2d(dtype=float), b: int, i: int, sine: wp.vec3, cosine: wp.vec3):
     s = _SINES + 3 * i
     c = _COSINES + 3 * i
     odd = theta[b, s] * sine[0] + theta[b, s + 1] * sine[1] + theta[b, s + 2] * sine[2]
@@ -35,13 +35,13 @@ def displacement(theta: wp.array2d[float], b: int, i: int, sine: wp.vec3, cosine
 
 @wp.kernel
 def warped_kernel(
-    theta: wp.array2d[float],
-    rest: wp.array[wp.vec3],
-    owner: wp.array[int],
-    anchor: wp.array[wp.vec3],
-    frame: wp.array2d[float],
-    constants: wp.array[float],
-    vertices: wp.array2d[wp.vec3],
+    theta: wp.array2d(dtype=float),
+    rest: wp.array(dtype=wp.vec3),
+    owner: wp.array(dtype=int),
+    anchor: wp.array(dtype=wp.vec3),
+    frame: wp.array2d(dtype=float),
+    constants: wp.array(dtype=float),
+    vertices: wp.array2d(dtype=wp.vec3),
 ):
     b, v = wp.tid()
     which = wp.clamp(int(wp.floor(theta[b, 0])), 0, anchor.shape[0] - 1)

@@ -41,6 +41,4 @@ def unit_cylinder(cube: np.ndarray) -> np.ndarray:
     wide = np.abs(x) >= np.abs(y)
     angle = np.pi / 4 * np.where(wide, y, x) / safe
     main, other = level * np.cos(angle), level * np.sin(angle)
-    return np.stack(
-        [np.where(wide, np.sign(x) * main, other), np.where(wide, other, np.sign(y) * main), z], 1
-    )
+    return np.stack([np.where(wide, np.sign(x) * main, other), np.where(wide, other, np.sign(y) * main), z], 1)

@@ -42,7 +42,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
-            raise MeshError(f"{self.name} runs from {self.low} to {self.high}; give two finite numbers, the lower first")
+            raise MeshError(f"{self.name} runs from {self.low} to {self.high}; give finite ends, the lower first")
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +209,8 @@ class Family(ABC):
         where = torch.device(device)
         if where.type == "cuda" and where.index is None:
             where = torch.device("cuda", torch.cuda.current_device())
-        copies: dict[tuple[torch.device, str], list[Tensor]] = self.__dict__.setdefault("_copies", {})
+        # Made on first use, so that a subclass need not call a constructor here.
+        copies: dict[tuple[torch.device, str], list[Tensor]] = vars(self).setdefault("_copies", {})
         if (where, key) not in copies:
             copies[where, key] = [t.to(where) for t in make()]
         return copies[where, key]

@@ -136,9 +136,7 @@ class MeshFolder(Family):
         return [self.meshes[number].faces]
 
 
-def _parameters(
-    rotation: float | None, scale: tuple[float, float], shift: float, warp: float
-) -> tuple[Parameter, ...]:
+def _parameters(rotation: float | None, scale: tuple[float, float], shift: float, warp: float) -> tuple[Parameter, ...]:
     if not 0 < scale[0] <= scale[1] < math.inf:
         raise MeshError(f"the scale runs from {scale[0]} to {scale[1]}; give two positive factors, the lower first")
     if not 0 <= shift < math.inf:
@@ -167,7 +165,7 @@ def _read(
         folder = Path(source)
         if not folder.is_dir():
             raise MeshError(f"{folder} is not a folder; give a folder of meshes")
-        items: list[Path | TriangleMesh] = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+        items: Sequence[Path | TriangleMesh] = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     else:
         items = list(source)
     meshes, rejected = [], []

@@ -52,9 +52,7 @@ def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
     values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
     if values.numel():
         with on_current_stream(values, numbers) as device:
-            shapes_random.fill_uniform(
-                _seed(seed), as_warp(numbers, wp.int64), as_warp(values, wp.float32), device
-            )
+            shapes_random.fill_uniform(_seed(seed), as_warp(numbers, wp.int64), as_warp(values, wp.float32), device)
     return values
 
 

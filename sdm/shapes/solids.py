@@ -105,9 +105,7 @@ class Cuboid(_Solids):
 
     name = "cuboid"
 
-    def __init__(
-        self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0
-    ) -> None:
+    def __init__(self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0) -> None:
         super().__init__({CUBOID: _AXES}, _lengths(sizes, "x", "y", "z"), CUBOID, triangles, shift)
 
 
@@ -136,9 +134,7 @@ class Ellipsoid(_Solids):
 
     name = "ellipsoid"
 
-    def __init__(
-        self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0
-    ) -> None:
+    def __init__(self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0) -> None:
         super().__init__({ELLIPSOID: _AXES}, _lengths(sizes, "x", "y", "z"), ELLIPSOID, triangles, shift)
 
 
@@ -147,9 +143,7 @@ class Cylinder(_Solids):
 
     name = "cylinder"
 
-    def __init__(
-        self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0
-    ) -> None:
+    def __init__(self, *, sizes: tuple[float, float] = (0.2, 0.8), triangles: int = 5_000, shift: float = 0.0) -> None:
         super().__init__({CYLINDER: _ROUND}, _lengths(sizes, "x", "z"), CYLINDER, triangles, shift)
 
 

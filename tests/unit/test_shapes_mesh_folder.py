@@ -42,13 +42,13 @@ def test_a_bad_file_is_named_with_its_reason(folder):
     box.update_faces(np.arange(10))
     box.export(folder / "open.ply")
     (folder / "broken.stl").write_bytes(b"nonsense")
-    with pytest.raises(MeshError, match="broken.stl cannot be used: .* 1 more.*skip_bad"):
+    with pytest.raises(MeshError, match=r"broken.stl cannot be used: .* 1 more.*skip_bad"):
         MeshFolder(folder)
     family = MeshFolder(folder, skip_bad=True)
     assert len(family.meshes) == 2
     assert [name for name, _ in family.rejected] == ["broken.stl", "open.ply"]
     assert "holes" in family.rejected[1][1]
-    assert len(MeshFolder([m for m in meshes()], open_meshes="keep").meshes) == 2
+    assert len(MeshFolder(meshes(), open_meshes="keep").meshes) == 2
 
 
 def test_an_empty_folder(tmp_path):
@@ -149,6 +149,7 @@ def test_gradient_is_the_finite_difference(rotation):
         ends[1][:, column] += 2e-3
         low, high = ((family.vertices(e).double() * weights).sum((1, 2)) for e in ends)
         slope = (high - low) / (ends[1] - ends[0])[:, column].double()
+        assert theta.grad is not None
         torch.testing.assert_close(slope.float(), theta.grad[:, column], atol=0.3, rtol=1e-2)
 
 

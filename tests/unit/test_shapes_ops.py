@@ -8,7 +8,6 @@ import torch
 from sdm.demo_mesh import demo_mesh
 from sdm.shapes import Cochlea, Family, GeometricShapes, MeshFolder
 
-
 FAMILIES = {
     "cochlea": lambda: Cochlea(500),
     "solids": lambda: GeometricShapes(triangles=48, shift=0.5),

@@ -107,7 +107,7 @@ def test_family_samples():
     with pytest.raises(MeshError, match="no sampler called 'halton'; use uniform or sobol"):
         family.sample(1, sampler="halton")
     with pytest.raises(MeshError, match="sample numbers"):
-        family.sample_at([[1, 2]])
+        family.sample_at(torch.tensor([[1, 2]]))
 
 
 def test_negative_and_large_seeds():

@@ -93,6 +93,7 @@ def test_gradient_is_the_finite_difference():
         ends[1][:, column] += 1e-3
         low, high = ((family.vertices(e).double() * weights).sum((1, 2)) for e in ends)
         slope = (high - low) / (ends[1] - ends[0])[:, column].double()
+        assert theta.grad is not None
         torch.testing.assert_close(slope.float(), theta.grad[:, column], atol=0.1, rtol=5e-3)
 
 
