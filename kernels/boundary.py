@@ -14,20 +14,19 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.crossings import is_left
-from sdm.kernels.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, SCALE, Tree, to_lattice
+from sdm.kernels.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, LOW_X, SCALE, Tree, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
+_LOW_X = wp.constant(LOW_X)
 _LATTICE = wp.constant(LATTICE)
 # Rays further off than this are not on the lattice: `to_lattice` stops there.
 LATTICE_LIMIT = wp.constant(wp.float64(2.0) * LATTICE_STEPS)
-# Within this many steps of a strip the lattice decides; the angle then changes by one part in as many.
-NEAR = wp.constant(wp.float64(1024.0))
-# By this share of a step, and its square, `is_left` breaks ties (any small number will do).
-MOVE = wp.constant(wp.float64(1.0e-10))
-MOVE2 = wp.constant(wp.float64(1.0e-20))
+# How `is_left` breaks ties, in steps of the lattice (its epsilon, squared and plain; any small number will do).
+TIE_ROW = wp.constant(wp.float64(1.0e-20))
+TIE_COLUMN = wp.constant(wp.float64(1.0e-10))
 TINY = wp.constant(wp.float64(1.0e-300))
 
 
@@ -71,9 +70,8 @@ def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
 def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
     """The boundary's share of the winding number at p (scaled): add it to the count of crossings.
 
-    Seen from behind a corner the angles of the two strips that meet there hang on the direction in which the ray
-    passes it. So where a ray comes near a strip's edge, its angle is that on the lattice, with the ray moved as
-    `is_left` moves it; then angles and sides agree.
+    (y,z) of ray and edges are those on the lattice, so that the angles agree with the sides even where the ray passes
+    a corner and both strips that meet there turn with it. That moves the boundary by a step of the lattice at most.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -83,31 +81,31 @@ def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
     if steps > zero:
         step = one / steps
     q = to_lattice(tree, mesh, p[1], p[2])
-    limit = int(LATTICE_LIMIT)
-    on_lattice = wp.abs(q[0]) < limit and wp.abs(q[1]) < limit
+    row = wp.floor((p[1] - tree.frame[base + _LOW_X + 1]) * steps)
+    column = wp.floor((p[2] - tree.frame[base + _LOW_X + 2]) * steps)
+    on_lattice = wp.max(wp.abs(row), wp.abs(column)) < LATTICE_LIMIT
     # The sum of all half solid angles is the argument of a product of complex numbers and a count of its full turns.
     re = one
     im = zero
     turns = int(0)
     for e in range(boundary.count):
         at = 2 * (mesh * boundary.count + e)
-        a = wp.vec3d(boundary.ends[at]) - p
-        b = wp.vec3d(boundary.ends[at + 1]) - p
+        first = boundary.lattice[at]
+        second = boundary.lattice[at + 1]
+        a = wp.vec3d(
+            wp.float64(boundary.ends[at][0]) - p[0],
+            step * (wp.float64(first[0]) - row + TIE_ROW),
+            step * (wp.float64(first[1]) - column - TIE_COLUMN),
+        )
+        b = wp.vec3d(
+            wp.float64(boundary.ends[at + 1][0]) - p[0],
+            step * (wp.float64(second[0]) - row + TIE_ROW),
+            step * (wp.float64(second[1]) - column - TIE_COLUMN),
+        )
         across = a[1] * b[2] - a[2] * b[1]
         left = across > zero
         if on_lattice:
-            first = boundary.lattice[at]
-            second = boundary.lattice[at + 1]
             left = is_left(first, second, q)
-            width = wp.abs(b[1] - a[1]) + wp.abs(b[2] - a[2])
-            if wp.abs(across) <= NEAR * step * (width + step):
-                a = wp.vec3d(
-                    a[0], step * (wp.float64(first[0] - q[0]) + MOVE2), step * (wp.float64(first[1] - q[1]) - MOVE)
-                )
-                b = wp.vec3d(
-                    b[0], step * (wp.float64(second[0] - q[0]) + MOVE2), step * (wp.float64(second[1] - q[1]) - MOVE)
-                )
-                across = a[1] * b[2] - a[2] * b[1]
         aside_a = a[1] * a[1] + a[2] * a[2]
         aside_b = b[1] * b[1] + b[2] * b[2]
         la = wp.sqrt(a[0] * a[0] + aside_a)
