@@ -5,6 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 KINDS = ("uniform", "near", "surface", "far", "voxels", "turned")
+LEGEND = """\
+Columns from `uniform` to `turned`: largest error of a distance against a float64 brute force over all triangles, in
+roundings: 2^-24 of the largest absolute coordinate of the mesh and the point. The limit is {limit:g}. `near`: within
+two voxels of a 128^3 grid; `surface`: on triangles, vertices and edges; `far`: ten box sizes away; `voxels`: of a map;
+`turned`: of a map on turned axes with unequal spacing. Wrong signs: against the winding number in float64, above one
+half being inside. Left out of that: `unclear`, the winding number is within 1e-3 of one half; `on surface`, within 4
+roundings of it. `closest point`: how far it is from the distance, the face or the barycentric coordinates that come
+with it, the largest of the three, same limit."""
 
 
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:
@@ -22,7 +30,8 @@ def markdown_table(header: list[str], rows: list[list[str]]) -> str:
 def machine_line(report: dict[str, Any]) -> str:
     """Device, versions and commit in one sentence."""
     versions = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
-    return f"{report['device']}, {report['cores']} cores, Python {report['python']}, {versions}, commit {report['commit']}."
+    machine = f"{report['device']}, {report['cores']} cores, Python {report['python']}"
+    return f"{machine}, {versions}, commit {report['commit']}."
 
 
 def accuracy_markdown(report: dict[str, Any]) -> str:
@@ -51,27 +60,10 @@ def accuracy_markdown(report: dict[str, Any]) -> str:
         )
     total = sum(r.get("points", 0) for r in report["meshes"].values())
     fine = sum(bool(r["fine"]) for r in report["meshes"].values())
-    return (
-        "\n".join(
-            [
-                f"# Accuracy on {report['device']}",
-                "",
-                f"{fine} of {len(report['meshes'])} meshes keep every limit, at {total:,} points in all. Made by "
-                f"`python -m bench.accuracy` on {machine_line(report)}",
-                "",
-                f"Columns from `{KINDS[0]}` to `{KINDS[-1]}`: largest error of a distance against a float64 brute force over "
-                "all triangles, in roundings: 2^-24 of the largest absolute coordinate of the mesh and the point. The limit "
-                f"is {report['limit']:g}. `near`: within two voxels of a 128^3 grid; `surface`: on triangles, vertices and "
-                "edges; `far`: ten box sizes away; `voxels`: of a map; `turned`: of a map on turned axes with unequal "
-                "spacing. Wrong signs: against the winding number in float64, above one half being inside. Left out of "
-                "that: `unclear`, the winding number is within 1e-3 of one half; `on surface`, within 4 roundings of it. "
-                "`closest point`: how far it is from the distance, the face or the barycentric coordinates that come with "
-                "it, the largest of the three, same limit.",
-                "",
-                markdown_table(header, rows),
-                *failed,
-                *(f"- {note}" for note in report["left_out"]),
-            ]
-        ).rstrip()
-        + "\n"
+    summary = (
+        f"{fine} of {len(report['meshes'])} meshes keep every limit, at {total:,} points in all. Made by "
+        f"`python -m bench.accuracy` on {machine_line(report)}"
     )
+    lines = [f"# Accuracy on {report['device']}", "", summary, "", LEGEND.format(limit=report["limit"]), ""]
+    lines += [markdown_table(header, rows), *failed, *(f"- {note}" for note in report["left_out"])]
+    return "\n".join(lines).rstrip() + "\n"

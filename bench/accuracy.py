@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 import traceback
@@ -143,7 +142,7 @@ def main(argv: list[str] | None = None) -> int:
     for number, name in enumerate(todo, 1):
         try:
             result = check(load_case(name), options.points, options.resolution, options.device)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - whatever fails belongs in the report
             traceback.print_exc()
             result = {"fine": False, "failed": f"{type(error).__name__}: {error}"}
         results[name] = result
@@ -196,7 +195,7 @@ def _write(out: Path, report: dict[str, Any]) -> None:
     for path, text in ((out, json.dumps(report, indent=1) + "\n"), (out.with_suffix(".md"), accuracy_markdown(report))):
         part = path.with_name(path.name + ".part")
         part.write_text(text)
-        os.replace(part, path)
+        part.replace(path)
 
 
 if __name__ == "__main__":

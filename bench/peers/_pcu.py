@@ -1,0 +1,36 @@
+"""point-cloud-utils: Embree for distances, the fast winding number for the sign."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from bench.meshes import Case
+from bench.peers._base import Peer
+
+
+class PointCloudUtils(Peer):
+    """`signed_distance_to_mesh`; it makes its structures for every call."""
+
+    name, package, module = "point-cloud-utils", "point-cloud-utils", "point_cloud_utils"
+    note = "structures built in the query"
+    parts = ("distance", "sign")
+
+    def build(self, case: Case) -> None:
+        self._mesh = case.vertices, case.faces
+
+    def signed_distance(self, points: Tensor) -> Tensor:
+        import point_cloud_utils
+
+        return torch.from_numpy(point_cloud_utils.signed_distance_to_mesh(points.numpy(), *self._mesh)[0])
+
+    def unsigned_distance(self, points: Tensor) -> Tensor:
+        import point_cloud_utils
+
+        return torch.from_numpy(point_cloud_utils.closest_points_on_mesh(points.numpy(), *self._mesh)[0])
+
+    def inside(self, points: Tensor) -> Tensor:
+        import point_cloud_utils
+
+        winding = point_cloud_utils.triangle_soup_fast_winding_number(*self._mesh, points.numpy())
+        return torch.from_numpy(winding) > 0.5

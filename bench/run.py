@@ -1,0 +1,279 @@
+"""The comparison: every peer that is installed, checked against the brute force, then timed. `sdm bench`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import sdm
+from bench import _sampling as sampling
+from bench._checks import compare
+from bench._machine import describe, version_of
+from bench._tables import print_results
+from bench._timing import median, once
+from bench.brute import Brute
+from bench.meshes import Case, load_case, missing_note
+from bench.peers import Peer, all_peers
+
+# Voxels or points whose values are compared with the brute force.
+CHECKED = 4_000
+# Enough points to tell how long all of them would take: two sizes, for what a call costs whatever their number.
+TRIAL, LARGER_TRIAL = 200, 2_000
+# Parts of a query are timed on all its points; larger grids leave them out.
+MOST_PART_POINTS = 1 << 25
+
+
+@dataclass
+class Options:
+    """What to compare.
+
+    Args:
+        device: "cpu" or "cuda"; None for a GPU if there is one.
+        meshes: Names from bench/meshes.py, "torus-N", or files; None for a choice.
+        resolutions: Voxels along each axis of the grids; None for a choice.
+        points: Also query this many scattered points, half of them near the surface; 0 for none.
+        peers: Words of which a peer's name must hold one, in any case; None for all.
+        runs: Timed calls for each figure; the median counts.
+        budget_s: About how long one peer may take for one mesh and grid. A peer that would take longer is timed on
+            fewer voxels, chosen at random, and the table says how many.
+        quick: Small choices: under a minute on two cores, compiling aside.
+        out: Also write the results to this JSON file.
+    """
+
+    device: str | None = None
+    meshes: Sequence[str] | None = None
+    resolutions: Sequence[int] | None = None
+    points: int = 0
+    peers: Sequence[str] | None = None
+    runs: int = 5
+    budget_s: float = 30.0
+    quick: bool = False
+    out: Path | None = None
+
+    def filled(self) -> Options:
+        """With every choice made."""
+        device = self.device or ("cuda" if torch.cuda.is_available() else "cpu")
+        gpu = device.startswith("cuda")
+        meshes = ("torus-20000", "rocker-arm")
+        resolutions = (64,) if gpu else (32,)
+        if not self.quick:
+            meshes = (*meshes, "stanford-bunny", "nefertiti", *(("torus-1000000",) if gpu else ()))
+            resolutions = (64, 128, 256) if gpu else (64,)
+        return Options(
+            device=device,
+            meshes=self.meshes or meshes,
+            resolutions=self.resolutions or resolutions,
+            points=self.points,
+            peers=self.peers,
+            runs=min(self.runs, 3) if self.quick else self.runs,
+            budget_s=min(self.budget_s, 2.0) if self.quick else self.budget_s,
+            quick=self.quick,
+            out=self.out,
+        )
+
+
+@dataclass
+class Question:
+    """One thing to ask of every peer: a grid, or scattered points; with the truth at some of them."""
+
+    title: str
+    case: Case
+    size: int
+    points: Callable[[np.ndarray | None], np.ndarray]  # all of them, or those with these numbers
+    grid: sdm.Grid | None
+    order: np.ndarray = field(init=False)  # the checked ones first, then the others, at random
+    truth: tuple[np.ndarray, np.ndarray] = field(init=False)
+
+    def solve(self, brute: Brute) -> None:
+        """Find the truth."""
+        self.order = sampling.generator(self.case, self.title).permutation(self.size)
+        checked = self.points(self.order[:CHECKED])
+        self.truth = brute.distance(checked)[0], brute.winding_number(checked)
+
+    def check(self, values: np.ndarray) -> dict[str, Any]:
+        """Compare values at the first of `order`."""
+        count = min(len(values), CHECKED, self.size)
+        at = self.points(self.order[:count])
+        return compare(self.case, at, values[:count], self.truth[0][:count], self.truth[1][:count]).as_dict()
+
+
+def run(options: Options) -> int:
+    """Compare, print one table for each question, and write the results if wanted; 1 if `sdm` itself is wrong.
+
+    Raises:
+        SDMError: A mesh or device that is not there, or no peer left.
+    """
+    options = options.filled()
+    device = options.device or "cpu"
+    sdm.device.choose_device(device)
+    peers = [
+        p for p in all_peers(device) if not options.peers or any(w.lower() in p.name.lower() for w in options.peers)
+    ]
+    if not peers:
+        names = ", ".join(peer.name for peer in all_peers(device))
+        raise sdm.SDMError(f"no peer's name holds any of {', '.join(options.peers or ())}; there are {names}")
+    missing = [note for peer in peers if (note := peer.missing()) is not None]
+    peers = [peer for peer in peers if peer.available()]
+    left_out = []
+    results: list[dict[str, Any]] = []
+    for name in options.meshes or ():
+        if (note := missing_note(name)) is not None:
+            left_out.append(note)
+            continue
+        try:
+            case = load_case(name)
+        except KeyError as error:
+            raise sdm.MeshError(str(error.args[0])) from error
+        brute = Brute(case.vertices, case.faces, device)
+        questions = _questions(case, options)
+        for question in questions:
+            question.solve(brute)
+        answers: list[list[dict[str, Any]]] = [[] for _ in questions]
+        for peer in peers:
+            built = _build(peer, case, options)
+            for question, rows in zip(questions, answers, strict=True):
+                if question.grid is not None or peer.points_too:
+                    _progress(f"{question.title}: {peer.name}")
+                    rows.append(built | _measure(peer, question, options))
+        results += [
+            {"title": question.title, "mesh": case.name, "triangles": len(case), "size": question.size, "rows": rows}
+            for question, rows in zip(questions, answers, strict=True)
+        ]
+    _progress("")
+    packages = ("warp-lang", "torch", "numpy", *(peer.package for peer in peers))
+    report = {**describe(device, packages), "results": results, "missing": missing, "left_out": left_out}
+    print_results(report)
+    if options.out is not None:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        part = options.out.with_name(options.out.name + ".part")
+        part.write_text(json.dumps(report, indent=1) + "\n")
+        part.replace(options.out)
+    return int(any(row["peer"] == "sdm" and not row["fine"] for result in results for row in result["rows"]))
+
+
+def _progress(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{text:<78}", end="" if text else "\r", flush=True, file=sys.stderr)
+
+
+def _questions(case: Case, options: Options) -> list[Question]:
+    mesh = sdm.TriangleMesh(case.vertices, case.faces, case.name)
+    found = []
+    for resolution in options.resolutions or ():
+        grid = sdm.Grid.around(mesh, resolution=resolution)
+
+        def voxels(which: np.ndarray | None, grid: sdm.Grid = grid) -> np.ndarray:
+            at = grid.points().numpy().reshape(-1, 3)
+            return at if which is None else at[which]
+
+        found.append(Question(f"{case.name} at {resolution}^3", case, grid.size, voxels, grid))
+    if options.points:
+        half = options.points // 2
+        scattered = np.concatenate([sampling.uniform(case, options.points - half), sampling.near(case, half)])
+
+        def some(which: np.ndarray | None) -> np.ndarray:
+            return scattered if which is None else scattered[which]
+
+        found.append(Question(f"{case.name} at {options.points:,} points", case, len(scattered), some, None))
+    return found
+
+
+def _build(peer: Peer, case: Case, options: Options) -> dict[str, Any]:
+    first, _ = once(lambda: peer.build(case), peer.device)
+    timing = median(lambda: peer.build(case), peer.device, options.runs, 1e3 * options.budget_s / 4)
+    return {
+        "peer": peer.name,
+        "device": peer.device,
+        "note": peer.note,
+        "version": version_of(peer.package),
+        "build_ms": timing.ms,
+        "first_build_ms": first,
+    }
+
+
+def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]:
+    """Check one peer's answers to one question, then time it."""
+    device, budget = peer.device, 1e3 * options.budget_s
+    asked, warm_up = question.size, 0.0
+    if peer.points_too:
+        asked, warm_up = _affordable(peer, question, budget)
+    if asked < question.size:
+        some = torch.from_numpy(question.points(question.order[:asked])).to(device)
+        call: Callable[[], Tensor] = lambda: peer.signed_distance(some)  # noqa: E731
+        pick = slice(None)
+    elif question.grid is not None:
+        grid = question.grid
+        peer.prepare(grid)
+        call, pick = lambda: peer.signed_distance_map(grid), question.order[:CHECKED]
+    else:
+        some = torch.from_numpy(question.points(None)).to(device)
+        call, pick = lambda: peer.signed_distance(some), question.order[:CHECKED]
+
+    first, values = once(call, device)
+    tally = question.check(values.reshape(-1)[pick].cpu().numpy())
+    del values
+    timing = median(call, device, options.runs, budget)
+    row = {
+        "asked": asked,
+        "query_ms": timing.ms,
+        "spread_percent": timing.spread,
+        "runs": timing.runs,
+        "million_per_second": asked / timing.ms / 1e3,
+        "first_call_ms": warm_up + first,
+        **tally,
+        "fine": tally["over_limit"] == 0 and tally["wrong_signs"] == 0,
+    }
+    if peer.parts and asked <= MOST_PART_POINTS:
+        which = None if asked == question.size else question.order[:asked]
+        at = torch.from_numpy(question.points(which)).to(device)
+        for part, function in (("distance", peer.unsigned_distance), ("sign", peer.inside)):
+            if part in peer.parts:
+                function(at[:TRIAL])  # compiles
+                row[f"{part}_ms"] = median(lambda f=function: f(at), device, options.runs, budget / 2).ms
+    return row
+
+
+def _affordable(peer: Peer, question: Question, budget: float) -> tuple[int, float]:
+    """How many points a peer can be asked within the budget, and the milliseconds of its first call."""
+    trial = torch.from_numpy(question.points(question.order[:LARGER_TRIAL])).to(peer.device)
+    warm_up, _ = once(lambda: peer.signed_distance(trial[:TRIAL]), peer.device)
+    small, _ = once(lambda: peer.signed_distance(trial[:TRIAL]), peer.device)
+    each = small / TRIAL
+    if each * len(trial) < budget / 4:
+        larger, _ = once(lambda: peer.signed_distance(trial), peer.device)
+        each = max(larger - small, 1e-6) / max(len(trial) - TRIAL, 1)
+    # The first call, and at least half a call more.
+    most = int(budget / 1.5 / each)
+    return (question.size if most >= question.size else max(TRIAL, min(most // 2, question.size))), warm_up
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """`python -m bench.run`: as `sdm bench`, with nothing but sdm's own requirements."""
+    parser = argparse.ArgumentParser("python -m bench.run", description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("--device", help="cpu or cuda (default: cuda if there)")
+    parser.add_argument("--meshes", nargs="+", metavar="MESH", help="names from bench/meshes.py, torus-N, or files")
+    parser.add_argument("--resolutions", nargs="+", type=int, metavar="N", help="voxels along each axis")
+    parser.add_argument("--points", type=int, default=0, help="also query this many scattered points")
+    parser.add_argument("--peers", nargs="+", metavar="WORD", help="only peers whose name holds a word")
+    parser.add_argument("--runs", type=int, default=5, help="timed calls for each figure")
+    parser.add_argument("--budget-s", type=float, default=30.0, help="seconds for one peer, mesh and grid")
+    parser.add_argument("--quick", action="store_true", help="small choices: under a minute on two cores")
+    parser.add_argument("--out", type=Path, help="JSON file to write")
+    try:
+        return run(Options(**vars(parser.parse_args(argv))))
+    except sdm.SDMError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
