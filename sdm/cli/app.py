@@ -1,0 +1,118 @@
+"""From the words on the command line to a command, and from an error to one sentence and an exit code."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import io
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
+from typing import Any
+
+from sdm.cli.errors import sentence_of
+
+# In the order of the help text.
+COMMANDS = ("inspect", "compute", "demo")
+
+DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
+
+DONE = 0
+USER_ERROR = 2
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+# What tyro draws around its messages.
+FRAME = re.compile(r"\x1b\[[0-9;]*m|^[│|]|[│|]$")
+RULE = re.compile(r"^[─╭╰]")
+
+
+class _UsageError(Exception):
+    pass
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: The words after `sdm`; those of this process if not given.
+
+    Returns:
+        0 if all went well; 2 for what is the user's to mend, said in one sentence on stderr; 130 if interrupted.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        code = _parse(words)()
+        sys.stdout.flush()
+    except _UsageError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        print("sdm: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the output has gone; the interpreter must not fail again as it flushes.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except Exception as error:
+        sentence = sentence_of(error)
+        if sentence is None:
+            raise
+        return _complain(sentence)
+    return DONE if code is None else code
+
+
+def _complain(sentence: str) -> int:
+    print(f"sdm: {sentence}", file=sys.stderr)
+    return USER_ERROR
+
+
+def _parse(words: list[str]) -> Callable[[], int | None]:
+    """The command that `words` ask for, with its arguments, not yet run."""
+    import tyro
+    from tyro.extras import subcommand_cli_from_dict
+
+    commands = {name: _later(getattr(importlib.import_module(f"sdm.cli.{name}"), name)) for name in COMMANDS}
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return subcommand_cli_from_dict(
+                commands,
+                prog="sdm",
+                description=DESCRIPTION,
+                args=words,
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+            )
+    except SystemExit as stop:
+        if stop.code in (None, 0):
+            return _nothing
+        command = f"sdm {words[0]}" if words and words[0] in COMMANDS else "sdm"
+        raise _UsageError(f"{_sentence(said.getvalue())}; see {command} --help") from None
+
+
+def _later(command: Callable[..., int | None]) -> Callable[..., Any]:
+    """A command that its parser prepares and does not run, so that errors of the two are told apart."""
+
+    @functools.wraps(command)
+    def prepare(*args: Any, **kwargs: Any) -> Callable[[], int | None]:
+        return functools.partial(command, *args, **kwargs)
+
+    return prepare
+
+
+def _nothing() -> None:
+    return None
+
+
+def _sentence(drawn: str) -> str:
+    """What a message of tyro's says, without its frame and what comes after the first part."""
+    part: list[str] = []
+    for line in drawn.splitlines():
+        text = FRAME.sub("", FRAME.sub("", line).strip()).strip()
+        if not text or RULE.match(text):
+            if part:
+                break
+            continue
+        part.append(text)
+    return " ".join(part).rstrip(".") or "the arguments cannot be understood"

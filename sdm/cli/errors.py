@@ -1,0 +1,18 @@
+"""Which errors are the user's to mend, and how they are said."""
+
+from __future__ import annotations
+
+
+def sentence_of(error: BaseException) -> str | None:
+    """An error in one sentence, if a user can do something about it; None for mistakes in this program."""
+    from sdm.errors import SDMError
+
+    if isinstance(error, SDMError):
+        return " ".join(str(error).split())
+    # The allocators of torch raise this class, which cannot be named before torch is imported.
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return "there is not enough memory: choose a lower resolution or a smaller batch"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}"
+    return None

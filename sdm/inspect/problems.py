@@ -1,0 +1,59 @@
+"""A report's findings as sentences: what it means for distances, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
+    """Sentences about a report's numbers, the gravest first.
+
+    Args:
+        facts: The fields of a `MeshReport` without its problems.
+        unjudged: Components that face inward and were not compared with the others.
+    """
+    found = []
+    pieces, wrong = facts["components"], facts["inside_out_components"]
+    if facts["closed"] and facts["volume"] < 0:
+        found.append(
+            f"the mesh is inside out: it is closed, but its volume is {facts['volume']:.6g}, so that nothing counts "
+            'as inside; orient="auto" (--orient auto) turns it'
+        )
+    elif facts["closed"] and facts["volume"] == 0:
+        found.append("the mesh is closed but encloses no volume, so nothing is inside")
+    elif wrong:
+        verb = "is" if wrong == 1 else "are"
+        found.append(
+            f"{wrong} of {pieces} components {verb} inside out, so that what {'it holds' if wrong == 1 else 'they hold'}"
+            ' counts as outside; turn the faces in a mesh editor, since orient="auto" turns whole meshes only'
+        )
+    if unjudged:
+        found.append(f"{_count(unjudged, 'component')} facing inward could not be told from cavities in short time")
+    if facts["boundary_edges"]:
+        found.append(
+            f"the mesh is open: {_count(facts['boundary_edges'], 'edge')} of one face only; near the gaps the inside "
+            "follows the generalised winding number and may be ambiguous"
+        )
+    if facts["disagreeing_edges"]:
+        found.append(
+            f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}; make the "
+            "orientation consistent, or the sign cannot be trusted there"
+        )
+    if facts["nonmanifold_edges"]:
+        found.append(f"{_count(facts['nonmanifold_edges'], 'edge')} of more than two faces; distances are not affected")
+    if facts["nonmanifold_vertices"]:
+        many = _count(facts["nonmanifold_vertices"], "vertex", "vertices")
+        found.append(f"{many} where separate parts touch; distances are not affected")
+    if facts["duplicate_faces"]:
+        found.append(
+            f"{_count(facts['duplicate_faces'], 'face')} with the same vertices as another; each counts in the "
+            "winding number"
+        )
+    if facts["degenerate_faces"]:
+        found.append(f"{_count(facts['degenerate_faces'], 'face')} of zero area; they count as segments or points")
+    return found
+
+
+def _count(number: int, one: str, many: str | None = None) -> str:
+    return f"{number:,} {one if number == 1 else many or one + 's'}"

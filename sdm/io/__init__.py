@@ -1,0 +1,12 @@
+"""Files in and out: meshes of every kind that trimesh reads, signed distance maps as images.
+
+World coordinates of a file are the mesh's coordinates, number for number. A NIfTI file's world is right-anterior-
+superior (RAS+) by its standard; an NRRD file is written with the same numbers in "right-anterior-superior" space. A
+mesh in another space (LPS, as some medical software exports) has to be turned before it meets such an image.
+"""
+
+from sdm.io.formats import FORMATS
+from sdm.io.maps import grid_like, load, save, write_streamed
+from sdm.io.meshes import load_mesh
+
+__all__ = ["FORMATS", "grid_like", "load", "load_mesh", "save", "write_streamed"]

@@ -1,0 +1,90 @@
+"""Files that are whole under their final name, or not there."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sdm.errors import FormatError
+
+# What a killed write leaves behind: hidden files or folders that end like this.
+LEFTOVER = ".part"
+
+
+@contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """A temporary path beside `target`: what the block makes there, a file or a folder, then takes its place.
+
+    The name is `.NAME.PID-TOKEN.part`. If the block fails, nothing is left; if the process is killed, what is left has
+    that name and `target` is what it was. An older folder is put aside and removed once the new one is in place.
+
+    Raises:
+        FormatError: The folder is not there, or cannot be written.
+    """
+    part = _temporary(target)
+    try:
+        yield part
+        if part.is_file():
+            _flush(part)
+        _take_place(part, target)
+    except OSError as error:
+        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+    finally:
+        _remove(part)
+
+
+def try_to_write(target: Path) -> None:
+    """Find out whether `target` can be written, without touching it.
+
+    Raises:
+        FormatError: The folder is not there, or cannot be written.
+    """
+    part = _temporary(target)
+    try:
+        part.touch()
+        part.unlink()
+    except OSError as error:
+        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+
+
+def _temporary(target: Path) -> Path:
+    if not target.parent.exists():
+        raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
+    if not target.parent.is_dir():
+        raise FormatError(f"{target} cannot be written: {target.parent} is not a folder")
+    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}{LEFTOVER}")
+
+
+def _flush(path: Path) -> None:
+    # Without this a power cut soon after the renaming may leave an empty file under the final name.
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _take_place(part: Path, target: Path) -> None:
+    if not (part.is_dir() and target.is_dir()):
+        part.replace(target)
+        return
+    old = part.with_name(f"{part.name.removesuffix(LEFTOVER)}-old{LEFTOVER}")
+    target.rename(old)
+    try:
+        part.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        # A folder that cannot be written holds nothing of ours; the write's own error is the one to tell.
+        return

@@ -1,0 +1,86 @@
+"""The formats of signed distance maps, by the end of the file's name."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import torch
+
+from sdm.device import require_memory
+from sdm.errors import FormatError
+from sdm.grid import Grid
+from sdm.io.atomic import try_to_write
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format.
+
+    Args:
+        name: The file of this package with `read`, `read_grid` and the writer.
+        extra_maps: Memory that writing takes beyond the map on the host, in maps.
+        writer: The writer's name.
+        streamed: Whether the writer takes a map slab by slab, into a folder.
+    """
+
+    name: str
+    extra_maps: float = 0.0
+    writer: str = "write"
+    streamed: bool = False
+
+    @property
+    def module(self) -> ModuleType:
+        """The format's file, whose libraries are loaded when they are needed."""
+        return importlib.import_module(f"sdm.io.{self.name}")
+
+
+FORMATS = {
+    "nii.gz": Format("nifti", writer="write_compressed"),
+    "nii": Format("nifti"),
+    "npz": Format("npz"),
+    "nrrd": Format("nrrd", extra_maps=1.0),
+    "zarr": Format("zarr", streamed=True),
+    "nvdb": Format("nvdb", extra_maps=2.5),
+}
+# The header of an NRRD image whose values lie in another file.
+HEADERS = {"nhdr": Format("nrrd")}
+
+
+def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:
+    """The format that a file's name ends with.
+
+    Raises:
+        FormatError: None of them.
+    """
+    for ending, found in formats.items():
+        if path.name.lower().endswith(f".{ending}") and len(path.name) > len(ending) + 1:
+            return found
+    raise FormatError(f"{path} does not end like a map: use one of .{', .'.join(formats)}")
+
+
+def check_target(path: Path) -> Format:
+    """The format of a file to write, if it can be written there.
+
+    Raises:
+        FormatError: The ending is not known, the folder is not there or cannot be written, or something of another
+            kind has that name.
+    """
+    found = format_of(path)
+    if path.is_dir() and not (found.streamed and (path / "zarr.json").is_file()):
+        raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
+    try_to_write(path)
+    return found
+
+
+def require_memory_to_write(chosen: Format, grid: Grid) -> None:
+    """Refuse a map that the host cannot hold while it is written.
+
+    Raises:
+        GridError: Says how much memory is needed and how much there is.
+    """
+    if not chosen.streamed:
+        needed = int(grid.nbytes * (1 + chosen.extra_maps))
+        require_memory(needed, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")

@@ -1,0 +1,131 @@
+"""Meshes from files."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdm.errors import MeshError
+from sdm.inspect.positions import first_at_position
+from sdm.mesh import TriangleMesh
+
+# The endings that messages name first.
+USUAL = ("stl", "ply", "obj", "off", "glb", "gltf")
+# A face that uses vertex 0: OBJ counts from 1, and trimesh takes 0 for 1.
+OBJ_VERTEX_0 = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?=[/\s]|$)", re.MULTILINE)
+STL_HEADER, STL_FACE = 84, 50
+
+
+def load_mesh(path: str | Path) -> TriangleMesh:
+    """Read a triangle mesh: STL, PLY, OBJ, OFF, GLB, glTF, and whatever else trimesh reads.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The mesh, named like the file. Scenes are one mesh, each part where the scene puts it; polygons are cut into
+        triangles; every face is kept, zero-area and repeated ones too. Vertices at exactly equal positions (after
+        rounding to float32) are merged, so that a closed STL file is closed.
+
+    Raises:
+        MeshError: No such file, a folder, an ending that is not known, a file that is damaged or holds no triangles,
+            a coordinate that is not finite, or a face index out of range.
+    """
+    source = Path(path)
+    _check_file(source)
+    vertices, faces = _flatten(_parse(source), source)
+    if len(faces) == 0:
+        raise MeshError(f"{source} has no triangles{_why_empty(source)}; give a surface mesh, not points or lines")
+    wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > np.finfo(np.float32).max).any(1)
+    if wrong.any():
+        index = int(np.flatnonzero(wrong)[0])
+        raise MeshError(f"vertex {index} of {source} is {vertices[index].tolist()}; every coordinate must be finite")
+    vertices, faces = _merge(vertices.astype(np.float32), faces)
+    return TriangleMesh(vertices, faces, source.name)
+
+
+def _check_file(path: Path) -> None:
+    import trimesh
+
+    if not path.exists():
+        raise MeshError(f"there is no mesh file {path}")
+    if path.is_dir():
+        raise MeshError(f"{path} is a folder; give a mesh file")
+    known = trimesh.available_formats()
+    if not any(path.name.lower().endswith(f".{ending}") for ending in known):
+        others = sorted(set(known) - set(USUAL))
+        ending = f"ending {path.suffix}" if path.suffix else "name without an ending"
+        raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join((*USUAL, *others))}")
+
+
+def _parse(path: Path) -> Any:
+    import trimesh
+
+    options = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return trimesh.load_scene(path, process=False, **options)
+    except MemoryError:
+        raise
+    except IndexError as error:
+        raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({error})") from error
+    except OSError as error:
+        raise MeshError(f"{path} cannot be read: {error.strerror or error}") from error
+    # Parsers of damaged files raise whatever they come across.
+    except Exception as error:  # noqa: BLE001
+        raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({error})") from error
+
+
+def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """All triangles of a scene where it puts them: vertices (V,3) float64, faces (F,3) int64."""
+    import trimesh
+
+    if path.suffix.lower() == ".obj" and OBJ_VERTEX_0.search(path.read_bytes()):
+        raise MeshError(f"a face of {path} uses vertex 0, but OBJ files number vertices from 1")
+    all_vertices, all_faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
+    count = 0
+    for node in scene.graph.nodes_geometry:
+        transform, name = scene.graph[node]
+        part = scene.geometry[name]
+        if not isinstance(part, trimesh.Trimesh) or len(part.faces) == 0:
+            continue
+        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        # Here, since the next part's vertices would hide it.
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            bad = int(faces.min() if faces.min() < 0 else faces.max())
+            raise MeshError(f"a face of {path} uses vertex {bad}, but it has {len(vertices)} vertices counted from 0")
+        if not np.array_equal(transform, np.eye(4)):
+            vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
+            faces = faces[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else faces
+        all_vertices.append(vertices)
+        all_faces.append(faces + count)
+        count += len(vertices)
+    return np.concatenate(all_vertices), np.concatenate(all_faces)
+
+
+def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Drop vertices at the position of an earlier one; the order of the others stays."""
+    first = first_at_position(vertices)
+    kept = first == np.arange(len(vertices))
+    number = np.cumsum(kept) - 1
+    return vertices[kept], number[first[faces]].astype(np.int32)
+
+
+def _why_empty(path: Path) -> str:
+    """What an STL file says that its parser passed over."""
+    size = path.stat().st_size
+    if size == 0:
+        return ": the file is empty"
+    if path.suffix.lower() != ".stl" or size < STL_HEADER:
+        return ""
+    with path.open("rb") as file:
+        head = file.read(STL_HEADER)
+    said = int.from_bytes(head[-4:], "little")
+    if head.startswith(b"solid") or said == 0:
+        return ""
+    return f": its header says {said}, and {(size - STL_HEADER) // STL_FACE} are there, so it is cut off or damaged"

@@ -1,0 +1,95 @@
+"""`.nii` and `.nii.gz` by nibabel: the affine in sform and qform, the exact geometry in a header extension."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import nibabel as nib
+import numpy as np
+import torch
+from nibabel.nifti1 import Nifti1Extension
+
+from sdm.errors import FormatError
+from sdm.field import SDM
+from sdm.grid import Grid
+from sdm.io.record import KEY, from_record, record
+
+# NIfTI-1 counts voxels with 16 bits.
+LARGEST_NIFTI_1 = 32767
+COMMENT = 6
+SCANNER = 1
+
+
+def write(field: SDM, path: Path) -> None:
+    """Write `.nii`."""
+    with path.open("wb") as file:
+        _image(field).to_stream(file)
+
+
+def write_compressed(field: SDM, path: Path) -> None:
+    """Write `.nii.gz`. The same map gives the same bytes: no name, no time."""
+    with path.open("wb") as file, gzip.GzipFile("", "wb", compresslevel=1, fileobj=file, mtime=0) as packed:
+        _image(field).to_stream(packed)
+
+
+def read(path: Path) -> SDM:
+    """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
+    image = _load(path)
+    grid, count = _geometry(image, path)
+    values = np.asanyarray(image.dataobj).reshape(grid.shape)
+    return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    return _geometry(_load(path), path)[0]
+
+
+def _image(field: SDM) -> Any:
+    affine = field.grid.affine
+    large = max(field.grid.shape) > LARGEST_NIFTI_1
+    values = field.numpy().astype(np.float32, copy=False)
+    image = (nib.Nifti2Image if large else nib.Nifti1Image)(values, affine)
+    image.header.set_xyzt_units("mm", "unknown")
+    image.header["descrip"] = b"signed distance, negative inside"
+    image.header.set_intent("estimate", name="distance")
+    image.set_sform(affine, SCANNER)
+    image.set_qform(affine, SCANNER)
+    text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels)}, separators=(",", ":"))
+    image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
+    return image
+
+
+def _load(path: Path) -> Any:
+    image = nib.load(path)  # pyright: ignore[reportPrivateImportUsage]
+    if not isinstance(image, nib.Nifti1Image):
+        raise FormatError(f"{path} is not a NIfTI image")
+    return image
+
+
+def _geometry(image: Any, path: Path) -> tuple[Grid, int | None]:
+    shape = tuple(image.shape)
+    if len(shape) < 3 or any(n != 1 for n in shape[3:]):
+        raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
+    for extension in image.header.extensions:
+        exact = _kept(extension.get_content(), path)
+        if exact is not None and exact[0].shape == shape[:3] and _close(exact[0].affine, image.affine):
+            return exact
+    return Grid.from_affine(image.affine, shape[:3]), None
+
+
+def _kept(content: Any, path: Path) -> tuple[Grid, int | None] | None:
+    try:
+        found = json.loads(content)
+    except (TypeError, ValueError):
+        return None
+    # Other software keeps its comments here too.
+    return from_record(found[KEY], str(path)) if isinstance(found, dict) and KEY in found else None
+
+
+def _close(exact: np.ndarray, rounded: np.ndarray) -> bool:
+    """Whether an affine is another's float32 rounding: then nobody has moved the image since it was written."""
+    return bool(np.allclose(exact, rounded, rtol=2e-7, atol=1e-6 * np.abs(exact[:3, :3]).max()))

@@ -1,0 +1,57 @@
+"""`.npz`: NumPy's own archive: values, origin, spacing, direction, ambiguous_voxels, version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import torch
+
+from sdm.errors import FormatError
+from sdm.field import SDM
+from sdm.grid import Grid
+from sdm.io.record import from_record, record
+
+FIELDS = ("version", "origin", "spacing", "shape", "direction", "ambiguous_voxels")
+# An archive holds arrays alone, and no array is None.
+UNCOUNTED = -1
+
+
+def write(field: SDM, path: Path) -> None:
+    """Write a map, not compressed: distances hardly shrink."""
+    kept = record(field.grid, field.ambiguous_voxels)
+    if kept["ambiguous_voxels"] is None:
+        kept["ambiguous_voxels"] = UNCOUNTED
+    arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in FIELDS}
+    with path.open("wb") as file:
+        np.savez(file, values=field.numpy().astype(np.float32, copy=False), **arrays)
+
+
+def read(path: Path) -> SDM:
+    """Read a map."""
+    with path.open("rb") as file:
+        archive = _open(file, path)
+        grid, count = _geometry(archive, path)
+        return SDM(torch.from_numpy(archive["values"]), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    with path.open("rb") as file:
+        return _geometry(_open(file, path), path)[0]
+
+
+def _open(file: IO[bytes], path: Path) -> Any:
+    # From a path NumPy would leave the file open where the archive is damaged.
+    archive = np.load(file, allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise FormatError(f"{path} is not an .npz archive")
+    return archive
+
+
+def _geometry(archive: Any, path: Path) -> tuple[Grid, int | None]:
+    found = {name: archive[name].tolist() for name in FIELDS if name in archive} if "values" in archive else {}
+    if found.get("ambiguous_voxels") == UNCOUNTED:
+        found["ambiguous_voxels"] = None
+    return from_record(found, str(path))

@@ -1,0 +1,77 @@
+"""`.zarr` (version 3): chunks of a large map, written slab by slab and read in any part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import zarr
+
+from sdm.errors import FormatError
+from sdm.field import SDM
+from sdm.grid import Grid
+from sdm.io.record import KEY, from_record, record
+
+CHUNK = 128
+# Bytes of the slabs that a map is written in: what is in memory at a time.
+SLAB_BYTES = 1 << 28
+
+
+def write(field: SDM, path: Path) -> None:
+    """Write a whole map."""
+    values = field.numpy()
+    layers = slab_layers(field.grid)
+    slabs = ((i, min(i + layers, len(values)), values[i : i + layers]) for i in range(0, len(values), layers))
+    write_slabs(slabs, field.grid, path, field.ambiguous_voxels)
+
+
+def slab_layers(grid: Grid) -> int:
+    """Layers of voxels along the first axis that a slab should have: whole chunks within `SLAB_BYTES`, at least one."""
+    fit = max(1, SLAB_BYTES // (4 * grid.shape[1] * grid.shape[2]))
+    return fit - fit % CHUNK if fit > CHUNK else fit
+
+
+def write_slabs(
+    slabs: Iterable[tuple[int, int, Any]], grid: Grid, path: Path, ambiguous_voxels: int | None = None
+) -> None:
+    """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come."""
+    layers = min(slab_layers(grid), CHUNK, grid.shape[0])
+    array = zarr.create_array(
+        store=path,
+        shape=grid.shape,
+        chunks=(layers, min(CHUNK, grid.shape[1]), min(CHUNK, grid.shape[2])),
+        dtype="float32",
+        # Zero would be a surface: where a chunk is lost, nothing is known.
+        fill_value=float("nan"),
+        attributes={KEY: record(grid, ambiguous_voxels)},
+        dimension_names=["x", "y", "z"] if grid.is_axis_aligned else ["i", "j", "k"],
+        config={"write_empty_chunks": True},
+    )
+    for begin, end, values in slabs:
+        array[begin:end] = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+
+
+def read(path: Path) -> SDM:
+    """Read a whole map. `zarr.open_array` reads parts."""
+    array = _open(path)
+    grid, count = _geometry(array, path)
+    return SDM(torch.from_numpy(np.asarray(array[:], dtype=np.float32)), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    return _geometry(_open(path), path)[0]
+
+
+def _open(path: Path) -> zarr.Array:
+    opened = zarr.open(path, mode="r")
+    if not isinstance(opened, zarr.Array):
+        raise FormatError(f"{path} is a zarr group; an array that sdm wrote is needed")
+    return opened
+
+
+def _geometry(array: zarr.Array, path: Path) -> tuple[Grid, int | None]:
+    return from_record(array.attrs.get(KEY), str(path))
