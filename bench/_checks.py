@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class Tally:
         """Whether no limit is broken."""
         return self.over_limit == 0 and self.wrong_signs == 0
 
-    def as_dict(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, Any]:
         """For a JSON file; infinity has no place there."""
         return asdict(self) | {"max_error": self.max_error if np.isfinite(self.max_error) else None}
 

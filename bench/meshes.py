@@ -150,5 +150,5 @@ def _path(name: str) -> Path | None:
 def _read(path: Path) -> Arrays:
     import trimesh
 
-    mesh = trimesh.load(path, process=False, force="mesh")
+    mesh = trimesh.load_mesh(path, process=False)
     return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)

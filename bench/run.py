@@ -23,6 +23,7 @@ from bench._timing import median, once
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note
 from bench.peers import Peer, all_peers
+from sdm.device import choose_device
 
 # Voxels or points whose values are compared with the brute force.
 CHECKED = 4_000
@@ -60,7 +61,13 @@ class Options:
     out: Path | None = None
 
     def filled(self) -> Options:
-        """With every choice made."""
+        """With every choice made.
+
+        Raises:
+            SDMError: A number that makes no sense.
+        """
+        if self.runs < 1 or not self.budget_s > 0 or self.points < 0:
+            raise sdm.SDMError("runs must be at least 1, points at least 0, and the budget a positive time in seconds")
         device = self.device or ("cuda" if torch.cuda.is_available() else "cpu")
         gpu = device.startswith("cuda")
         meshes = ("torus-20000", "rocker-arm")
@@ -114,7 +121,7 @@ def run(options: Options) -> int:
     """
     options = options.filled()
     device = options.device or "cpu"
-    sdm.device.choose_device(device)
+    choose_device(device)
     peers = [
         p for p in all_peers(device) if not options.peers or any(w.lower() in p.name.lower() for w in options.peers)
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -43,6 +44,11 @@ class Peer(ABC):
             known = isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] == self.module
             return f"{self.name} is not installed" if known else f"{self.name} is installed but does not load: {error}"
         return None
+
+    @property
+    def library(self) -> Any:
+        """The imported module: optional, so that nothing here may import it at the top."""
+        return importlib.import_module(self.module)
 
     def available(self) -> bool:
         """Whether it can run here."""

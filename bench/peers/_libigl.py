@@ -18,8 +18,7 @@ class LibiglWinding(Peer):
     parts = ("distance", "sign")
 
     def build(self, case: Case) -> None:
-        import igl
-
+        igl = self.library
         self._mesh = case.vertices.astype(np.float64), case.faces.astype(np.int64)
         self._tree, self._winding = igl.AABB(), igl.FastWindingNumberBVH()
         self._tree.init(*self._mesh)
@@ -47,7 +46,6 @@ class LibiglPseudonormal(Peer):
         self._mesh = case.vertices.astype(np.float64), case.faces.astype(np.int64)
 
     def signed_distance(self, points: Tensor) -> Tensor:
-        import igl
-
+        igl = self.library
         kind = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
         return torch.from_numpy(igl.signed_distance(points.numpy().astype(np.float64), *self._mesh, kind)[0])

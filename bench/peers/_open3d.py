@@ -18,8 +18,7 @@ class Open3D(Peer):
     parts = ("distance", "sign")
 
     def build(self, case: Case) -> None:
-        import open3d
-
+        open3d = self.library
         self._tensor = open3d.core.Tensor
         self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(case.vertices), self._tensor(case.faces.astype(np.uint32)))

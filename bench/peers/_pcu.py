@@ -20,17 +20,11 @@ class PointCloudUtils(Peer):
         self._mesh = case.vertices, case.faces
 
     def signed_distance(self, points: Tensor) -> Tensor:
-        import point_cloud_utils
-
-        return torch.from_numpy(point_cloud_utils.signed_distance_to_mesh(points.numpy(), *self._mesh)[0])
+        return torch.from_numpy(self.library.signed_distance_to_mesh(points.numpy(), *self._mesh)[0])
 
     def unsigned_distance(self, points: Tensor) -> Tensor:
-        import point_cloud_utils
-
-        return torch.from_numpy(point_cloud_utils.closest_points_on_mesh(points.numpy(), *self._mesh)[0])
+        return torch.from_numpy(self.library.closest_points_on_mesh(points.numpy(), *self._mesh)[0])
 
     def inside(self, points: Tensor) -> Tensor:
-        import point_cloud_utils
-
-        winding = point_cloud_utils.triangle_soup_fast_winding_number(*self._mesh, points.numpy())
+        winding = self.library.triangle_soup_fast_winding_number(*self._mesh, points.numpy())
         return torch.from_numpy(winding) > 0.5

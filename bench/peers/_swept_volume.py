@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 from torch import Tensor
@@ -26,6 +28,7 @@ class SweptVolume(Peer):
         self.note = "one pose" if device.startswith("cuda") else "one pose, one thread"
 
     def build(self, case: Case) -> None:
+        self._at_rest: Any
         with on_torch_stream(self.device):
             self._mesh = stock_mesh(case, self.device)
             self._at_rest = wp.array(AT_REST, dtype=wp.transform, device=self.device)
@@ -41,6 +44,7 @@ class SweptVolume(Peer):
 
         last = np.asarray(grid.origin) + np.asarray(grid.spacing) * (np.asarray(grid.shape) - 1)
         with on_torch_stream(self.device):
+            field: Any
             field, _, _ = warp.geometry.swept_volume_field(
                 [self._mesh], self._at_rest, resolution=grid.shape, lower=grid.origin, upper=tuple(last)
             )

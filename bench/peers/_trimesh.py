@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -21,9 +23,7 @@ class Trimesh(Peer):
         found = super().missing()
         if found is not None:
             return found
-        try:
-            import rtree  # noqa: F401
-        except ImportError:
+        if importlib.util.find_spec("rtree") is None:
             return f"{self.name} needs rtree for its proximity query, which is not installed"
         return None
 

@@ -13,43 +13,11 @@ from torch import Tensor
 
 from bench.meshes import Case
 from bench.peers._base import Peer
+from bench.peers._warp_kernels import distance_kernel, grid_kernel, points_kernel
 from sdm import Grid
 
 # The leaf size that was fastest on the GPUs measured; the winding number's accuracy is Warp's default.
 LEAF_SIZE = 4
-
-
-@wp.func
-def _signed(mesh: wp.uint64, p: wp.vec3, reach: float) -> float:
-    query = wp.mesh_query_point_sign_winding_number(mesh, p, reach)
-    value = float(wp.nan)
-    if query.result:
-        value = query.sign * wp.length(p - wp.mesh_eval_position(mesh, query.face, query.u, query.v))
-    return value
-
-
-@wp.kernel(enable_backward=False)
-def _grid_kernel(mesh: wp.uint64, origin: wp.vec3, spacing: wp.vec3, reach: float, out: wp.array3d[float]):
-    i, j, k = wp.tid()
-    p = origin + wp.cw_mul(spacing, wp.vec3(float(i), float(j), float(k)))
-    out[i, j, k] = _signed(mesh, p, reach)
-
-
-@wp.kernel(enable_backward=False)
-def _points_kernel(mesh: wp.uint64, points: wp.array[wp.vec3], reach: float, out: wp.array[float]):
-    n = wp.tid()
-    out[n] = _signed(mesh, points[n], reach)
-
-
-@wp.kernel(enable_backward=False)
-def _distance_kernel(mesh: wp.uint64, points: wp.array[wp.vec3], reach: float, out: wp.array[float]):
-    n = wp.tid()
-    p = points[n]
-    query = wp.mesh_query_point_no_sign(mesh, p, reach)
-    value = float(wp.nan)
-    if query.result:
-        value = wp.length(p - wp.mesh_eval_position(mesh, query.face, query.u, query.v))
-    out[n] = value
 
 
 def on_torch_stream(device: str) -> AbstractContextManager[Any]:
@@ -89,10 +57,10 @@ class StockWarp(Peer):
         self._reach = float(min(1e4 * np.linalg.norm(high - low) + 1e4 * np.abs(high).max(), 1e18))
 
     def signed_distance(self, points: Tensor) -> Tensor:
-        return self._launch(_points_kernel, points)
+        return self._launch(points_kernel, points)
 
     def unsigned_distance(self, points: Tensor) -> Tensor:
-        return self._launch(_distance_kernel, points)
+        return self._launch(distance_kernel, points)
 
     def prepare(self, grid: Grid) -> None:
         """Nothing: the kernel knows where the voxels are."""
@@ -102,10 +70,10 @@ class StockWarp(Peer):
         with on_torch_stream(self.device):
             origin, spacing = wp.vec3(*grid.origin), wp.vec3(*grid.spacing)
             inputs = [self._mesh.id, origin, spacing, self._reach, wp.from_torch(out)]
-            wp.launch(_grid_kernel, dim=grid.shape, inputs=inputs, device=self.device)
+            wp.launch(grid_kernel, dim=grid.shape, inputs=inputs, device=self.device)
         return out
 
-    def _launch(self, kernel: wp.Kernel, points: Tensor) -> Tensor:
+    def _launch(self, kernel: Any, points: Tensor) -> Tensor:
         out = torch.empty(points.shape[0], dtype=torch.float32, device=self.device)
         with on_torch_stream(self.device):
             inputs = [self._mesh.id, wp.from_torch(points, dtype=wp.vec3), self._reach, wp.from_torch(out)]

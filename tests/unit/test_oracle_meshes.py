@@ -67,7 +67,7 @@ def test_torus_of_a_million():
 
 def test_missing_files_are_explained(monkeypatch, tmp_path):
     monkeypatch.setenv("SDM_DATA", str(tmp_path))
-    assert "set SDM_DATA" in meshes.missing_note("nefertiti")
+    assert "set SDM_DATA" in str(meshes.missing_note("nefertiti"))
     with pytest.raises(FileNotFoundError, match=r"no nefertiti\.ply"):
         meshes.load_case("nefertiti")
     assert meshes.missing_note("cube") is None

@@ -1,0 +1,67 @@
+"""`sdm bench`: compare with the other libraries on this machine."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sdm.errors import SDMError
+
+
+def bench(
+    meshes: tuple[str, ...] = (),
+    resolutions: tuple[int, ...] = (),
+    points: int = 0,
+    peers: tuple[str, ...] = (),
+    device: str = "auto",
+    runs: int = 5,
+    budget_s: float = 30.0,
+    quick: bool = False,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+) -> int:
+    """Time sdm and every other library that is installed, each checked against a float64 brute force first.
+
+    Works in a clone of the repository; `pip install -e ".[bench]"` there brings the other libraries.
+
+    Args:
+        meshes: Mesh files, names from bench/meshes.py, or torus-N for a torus of N triangles; a choice if not given.
+        resolutions: Voxels along each axis of the grids; 32 to 256 if not given, as the device and --quick suggest.
+        points: Also query this many scattered points, half of them near the surface.
+        peers: Only peers whose name holds one of these words, for example sdm warp libigl.
+        device: cpu, cuda or cuda:N; by default a GPU if there is one.
+        runs: Timed calls for each figure; the median counts.
+        budget_s: About how many seconds one peer may take for one mesh and grid; slower ones are asked for less.
+        quick: Small choices: under a minute on two cores.
+        out: Also write the results to this JSON file.
+    """
+    root = _checkout()
+    if root is None:
+        raise SDMError("sdm bench needs the repository, which has the meshes and the peers: clone it and run it there")
+    if str(root) not in sys.path:
+        sys.path.insert(0, str(root))
+    from bench.run import Options, run
+
+    return run(
+        Options(
+            device=None if device == "auto" else device,
+            meshes=meshes or None,
+            resolutions=resolutions or None,
+            points=points,
+            peers=peers or None,
+            runs=runs,
+            budget_s=budget_s,
+            quick=quick,
+            out=out,
+        )
+    )
+
+
+def _checkout() -> Path | None:
+    """The clone that this package is in, or the one that the command was called in."""
+    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
+        if (root / "bench" / "run.py").is_file() and (root / "kernels").is_dir():
+            return root
+    return None

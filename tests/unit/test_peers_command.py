@@ -1,0 +1,36 @@
+"""`sdm bench` finds the benchmarks in a checkout, and says what to do outside one."""
+
+from __future__ import annotations
+
+import pytest
+
+from sdm import SDMError
+from sdm.cli import bench as command
+
+
+def test_runs_in_a_checkout(tmp_path, capsys):
+    out = tmp_path / "results.json"
+    code = command.bench(meshes=("cube",), resolutions=(8,), peers=("sdm",), device="cpu", quick=True, out=out)
+    assert code == 0
+    assert "cube at 8^3 (12 triangles)" in capsys.readouterr().out
+    assert out.is_file()
+
+
+def test_outside_a_checkout(monkeypatch):
+    monkeypatch.setattr(command, "_checkout", lambda: None)
+    with pytest.raises(SDMError, match="clone it and run it there"):
+        command.bench()
+
+
+@pytest.mark.parametrize(
+    ("choice", "said"),
+    [
+        ({"runs": 0}, "runs"),
+        ({"points": -1}, "points"),
+        ({"resolutions": (0,)}, "resolution"),
+        ({"budget_s": 0.0}, "budget"),
+    ],
+)
+def test_bad_numbers_are_refused(choice, said):
+    with pytest.raises(SDMError, match=said):
+        command.bench(meshes=("cube",), peers=("sdm",), device="cpu", **choice)
