@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from sdm.errors import FormatError
 from sdm.field import SDM
+from sdm.io.atomic import replacing
 from sdm.picture_surface import draw_surface
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ FORMATS = ("png", "pdf", "svg", "jpg", "webp")
 COLOURS = ("#8c1d2c", "#c9453f", "#ea8a6c", "#f8c9b0", "#f8f7f5", "#c3dcec", "#80b5d8", "#3f86bd", "#1f5a96")
 # The outside reaches much further than the inside is deep: past this ratio the colours stop, and the bar says so.
 OUTSIDE_TO_INSIDE = 2.0
+# Longer values in the list beside the slices are set smaller.
+LONGEST_VALUE = 20
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -73,18 +75,8 @@ def picture(
 
     with mpl.rc_context(STYLE):
         figure = _figure(field, title or f"Signed distance map, {_times(field.grid.shape)}", unit, dict(facts or {}))
-        _write(figure, target, kind, dpi)
-
-
-def _write(figure: Figure, target: Path, kind: str, dpi: int) -> None:
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(part, format=kind, dpi=dpi)
-        part.replace(target)
-    except OSError as error:
-        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
+        with replacing(target) as part:
+            figure.savefig(part, format=kind, dpi=dpi)
 
 
 def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> Figure:
@@ -199,7 +191,8 @@ def _list(axes: Axes, lines: dict[str, str]) -> None:
     for row, (name, value) in enumerate(lines.items()):
         y = 0.66 - step * row
         axes.text(0.0, y, name, transform=axes.transAxes, fontsize=11, color="0.45", va="center")
-        axes.text(0.36, y, value, transform=axes.transAxes, fontsize=11, color="0.1", va="center")
+        size = max(6.0, min(11.0, 11.0 * LONGEST_VALUE / max(1, len(value))))
+        axes.text(0.36, y, value, transform=axes.transAxes, fontsize=size, color="0.1", va="center")
 
 
 def _in(unit: str | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,7 +55,7 @@ def demo(
     low, high = float(field.values.min()), float(field.values.max())
     print(f"map       {low:.4g} mm (deepest inside) to {high:.4g} mm, {inside:.4g} mm3 inside")
 
-    facts = {"mesh": mesh.name, "triangles": f"{len(mesh):,}", "computed in": f"{seconds:.3g} s", "device": name}
+    facts = {"mesh": mesh.name, "triangles": f"{len(mesh):,}", "time": f"{seconds:.3g} s", "device": name}
     _write_mesh(mesh, out / "demo.ply")
     field.save(out / "demo.nii.gz")
     picture(field, out / "demo.png", title=f"Exact signed distance map of the {mesh.name}", unit="mm", facts=facts)
@@ -66,10 +65,11 @@ def demo(
 def _timed_map(mesh: TriangleMesh, grid: Grid, device: torch.device) -> tuple[SDM, float, float, str]:
     """The map, seconds to get the kernels ready, seconds from mesh to map, and the device's name."""
     from sdm.engine import signed_distance_map
+    from sdm.grid import Grid
 
     mesh = mesh.to(device)
     start = time.perf_counter()
-    signed_distance_map(mesh, type(grid).around(mesh, resolution=2), device=device)
+    signed_distance_map(mesh, Grid.around(mesh, resolution=32), device=device)
     _wait(device)
     ready = time.perf_counter()
     field = signed_distance_map(mesh, grid, device=device)
@@ -98,13 +98,7 @@ def _write_mesh(mesh: TriangleMesh, target: Path) -> None:
     import trimesh
     from trimesh.exchange.ply import export_ply
 
-    from sdm.errors import FormatError
+    from sdm.io.atomic import replacing
 
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
+    with replacing(target) as part:
         part.write_bytes(export_ply(trimesh.Trimesh(*mesh.numpy(), process=False)))
-        part.replace(target)
-    except OSError as error:
-        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
