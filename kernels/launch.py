@@ -26,7 +26,7 @@ def _pool(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads(), thread_name_prefix="sdm")
 
 
-def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_dim: int = 128) -> None:
+def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_dim: int = 128, smallest: int = SMALLEST_SHARE) -> None:
     """Run `kernel` for the indices 0 <= index < count, where index is `begin + wp.tid()`.
 
     Args:
@@ -35,6 +35,7 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_
         inputs: The other parameters.
         device: Warp device.
         block_dim: Threads of a block on a GPU.
+        smallest: On a CPU, the fewest indices worth a turn of a thread.
     """
     if count <= 0:
         return
@@ -43,7 +44,7 @@ def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=block_dim)
         return
     workers = threads()
-    share = max(SMALLEST_SHARE, -(-count // (workers * SHARES_PER_THREAD)))
+    share = max(smallest, -(-count // (workers * SHARES_PER_THREAD)))
     if workers == 1 or count <= share:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
         return

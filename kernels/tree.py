@@ -314,7 +314,8 @@ def build(
     meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
     run = 64
     launch(_reset_bounds, 6 * meshes, [bounds], device)
-    launch(_reduce_bounds, meshes * -(-faces.shape[0] // run), [vertices, faces, run, bounds], device)
+    # Warp's atomic minimum is not atomic on a CPU, so this one stays on one thread there.
+    wp.launch(_reduce_bounds, meshes * -(-faces.shape[0] // run), [0, vertices, faces, run, bounds], device=device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
     wp.utils.radix_sort_pairs(keys, slots, total)

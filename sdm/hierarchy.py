@@ -7,7 +7,7 @@ work queued before it on its stream, and `record_stream` tells the allocator of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,9 +20,6 @@ from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.topology import boundary_edges
 
-# Warp greets and reports every module that it compiles; a library should not. Whoever set a level keeps it.
-if wp.config.log_level == wp.LOG_INFO:
-    wp.config.log_level = wp.LOG_ERROR
 wp.init()
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
@@ -66,6 +63,15 @@ def kind_of(edges: Tensor) -> int:
 def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
     """A torch tensor as a Warp array over the same memory."""
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
+
+
+def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
+    """An allocator of scratch arrays for kernels: torch's memory, kept by the Warp array for as long as it lives."""
+
+    def empty(length: int, dtype: Any) -> wp.array:
+        return as_warp(torch.empty(length, dtype=_TORCH_TYPE[dtype], device=device), dtype)
+
+    return empty
 
 
 def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:

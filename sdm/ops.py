@@ -17,10 +17,13 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.hierarchy import as_warp, build, on_current_stream, one_of, unpack
+from sdm.hierarchy import as_warp, build, on_current_stream, one_of, scratch_on, unpack
 from sdm.kernels import dense, points
+from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 
+# How maps are computed: "cells", or "search" for the plain path that tests compare it with.
+DENSE_METHOD = "cells"
 # Fewer points than this are queried in the order they come in.
 SMALLEST_SORT = 1 << 12
 # Points of a grid that the backward pass looks up at a time.
@@ -185,12 +188,21 @@ def distance_map(
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, *hierarchy):
         tree, winding = unpack(hierarchy, kind, meshes)
-        slab = dense.Slab()
+        slab = Slab()
         slab.origin = wp.vec3d(*origin)
         slab.spacing = wp.vec3d(*spacing)
         slab.shape = wp.vec3i(*shape)
         slab.first = first
-        dense.query_slab(tree, winding, slab, as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), launch)
+        dense.query_slab(
+            tree,
+            winding,
+            slab,
+            as_warp(values, wp.float32),
+            as_warp(ambiguous, wp.int32),
+            launch,
+            scratch_on(vertices.device),
+            DENSE_METHOD,
+        )
     return values, ambiguous
 
 

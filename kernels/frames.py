@@ -1,0 +1,194 @@
+"""Each triangle in its own frame: its longest edge along x, its third corner above, the point's height apart.
+
+Seen there, distance is a 2D problem and costs half as much as in space; and since the axes come from float64 and
+are rounded once, a sliver is measured as well as any other triangle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.geometry import unit_normal
+from sdm.kernels.lanes import load4
+from sdm.kernels.tree import Tree
+
+wp.set_module_options({"enable_backward": False})
+
+# Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, height to speak of?, 0, 0)
+FRAME_FLOATS = 20
+_ROWS = wp.constant(5)
+
+
+@wp.struct
+class Frame:
+    """A triangle (0,0), (base,0), (tip_x,tip_y) in the plane spanned by two unit vectors at a corner."""
+
+    corner: wp.vec3
+    x_axis: wp.vec3
+    y_axis: wp.vec3
+    normal: wp.vec3
+    base: float
+    tip_x: float
+    tip_y: float
+    inverse_bc: float
+    inverse_ca: float
+    solid: float  # 1, or 0 for a triangle so thin that its edges tell all
+
+
+@wp.struct
+class Local:
+    """A point seen from a triangle: its coordinates in the frame, and the closest point of the triangle."""
+
+    x: float
+    y: float
+    height: float
+    near_x: float
+    near_y: float
+
+
+@wp.func
+def load_frame(frames: wp.array(dtype=wp.float32), slot: int):
+    r0 = load4(frames, _ROWS * slot)
+    r1 = load4(frames, _ROWS * slot + 1)
+    r2 = load4(frames, _ROWS * slot + 2)
+    r3 = load4(frames, _ROWS * slot + 3)
+    r4 = load4(frames, _ROWS * slot + 4)
+    f = Frame()
+    f.corner = wp.vec3(r0[0], r0[1], r0[2])
+    f.x_axis = wp.vec3(r1[0], r1[1], r1[2])
+    f.y_axis = wp.vec3(r2[0], r2[1], r2[2])
+    f.normal = wp.vec3(r3[0], r3[1], r3[2])
+    f.base = r0[3]
+    f.tip_x = r1[3]
+    f.tip_y = r2[3]
+    f.inverse_bc = r3[3]
+    f.inverse_ca = r4[0]
+    f.solid = r4[1]
+    return f
+
+
+@wp.func
+def is_inside(f: Frame, x: float, y: float):
+    """Whether (x,y) projects into the triangle."""
+    left_of_bc = (f.tip_x - f.base) * y >= f.tip_y * (x - f.base)
+    left_of_ca = f.tip_y * x >= f.tip_x * y
+    return y >= 0.0 and left_of_bc and left_of_ca and f.solid > 0.5
+
+
+@wp.func
+def frame_distance2(f: Frame, p: wp.vec3):
+    """Squared distance of p from the triangle."""
+    q = p - f.corner
+    x = wp.dot(q, f.x_axis)
+    y = wp.dot(q, f.y_axis)
+    h = wp.dot(q, f.normal)
+    flat = float(0.0)
+    if not is_inside(f, x, y):
+        dx = x - wp.clamp(x, 0.0, f.base)
+        flat = dx * dx + y * y
+        ex = f.tip_x - f.base
+        px = x - f.base
+        t = wp.clamp((px * ex + y * f.tip_y) * f.inverse_bc, 0.0, 1.0)
+        dx = px - t * ex
+        dy = y - t * f.tip_y
+        flat = wp.min(flat, dx * dx + dy * dy)
+        t = wp.clamp((x * f.tip_x + y * f.tip_y) * f.inverse_ca, 0.0, 1.0)
+        dx = x - t * f.tip_x
+        dy = y - t * f.tip_y
+        flat = wp.min(flat, dx * dx + dy * dy)
+    return h * h + flat
+
+
+@wp.func
+def see(f: Frame, p: wp.vec3):
+    """p in the triangle's frame, with the closest point of the triangle."""
+    q = p - f.corner
+    s = Local()
+    s.x = wp.dot(q, f.x_axis)
+    s.y = wp.dot(q, f.y_axis)
+    s.height = wp.dot(q, f.normal)
+    s.near_x = s.x
+    s.near_y = s.y
+    if not is_inside(f, s.x, s.y):
+        s.near_x = wp.clamp(s.x, 0.0, f.base)
+        s.near_y = 0.0
+        dx = s.x - s.near_x
+        best = dx * dx + s.y * s.y
+        ex = f.tip_x - f.base
+        px = s.x - f.base
+        t = wp.clamp((px * ex + s.y * f.tip_y) * f.inverse_bc, 0.0, 1.0)
+        dx = px - t * ex
+        dy = s.y - t * f.tip_y
+        d2 = dx * dx + dy * dy
+        if d2 < best:
+            best = d2
+            s.near_x = f.base + t * ex
+            s.near_y = t * f.tip_y
+        t = wp.clamp((s.x * f.tip_x + s.y * f.tip_y) * f.inverse_ca, 0.0, 1.0)
+        dx = s.x - t * f.tip_x
+        dy = s.y - t * f.tip_y
+        d2 = dx * dx + dy * dy
+        if d2 < best:
+            s.near_x = t * f.tip_x
+            s.near_y = t * f.tip_y
+    return s
+
+
+@wp.func
+def some_perpendicular(x: wp.vec3d):
+    """A unit vector at right angles to a unit vector."""
+    one = wp.float64(1.0)
+    zero = wp.float64(0.0)
+    other = wp.vec3d(one, zero, zero)
+    if wp.abs(x[0]) > wp.float64(0.6):
+        other = wp.vec3d(zero, one, zero)
+    return wp.normalize(other - wp.dot(other, x) * x)
+
+
+@wp.kernel
+def _make_frames(begin: int, tree: Tree, frames: wp.array(dtype=wp.float32)):
+    slot = begin + wp.tid()
+    a = wp.vec3d(tree.corners[4 * slot])
+    b = wp.vec3d(tree.corners[4 * slot + 1])
+    c = wp.vec3d(tree.corners[4 * slot + 2])
+    # Turn the corners until ab is the longest edge.
+    for _turn in range(2):
+        if wp.length_sq(b - a) < wp.max(wp.length_sq(c - b), wp.length_sq(a - c)):
+            swap = a
+            a = b
+            b = c
+            c = swap
+    normal = unit_normal(a, b, c)
+    solid = wp.dot(normal, normal) > wp.float64(0.5)
+    base = wp.length(b - a)
+    x_axis = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    if base > wp.float64(0.0):
+        x_axis = (b - a) / base
+    if not solid:
+        normal = some_perpendicular(x_axis)
+    y_axis = wp.cross(normal, x_axis)
+    tip_x = wp.dot(c - a, x_axis)
+    tip_y = wp.dot(c - a, y_axis)
+    bc2 = (tip_x - base) * (tip_x - base) + tip_y * tip_y
+    ca2 = tip_x * tip_x + tip_y * tip_y
+    at = 4 * _ROWS * slot
+    for i in range(3):
+        frames[at + i] = float(a[i])
+        frames[at + 4 + i] = float(x_axis[i])
+        frames[at + 8 + i] = float(y_axis[i])
+        frames[at + 12 + i] = float(normal[i])
+    frames[at + 3] = float(base)
+    frames[at + 7] = float(tip_x)
+    frames[at + 11] = float(tip_y)
+    frames[at + 15] = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
+    frames[at + 16] = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
+    frames[at + 17] = wp.where(solid, 1.0, 0.0)
+    frames[at + 18] = 0.0
+    frames[at + 19] = 0.0
+
+
+def make_frames(tree: Tree, frames: wp.array, launch: Any) -> None:
+    """Fill `frames` (slots * FRAME_FLOATS float32) from a built tree."""
+    launch(_make_frames, frames.shape[0] // FRAME_FLOATS, [tree, frames], frames.device)

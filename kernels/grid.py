@@ -1,0 +1,48 @@
+"""Voxel centres of a slab of a grid, rounded to float32: the points at which distances are measured."""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Slab:
+    """The voxels `first <= i < first + shape[0]` of an axis-aligned grid."""
+
+    origin: wp.vec3d  # centre of the grid's voxel (0,0,0)
+    spacing: wp.vec3d
+    shape: wp.vec3i  # of the slab
+    first: wp.int32
+
+
+@wp.func
+def along(slab: Slab, axis: int, index: int):
+    """The coordinate of a voxel centre, rounded to float32: the point that is measured."""
+    i = index
+    if axis == 0:
+        i = index + slab.first
+    return float(slab.origin[axis] + wp.float64(i) * slab.spacing[axis])
+
+
+@wp.func
+def voxel(slab: Slab, i: int, j: int, k: int):
+    return wp.vec3(along(slab, 0, i), along(slab, 1, j), along(slab, 2, k))
+
+
+@wp.func
+def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
+    """How many of the slab's voxels along an axis have a (scaled) coordinate below x."""
+    count = slab.shape[axis]
+    first = 0
+    if axis == 0:
+        first = slab.first
+    guess = (x / scale - slab.origin[axis]) / slab.spacing[axis] - wp.float64(first)
+    index = int(wp.clamp(guess, wp.float64(0.0), wp.float64(count)))
+    # The guess is off by a voxel at most; what counts is the rounded coordinate itself.
+    while index > 0 and scale * wp.float64(along(slab, axis, index - 1)) >= x:
+        index = index - 1
+    while index < count and scale * wp.float64(along(slab, axis, index)) < x:
+        index = index + 1
+    return index

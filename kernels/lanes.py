@@ -1,0 +1,147 @@
+"""A group of lanes that works on one item: the 32 threads of a warp on a GPU, one thread on a CPU.
+
+Kernels written with these few functions run the same algorithm on both. Warp's own atomics are plain additions on a
+CPU, where `launch` runs a kernel on several threads, so the one that is needed is here as well.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+GPU_LANES = 32
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, keep);
+#else
+    return keep ? 1u : 0u;
+#endif
+"""
+)
+def ballot(keep: bool) -> wp.uint32:
+    """One bit for each lane of the group."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __popc(mask & ((1u << lane) - 1u));
+#else
+    return 0;
+#endif
+"""
+)
+def rank(mask: wp.uint32, lane: int) -> int:
+    """How many lanes before this one are in the mask."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __popc(mask);
+#else
+    return mask;
+#endif
+"""
+)
+def members(mask: wp.uint32) -> int:
+    """How many lanes are in the mask."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    unsigned long long key = ((unsigned long long)__float_as_uint(value) << 32) | (unsigned)lane;
+    for (int step = 16; step > 0; step >>= 1) {
+        unsigned long long other = __shfl_xor_sync(0xffffffffu, key, step);
+        key = other < key ? other : key;
+    }
+    return key & 31u;
+#else
+    return 0;
+#endif
+"""
+)
+def lane_of_least(value: float, lane: int) -> int:
+    """The lane with the least value; values must not be negative."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, source);
+#else
+    return value;
+#endif
+"""
+)
+def from_lane(value: float, source: int) -> float:
+    """Another lane's value."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+"""
+)
+def wait_for_lanes():
+    """What the group's lanes wrote before is there for all of them afterwards."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(counts.data + index, value);
+#else
+    return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def fetch_add(counts: wp.array(dtype=wp.int32), index: int, value: int) -> int:
+    """Add to a count that other threads add to as well; returns what it was before."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    int item = 0;
+    if (lane == 0)
+        item = atomicAdd(counts.data + index, value);
+    return __shfl_sync(0xffffffffu, item, 0);
+#else
+    return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def fetch_add_once(counts: wp.array(dtype=wp.int32), index: int, value: int, lane: int) -> int:
+    """`fetch_add` by one lane for the whole group; every lane gets the result."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    float4 v = __ldg(reinterpret_cast<const float4*>(data.data) + index);
+    return wp::vec4(v.x, v.y, v.z, v.w);
+#else
+    const float* v = data.data + 4 * index;
+    return wp::vec4(v[0], v[1], v[2], v[3]);
+#endif
+"""
+)
+def load4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
+    """Four floats at 4 * index in one 16-byte access; the array must not be written meanwhile."""
+    ...

@@ -1,0 +1,112 @@
+"""Winding numbers at every voxel of a slab.
+
+Closed and nearly closed meshes are scan converted: every triangle marks where it crosses the columns of voxels along
+x, and a sum along each column turns crossings into winding numbers, exactly (see `crossings`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.boundary import boundary_winding
+from sdm.kernels.crossings import covers, crossing_x
+from sdm.kernels.grid import Slab, along, count_below, voxel
+from sdm.kernels.lanes import GPU_LANES, fetch_add
+from sdm.kernels.points import CLOSED, SOUP, Winding
+from sdm.kernels.solid_angle import soup_winding
+from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
+
+wp.set_module_options({"enable_backward": False})
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_SOUP = wp.constant(SOUP)
+
+
+@wp.kernel
+def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
+    """Each triangle adds its crossing to the last voxel before it, in every column (j,k) that it covers."""
+    thread = begin + wp.tid()
+    slot = thread / lanes
+    lane = thread - slot * lanes
+    mesh = slot / tree.count
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    pa = tree.corners[4 * slot]
+    pb = tree.corners[4 * slot + 1]
+    pc = tree.corners[4 * slot + 2]
+    low = wp.min(pa, wp.min(pb, pc))
+    high = wp.max(pa, wp.max(pb, pc))
+    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
+        return
+    # Columns are snapped before they are tested, hence the slack.
+    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
+    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
+    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
+    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
+    width = k_end - k_begin
+    a = tree.lattice[3 * slot]
+    b = tree.lattice[3 * slot + 1]
+    c = tree.lattice[3 * slot + 2]
+    cell = lane
+    columns = (j_end - j_begin) * width
+    while cell < columns:
+        j = j_begin + cell / width
+        k = k_begin + cell % width
+        q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
+        sign = covers(a, b, c, q)
+        if sign != 0:
+            below = count_below(slab, 0, crossing_x(tree, slot, q), scale)
+            if below > 0:
+                at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
+                fetch_add(counts, at, sign)
+        cell = cell + lanes
+
+
+@wp.kernel
+def _sum_columns(
+    begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), values: wp.array4d(dtype=wp.float32)
+):
+    """From crossings to winding numbers, in the same memory: a voxel sees every crossing at or beyond it."""
+    i = begin + wp.tid()
+    columns = slab.shape[1] * slab.shape[2]
+    mesh = i / columns
+    j = (i - mesh * columns) / slab.shape[2]
+    k = i % slab.shape[2]
+    total = int(0)
+    for back in range(slab.shape[0]):
+        x = slab.shape[0] - 1 - back
+        total = total + counts[mesh, x, j, k]
+        values[mesh, x, j, k] = float(total)
+
+
+@wp.kernel
+def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
+    at = begin + wp.tid()
+    k = at % slab.shape[2]
+    j = (at / slab.shape[2]) % slab.shape[1]
+    row = at / (slab.shape[1] * slab.shape[2])
+    mesh = row / slab.shape[0]
+    i = row % slab.shape[0]
+    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+    share = float(0.0)
+    if winding.kind == _SOUP:
+        share = float(soup_winding(tree, winding.moments, mesh, p))
+    else:
+        share = float(boundary_winding(winding.boundary, tree, mesh, p))
+    values[mesh, i, j, k] = values[mesh, i, j, k] + share
+
+
+def slab_winding(tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any) -> None:
+    """Fill `values` (meshes, n, ny, nz) float32 with the winding number of each mesh at each voxel of the slab."""
+    device = values.device
+    meshes, nx, ny, nz = values.shape
+    values.zero_()
+    if winding.kind != SOUP:
+        counts = values.view(wp.int32)
+        lanes = GPU_LANES if device.is_cuda else 1
+        launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)
+        launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
+    if winding.kind != CLOSED:
+        launch(_add_boundary, meshes * nx * ny * nz, [tree, winding, slab, values], device)

@@ -1,0 +1,76 @@
+"""The plain dense query: one search of the tree for every voxel. What `cells` and `blocks` do faster is this."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.closest import nearest_slot
+from sdm.kernels.geometry import closest_point
+from sdm.kernels.grid import Slab, voxel
+from sdm.kernels.lanes import fetch_add
+from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+
+wp.set_module_options({"enable_backward": False})
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_UNSCALE = wp.constant(UNSCALE)
+# Voxels along z that one thread takes one after the other, and the tile of (x,y) that neighbouring threads share.
+RUN = wp.constant(8)
+TILE = wp.constant(4)
+
+
+@wp.kernel
+def _measure(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    values: wp.array4d(dtype=wp.float32),
+    ambiguous: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    tiles_j = (slab.shape[1] + TILE - 1) / TILE
+    tiles_i = (slab.shape[0] + TILE - 1) / TILE
+    runs = (slab.shape[2] + RUN - 1) / RUN
+    inner = thread % (TILE * TILE)
+    rest = thread / (TILE * TILE)
+    run = rest % runs
+    rest = rest / runs
+    j = (rest % tiles_j) * TILE + inner % TILE
+    rest = rest / tiles_j
+    i = (rest % tiles_i) * TILE + inner / TILE
+    mesh = rest / tiles_i
+    if i >= slab.shape[0] or j >= slab.shape[1]:
+        return
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
+    guess = mesh * tree.count
+    unclear = int(0)
+    for step in range(RUN):
+        k = run * RUN + step
+        if k < slab.shape[2]:
+            point = voxel(slab, i, j, k)
+            guess = nearest_slot(tree, mesh, float(scale) * point, guess)
+            hit = closest_point(
+                scale * wp.vec3d(point),
+                wp.vec3d(tree.corners[4 * guess]),
+                wp.vec3d(tree.corners[4 * guess + 1]),
+                wp.vec3d(tree.corners[4 * guess + 2]),
+            )
+            distance = float(wp.sqrt(hit.distance2) * unscale)
+            winding = values[mesh, i, j, k]
+            if wp.abs(winding - 0.5) < 0.25:
+                unclear = unclear + 1
+            values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
+    if unclear > 0:
+        fetch_add(ambiguous, mesh, unclear)
+
+
+def search_slab(tree: Tree, slab: Slab, values: wp.array, ambiguous: wp.array, launch: Any) -> None:
+    """Replace winding numbers by signed distances; `ambiguous` (meshes,) int32 counts the unclear ones."""
+    meshes, nx, ny, nz = values.shape
+    tile, run = int(TILE), int(RUN)
+    threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
+    launch(_measure, threads, [tree, slab, values, ambiguous], values.device)
