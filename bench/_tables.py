@@ -8,6 +8,7 @@ from bench._report import machine_line, markdown_table
 
 HEADER = ["peer", "Mvoxel/s", "query ms", "spread", "build ms", "distance ms", "sign ms"]
 HEADER += ["max error", "wrong signs", "first ms"]
+NARROWEST = 100
 LEGEND = """\
 Mvoxel/s: millions of voxels or points a second; ~ where a peer was timed on a random part of them, being slow.
 Median of several runs; spread: slowest less fastest. Build: from arrays to the library's structure.
@@ -63,7 +64,8 @@ def _print_table(title: str, header: list[str], rows: list[list[str]]) -> None:
         return
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for number, name in enumerate(header):
-        table.add_column(name, justify="right" if number else "left", no_wrap=number == 0, overflow="fold")
+        table.add_column(name.replace(" ", "\n"), justify="right" if number else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    # Narrower than its figures a table cannot be read.
+    Console(width=max(NARROWEST, Console().width)).print(table)

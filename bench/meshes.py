@@ -133,7 +133,7 @@ def load_case(name: str) -> Case:
         return Case(name, *torus(int(name[6:])), frozenset(("closed", "smooth", "generated")))
     if Path(name).is_file():
         return Case(Path(name).stem, *_read(Path(name)), frozenset(("own",)))
-    raise KeyError(f"there is no mesh called {name!r}, and no such file; known are {', '.join(_all_tags())}, torus-N")
+    raise KeyError(f"there is no mesh called {name!r}, and no such file; give a file, torus-N or a name of {__name__}")
 
 
 def _all_tags() -> dict[str, frozenset[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -29,6 +30,8 @@ from sdm.device import choose_device
 CHECKED = 4_000
 # Enough points to tell how long all of them would take: two sizes, for what a call costs whatever their number.
 TRIAL, LARGER_TRIAL = 200, 2_000
+# As many of a larger grid's voxels are drawn at random.
+MOST_ORDER = 1 << 22
 # Parts of a query are timed on all its points; larger grids leave them out.
 MOST_PART_POINTS = 1 << 25
 
@@ -97,12 +100,13 @@ class Question:
     size: int
     points: Callable[[np.ndarray | None], np.ndarray]  # all of them, or those with these numbers
     grid: sdm.Grid | None
-    order: np.ndarray = field(init=False)  # the checked ones first, then the others, at random
+    order: np.ndarray = field(init=False)  # numbers of points at random: the first are checked
     truth: tuple[np.ndarray, np.ndarray] = field(init=False)
 
     def solve(self, brute: Brute) -> None:
         """Find the truth."""
-        self.order = sampling.generator(self.case, self.title).permutation(self.size)
+        rng = sampling.generator(self.case, self.title)
+        self.order = rng.permutation(self.size) if self.size <= MOST_ORDER else rng.integers(0, self.size, MOST_ORDER)
         checked = self.points(self.order[:CHECKED])
         self.truth = brute.distance(checked)[0], brute.winding_number(checked)
 
@@ -178,11 +182,8 @@ def _questions(case: Case, options: Options) -> list[Question]:
     for resolution in options.resolutions or ():
         grid = sdm.Grid.around(mesh, resolution=resolution)
 
-        def voxels(which: np.ndarray | None, grid: sdm.Grid = grid) -> np.ndarray:
-            at = grid.points().numpy().reshape(-1, 3)
-            return at if which is None else at[which]
-
-        found.append(Question(f"{case.name} at {resolution}^3", case, grid.size, voxels, grid))
+        title = f"{case.name} at {resolution}^3"
+        found.append(Question(title, case, grid.size, functools.partial(voxel_centres, grid), grid))
     if options.points:
         half = options.points // 2
         scattered = np.concatenate([sampling.uniform(case, options.points - half), sampling.near(case, half)])
@@ -192,6 +193,14 @@ def _questions(case: Case, options: Options) -> list[Question]:
 
         found.append(Question(f"{case.name} at {options.points:,} points", case, len(scattered), some, None))
     return found
+
+
+def voxel_centres(grid: sdm.Grid, which: np.ndarray | None = None) -> np.ndarray:
+    """Centres (n,3) float32 of the voxels of an axis-aligned grid with these numbers: rows of `grid.points()`."""
+    if which is None:
+        return grid.points().numpy().reshape(-1, 3)
+    index = np.stack(np.unravel_index(which, grid.shape), -1)
+    return (np.asarray(grid.origin) + np.asarray(grid.spacing) * index).astype(np.float32)
 
 
 def _build(peer: Peer, case: Case, options: Options) -> dict[str, Any]:
@@ -260,7 +269,7 @@ def _affordable(peer: Peer, question: Question, budget: float) -> tuple[int, flo
         each = max(larger - small, 1e-6) / max(len(trial) - TRIAL, 1)
     # The first call, and at least half a call more.
     most = int(budget / 1.5 / each)
-    return (question.size if most >= question.size else max(TRIAL, min(most // 2, question.size))), warm_up
+    return (question.size if most >= question.size else max(TRIAL, min(most // 2, len(question.order)))), warm_up
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -74,6 +74,13 @@ def test_accuracy_report(tmp_path, monkeypatch, capsys):
     assert json.loads(out.read_text())["meshes"]["cube"]["kinds"]["near"]["wrong_signs"] > 100
 
 
+def test_voxel_centres_are_the_grids():
+    grid = sdm.Grid((0.1, -3.3, 1e4), (0.3, 0.07, 0.9), (7, 11, 5))
+    which = np.array([0, 5, 54, 200, 384])
+    np.testing.assert_array_equal(run.voxel_centres(grid, which), grid.points().numpy().reshape(-1, 3)[which])
+    np.testing.assert_array_equal(run.voxel_centres(grid), grid.points().numpy().reshape(-1, 3))
+
+
 def test_what_counts_as_wrong():
     case = load_case("cube")
     points = np.array([[0, 0, 0], [3, 0, 0], [1, 0, 0], [1.5, 0, 0], [0, 0.5, 0]], np.float32)
