@@ -233,8 +233,6 @@ def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
     chunk = max(1, BACKWARD_CHUNK // max(1, ctx.shape[1] * ctx.shape[2]))
     for mesh in range(vertices.shape[0]):
         tensors, kind = (one_of(hierarchy, mesh, vertices.shape[0]), ctx.kind) if hierarchy else ([], ctx.kind)
-        if not tensors:
-            tensors, kind = build(vertices[mesh : mesh + 1].contiguous(), faces)
         for begin in range(0, ctx.shape[0], chunk):
             end = min(begin + chunk, ctx.shape[0])
             at = _centres(ctx, begin, end, grad.device)
