@@ -44,37 +44,48 @@ def demo(
     except OSError as error:
         raise FormatError(f"the folder {out} cannot be made: {error.strerror}") from error
 
-    field, preparing, seconds, name = _timed_map(mesh, grid, chosen)
+    name = _name(chosen)
     spacing = grid.spacing[0]
-    print(f"mesh      {mesh.name}, {len(mesh):,} triangles")
-    print(f"grid      {' x '.join(map(str, grid.shape))} voxels of {spacing:.4g} mm, {grid.nbytes / 2**20:.3g} MiB")
-    print(f"device    {name}")
-    print(f"prepared  in {preparing:.3g} s: kernels compiled or loaded")
-    print(f"computed  in {seconds:.3g} s: {grid.size / seconds / 1e6:.3g} million exact signed distances a second")
+    _say("mesh", f"{mesh.name}, {len(mesh):,} triangles")
+    _say("grid", f"{' x '.join(map(str, grid.shape))} voxels of {spacing:.4g} mm, {grid.nbytes / 2**20:.3g} MiB")
+    _say("device", name)
+    _say("prepare", "compiling the kernels: about a minute the first time on a machine, kept for later")
+    seconds = _seconds_to_prepare(mesh, chosen)
+    _say("prepared", f"in {seconds:.3g} s")
+    field, seconds = _timed_map(mesh, grid, chosen)
+    _say("computed", f"in {seconds:.3g} s: {grid.size / seconds / 1e6:.3g} million exact signed distances a second")
     inside = int((field.values < 0).sum()) * spacing**3
     low, high = float(field.values.min()), float(field.values.max())
-    print(f"map       {low:.4g} mm (deepest inside) to {high:.4g} mm, {inside:.4g} mm3 inside")
+    _say("map", f"{low:.4g} mm (deepest inside) to {high:.4g} mm, {inside:.4g} mm3 inside")
 
     facts = {"mesh": mesh.name, "triangles": f"{len(mesh):,}", "time": f"{seconds:.3g} s", "device": name}
     _write_mesh(mesh, out / "demo.ply")
     field.save(out / "demo.nii.gz")
     picture(field, out / "demo.png", title=f"Exact signed distance map of the {mesh.name}", unit="mm", facts=facts)
-    print(f"wrote     {', '.join(str(out / f'demo.{end}') for end in ('ply', 'nii.gz', 'png'))}")
+    _say("wrote", ", ".join(str(out / f"demo.{end}") for end in ("ply", "nii.gz", "png")))
 
 
-def _timed_map(mesh: TriangleMesh, grid: Grid, device: torch.device) -> tuple[SDM, float, float, str]:
-    """The map, seconds to get the kernels ready, seconds from mesh to map, and the device's name."""
-    from sdm.engine import signed_distance_map
+def _say(what: str, text: str) -> None:
+    print(f"{what:<10}{text}", flush=True)
+
+
+def _seconds_to_prepare(mesh: TriangleMesh, device: torch.device) -> float:
+    """A small map, so that the time of the large one holds no compiling."""
     from sdm.grid import Grid
 
+    return _timed_map(mesh, Grid.around(mesh, resolution=32), device)[1]
+
+
+def _timed_map(mesh: TriangleMesh, grid: Grid, device: torch.device) -> tuple[SDM, float]:
+    """The map, and the seconds from a mesh on the device to its map there."""
+    from sdm.engine import signed_distance_map
+
     mesh = mesh.to(device)
-    start = time.perf_counter()
-    signed_distance_map(mesh, Grid.around(mesh, resolution=32), device=device)
     _wait(device)
-    ready = time.perf_counter()
+    start = time.perf_counter()
     field = signed_distance_map(mesh, grid, device=device)
     _wait(device)
-    return field, ready - start, time.perf_counter() - ready, _name(device)
+    return field, time.perf_counter() - start
 
 
 def _wait(device: torch.device) -> None:
