@@ -15,7 +15,7 @@ from typing import Any
 from sdm.cli.errors import sentence_of
 
 # In the order of the help text.
-COMMANDS = ("inspect", "compute", "demo")
+COMMANDS = ("inspect", "compute", "demo", "bench")
 
 DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
 
@@ -73,7 +73,9 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     import tyro
     from tyro.extras import subcommand_cli_from_dict
 
-    commands = {name: _later(getattr(importlib.import_module(f"sdm.cli.{name}"), name)) for name in COMMANDS}
+    brief = not (words and words[0] in COMMANDS)
+    modules = {name: importlib.import_module(f"sdm.cli.{name}") for name in COMMANDS}
+    commands = {name: _later(getattr(module, name), brief) for name, module in modules.items()}
     said = io.StringIO()
     try:
         with redirect_stderr(said):
@@ -87,17 +89,22 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     except SystemExit as stop:
         if stop.code in (None, 0):
             return _nothing
-        command = f"sdm {words[0]}" if words and words[0] in COMMANDS else "sdm"
+        command = "sdm" if brief else f"sdm {words[0]}"
         raise _UsageError(f"{_sentence(said.getvalue())}; see {command} --help") from None
 
 
-def _later(command: Callable[..., int | None]) -> Callable[..., Any]:
-    """A command that its parser prepares and does not run, so that errors of the two are told apart."""
+def _later(command: Callable[..., int | None], brief: bool) -> Callable[..., Any]:
+    """A command that its parser prepares and does not run, so that errors of the two are told apart.
+
+    `brief` leaves the first paragraph of its help, for the list of all commands.
+    """
 
     @functools.wraps(command)
     def prepare(*args: Any, **kwargs: Any) -> Callable[[], int | None]:
         return functools.partial(command, *args, **kwargs)
 
+    if brief:
+        prepare.__doc__ = (command.__doc__ or "").split("\n\n")[0]
     return prepare
 
 

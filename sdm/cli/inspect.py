@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as as_json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sdm.inspect import MeshReport
 
 
-def inspect(mesh: tyro.conf.Positional[Path], *, json: bool = False) -> None:
+def inspect(mesh: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MESH")], *, json: bool = False) -> None:
     """Say what a mesh is like: closed, oriented, outward, manifold, and what is wrong with it.
 
     Lengths, areas and volumes are in the mesh's own unit. Problems are told, not mended, and the exit code is 0.

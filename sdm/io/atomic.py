@@ -43,12 +43,13 @@ def try_to_write(target: Path) -> None:
     Raises:
         FormatError: The folder is not there, or cannot be written.
     """
-    part = _temporary(target)
     try:
+        part = _temporary(target)
         part.touch()
         part.unlink()
     except OSError as error:
-        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+        why = error.strerror or error
+        raise FormatError(f"{target} cannot be written: {target.parent} does not take new files ({why})") from error
 
 
 def _temporary(target: Path) -> Path:
@@ -66,7 +67,7 @@ def _flush(path: Path) -> None:
 
 
 def _take_place(part: Path, target: Path) -> None:
-    if not (part.is_dir() and target.is_dir()):
+    if not (part.is_dir() and target.exists()):
         part.replace(target)
         return
     old = part.with_name(f"{part.name.removesuffix(LEFTOVER)}-old{LEFTOVER}")
@@ -76,7 +77,7 @@ def _take_place(part: Path, target: Path) -> None:
     except OSError:
         old.rename(target)
         raise
-    shutil.rmtree(old, ignore_errors=True)
+    _remove(old)
 
 
 def _remove(path: Path) -> None:

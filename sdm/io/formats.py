@@ -69,10 +69,18 @@ def check_target(path: Path) -> Format:
             kind has that name.
     """
     found = format_of(path)
-    if path.is_dir() and not (found.streamed and (path / "zarr.json").is_file()):
+    if is_folder(path) and not (found.streamed and (path / "zarr.json").is_file()):
         raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
     try_to_write(path)
     return found
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there. A name that the system does not allow names nothing."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
 
 
 def require_memory_to_write(chosen: Format, grid: Grid) -> None:

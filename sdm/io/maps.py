@@ -12,6 +12,7 @@ from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.io.atomic import replacing
 from sdm.io.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
+from sdm.io.sentence import one_line
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -107,13 +108,15 @@ def _told(
 ) -> Iterator[tuple[int, int, Tensor]]:
     for begin, end, values in slabs:
         yield begin, end, values
+        del values
         if progress is not None:
             progress(end / layers)
 
 
 def _readable(path: Path, formats: dict[str, Format]) -> Format:
-    if not path.exists():
-        raise FormatError(f"there is no file {path}")
+    with _reading(path):
+        if not path.exists():
+            raise FormatError(f"there is no file {path}")
     return format_of(path, formats)
 
 
@@ -125,7 +128,8 @@ def _reading(path: Path) -> Iterator[None]:
     except (SDMError, MemoryError):
         raise
     except OSError as error:
-        raise FormatError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise FormatError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
     # Parsers of damaged files raise whatever they come across.
     except Exception as error:  # noqa: BLE001
-        raise FormatError(f"{path} cannot be read; it is damaged, or not what its name says ({error})") from error
+        why = one_line(error)
+        raise FormatError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error

@@ -11,12 +11,15 @@ import numpy as np
 
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
+from sdm.io.sentence import one_line
 from sdm.mesh import TriangleMesh
 
 # The endings that messages name first.
 USUAL = ("stl", "ply", "obj", "off", "glb", "gltf")
 # A face that uses vertex 0: OBJ counts from 1, and trimesh takes 0 for 1.
 OBJ_VERTEX_0 = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?=[/\s]|$)", re.MULTILINE)
+# Archives and drawings hold a mesh if someone says so, but are not taken for one in a folder.
+NOT_ALWAYS = {"zip", "bz2", "tar.gz", "tar.bz2", "dxf", "xyz", "svg"}
 STL_HEADER, STL_FACE = 84, 50
 
 
@@ -48,10 +51,23 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     return TriangleMesh(vertices, faces, source.name)
 
 
+def mesh_files(folder: str | Path) -> list[Path]:
+    """The mesh files of a folder, by their endings, sorted by name; not those of folders in it, and no hidden ones."""
+    import trimesh
+
+    endings = tuple(f".{ending}" for ending in trimesh.available_formats() - NOT_ALWAYS)
+    files = (path for path in Path(folder).iterdir() if path.is_file() and not path.name.startswith("."))
+    return sorted(path for path in files if path.name.lower().endswith(endings))
+
+
 def _check_file(path: Path) -> None:
     import trimesh
 
-    if not path.exists():
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise MeshError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not there:
         raise MeshError(f"there is no mesh file {path}")
     if path.is_dir():
         raise MeshError(f"{path} is a folder; give a mesh file")
@@ -73,12 +89,14 @@ def _parse(path: Path) -> Any:
     except MemoryError:
         raise
     except IndexError as error:
-        raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({error})") from error
+        why = one_line(error)
+        raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({why})") from error
     except OSError as error:
-        raise MeshError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise MeshError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
     # Parsers of damaged files raise whatever they come across.
     except Exception as error:  # noqa: BLE001
-        raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({error})") from error
+        why = one_line(error)
+        raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
 
 
 def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,10 @@ from typing import Any
 import nibabel as nib
 import numpy as np
 import torch
+from nibabel.fileholders import FileHolder
 from nibabel.nifti1 import Nifti1Extension
+from nibabel.nifti2 import Nifti2Header
+from nibabel.openers import ImageOpener
 
 from sdm.errors import FormatError
 from sdm.field import SDM
@@ -64,10 +67,13 @@ def _image(field: SDM) -> Any:
 
 
 def _load(path: Path) -> Any:
-    image = nib.load(path)  # pyright: ignore[reportPrivateImportUsage]
-    if not isinstance(image, nib.Nifti1Image):
-        raise FormatError(f"{path} is not a NIfTI image")
-    return image
+    # By content, since nibabel's own search for the file is particular about capitals.
+    with ImageOpener(str(path)) as file:
+        head = file.read(Nifti2Header.template_dtype.itemsize)
+    for kind in (nib.Nifti1Image, nib.Nifti2Image):
+        if kind.header_class.may_contain_header(head):
+            return kind.from_file_map({"image": FileHolder(str(path))})
+    raise FormatError(f"{path} is not a NIfTI image")
 
 
 def _geometry(image: Any, path: Path) -> tuple[Grid, int | None]:

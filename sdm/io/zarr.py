@@ -16,6 +16,8 @@ from sdm.grid import Grid
 from sdm.io.record import KEY, from_record, record
 
 CHUNK = 128
+# The engine gives slabs of a multiple of this many layers, and so chunks have it too.
+LAYERS = 16
 # Bytes of the slabs that a map is written in: what is in memory at a time.
 SLAB_BYTES = 1 << 28
 
@@ -29,9 +31,9 @@ def write(field: SDM, path: Path) -> None:
 
 
 def slab_layers(grid: Grid) -> int:
-    """Layers of voxels along the first axis that a slab should have: whole chunks within `SLAB_BYTES`, at least one."""
-    fit = max(1, SLAB_BYTES // (4 * grid.shape[1] * grid.shape[2]))
-    return fit - fit % CHUNK if fit > CHUNK else fit
+    """Layers of voxels along the first axis that a slab should have: whole chunks, as far as `SLAB_BYTES` allow."""
+    fit = SLAB_BYTES // (4 * grid.shape[1] * grid.shape[2])
+    return fit // CHUNK * CHUNK if fit > CHUNK else max(LAYERS, fit // LAYERS * LAYERS)
 
 
 def write_slabs(
@@ -52,6 +54,8 @@ def write_slabs(
     )
     for begin, end, values in slabs:
         array[begin:end] = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
+        # Let go of this slab before the next one is computed.
+        del values
 
 
 def read(path: Path) -> SDM:

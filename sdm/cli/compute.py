@@ -1,0 +1,74 @@
+"""`sdm compute`: signed distance maps of one mesh or many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Ending = Literal["nii.gz", "nii", "npz", "nrrd", "zarr", "nvdb"]
+
+
+def compute(
+    meshes: Annotated[
+        tyro.conf.Positional[list[Path]],
+        tyro.conf.arg(metavar="MESH [MESH ...]", help_behavior_hint="(required)"),
+    ],
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 128)")] = None,
+    spacing: Annotated[
+        tuple[float, ...] | None, tyro.conf.arg(metavar="S [S S]", help_behavior_hint="(in place of --resolution)")
+    ] = None,
+    grid_like: Annotated[
+        Path | None, tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(in place of --resolution)")
+    ] = None,
+    margin: float = 0.05,
+    device: str = "auto",
+    format: Annotated[  # noqa: A002
+        Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
+    ] = None,
+    orient: Literal["keep", "auto"] = "keep",
+    resume: bool = False,
+) -> int | None:
+    """Compute the exact signed distance maps of meshes: negative inside, in the mesh's own unit of length.
+
+    One mesh gives one file; several meshes, or a folder of them, give a folder of maps. Of several meshes a bad one
+    is reported at the end, the others are computed, and the exit code is 2.
+
+    Args:
+        meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them.
+        out: File to write (its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb), or a folder.
+        resolution: Voxels along each axis, of a cube around the mesh.
+        spacing: Voxel size in the mesh's unit: one length, or one for each axis.
+        grid_like: The grid of this NIfTI or NRRD image, or of another map.
+        margin: Room around the mesh, as a share of the longest edge of its box.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        format: File format, for maps written to a folder. A zarr map may be larger than memory.
+        orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
+        resume: Skip meshes whose map is there already, on the same grid.
+    """
+    from sdm.cli.jobs import Settings, run
+    from sdm.cli.targets import plan
+    from sdm.device import choose_device
+    from sdm.errors import GridError
+    from sdm.io import grid_like as read_grid
+
+    given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
+    both = [name for name, value in given.items() if value is not None]
+    if len(both) > 1:
+        raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
+    if spacing is not None and len(spacing) not in (1, 3):
+        raise GridError(f"--spacing takes one length or three, not {len(spacing)}")
+    settings = Settings(
+        resolution=resolution,
+        spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
+        like=None if grid_like is None else read_grid(grid_like),
+        margin=margin,
+        device=choose_device(device),
+        orient=orient,
+        resume=resume,
+    )
+    return run(plan(meshes, out, format), settings)
