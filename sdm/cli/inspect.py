@@ -34,12 +34,14 @@ def inspect(mesh: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="M
 def _print_table(report: MeshReport) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console(highlight=False)
-    table = Table(title=report.name, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    # As Text, since a name may look like markup.
+    table = Table(title=Text(report.name), title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in _rows(report):
         table.add_row(name, value)
-    console.print(table, markup=False)
+    console.print(table)
     if not report.problems:
         console.print("no problems found", style="green")
     for problem in report.problems:

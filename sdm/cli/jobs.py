@@ -120,7 +120,9 @@ def _warnings(closed: bool, turned: bool, ambiguous: int | None, orient: str, gr
     elif turned:
         found.append("is inside out, so nothing counts as inside: --orient auto turns it")
     if not closed and ambiguous is None:
-        found.append("is not closed: the sign follows the generalised winding number; ambiguous voxels were not counted")
+        found.append(
+            "is not closed: the sign follows the generalised winding number; ambiguous voxels are not counted in slabs"
+        )
     elif not closed and ambiguous:
         share = 100 * ambiguous / grid.size
         found.append(

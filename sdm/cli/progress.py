@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import TracebackType
 from typing import Self
 
@@ -18,7 +19,14 @@ class Bar:
 
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._progress = Progress(
+            *columns,
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+            # Lines go above the bar where both are on the screen, and into their file where they are not.
+            redirect_stdout=sys.stdout.isatty(),
+        )
         self._total = total
         self._done = 0
         self._task = self._progress.add_task("", total=None)
@@ -49,7 +57,4 @@ class Bar:
 
     def print(self, line: str, *, warn: bool = False) -> None:
         """A line that stays: on stdout, or on stderr if it is a warning."""
-        import sys
-
-        self._progress.refresh()
         print(line, file=sys.stderr if warn else sys.stdout, flush=True)

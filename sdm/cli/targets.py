@@ -27,7 +27,8 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
     """
     if not meshes:
         raise MeshError("no mesh was given: name one or more mesh files, or a folder of them")
-    sources = [file for path in meshes for file in (mesh_files(path) if path.is_dir() else [path])]
+    # A file that is named twice is computed once.
+    sources = list(dict.fromkeys(file for path in meshes for file in (mesh_files(path) if path.is_dir() else [path])))
     if not sources:
         raise MeshError(f"no mesh file was found in {', '.join(map(str, meshes))}")
     one = len(meshes) == 1 and not meshes[0].is_dir()
@@ -39,7 +40,7 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
             raise FormatError(f"{out} does not end with .{ending}, which --format asks for")
         return [(sources[0], out)]
     if one and out.suffix and not out.is_dir():
-        raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make it a folder first")
+        raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make the folder")
     targets = _names(sources, out, ending or DEFAULT_ENDING)
     _make(out)
     return list(zip(sources, targets, strict=True))

@@ -23,9 +23,9 @@ def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
     elif facts["closed"] and facts["volume"] == 0:
         found.append("the mesh is closed but encloses no volume, so nothing is inside")
     elif wrong:
-        verb = "is" if wrong == 1 else "are"
+        verb, content = ("is", "it holds") if wrong == 1 else ("are", "they hold")
         found.append(
-            f"{wrong} of {pieces} components {verb} inside out, so that what {'it holds' if wrong == 1 else 'they hold'}"
+            f"{wrong} of {pieces} components {verb} inside out, so that what {content}"
             ' counts as outside; turn the faces in a mesh editor, since orient="auto" turns whole meshes only'
         )
     if unjudged:

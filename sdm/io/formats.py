@@ -9,10 +9,13 @@ from types import ModuleType
 
 import torch
 
-from sdm.device import require_memory
-from sdm.errors import FormatError
+from sdm.device import free_memory, require_memory
+from sdm.errors import FormatError, GridError
 from sdm.grid import Grid
 from sdm.io.atomic import try_to_write
+
+# Bytes that are always there; asking takes time.
+SMALL = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -83,12 +86,22 @@ def is_folder(path: Path) -> bool:
         return False
 
 
-def require_memory_to_write(chosen: Format, grid: Grid) -> None:
-    """Refuse a map that the host cannot hold while it is written.
+def require_memory_to_write(chosen: Format, grid: Grid, device: torch.device) -> None:
+    """Refuse a map that the host cannot hold while it is written, or whose slabs do not fit.
 
     Raises:
         GridError: Says how much memory is needed and how much there is.
     """
+    host = torch.device("cpu")
+    shape = " x ".join(map(str, grid.shape))
     if not chosen.streamed:
-        needed = int(grid.nbytes * (1 + chosen.extra_maps))
-        require_memory(needed, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")
+        require_memory(int(grid.nbytes * (1 + chosen.extra_maps)), host, f"a map of {shape} voxels")
+        return
+    layers = min(chosen.module.slab_layers(grid), grid.shape[0])
+    needed = 4 * layers * grid.shape[1] * grid.shape[2]
+    for where in {host, device}:
+        if needed > SMALL and needed > (free := free_memory(where)):
+            raise GridError(
+                f"a .zarr map of {shape} voxels is computed {layers} layers at a time, which needs "
+                f"{needed / 2**30:.1f} GiB, but {where} has {free / 2**30:.1f} GiB free; choose a lower resolution"
+            )

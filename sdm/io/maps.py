@@ -88,7 +88,7 @@ def write_streamed(
     """
     target = Path(path)
     chosen = check_target(target)
-    require_memory_to_write(chosen, grid)
+    require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:
         field = index.signed_distance_map(grid)
         save(field, target)
@@ -130,6 +130,6 @@ def _reading(path: Path) -> Iterator[None]:
     except OSError as error:
         raise FormatError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
     # Parsers of damaged files raise whatever they come across.
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         why = one_line(error)
         raise FormatError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error

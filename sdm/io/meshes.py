@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,13 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.io.sentence import one_line
+from sdm.io.whole import check_whole
 from sdm.mesh import TriangleMesh
 
 # The endings that messages name first.
 USUAL = ("stl", "ply", "obj", "off", "glb", "gltf")
-# A face that uses vertex 0: OBJ counts from 1, and trimesh takes 0 for 1.
-OBJ_VERTEX_0 = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?=[/\s]|$)", re.MULTILINE)
 # Archives and drawings hold a mesh if someone says so, but are not taken for one in a folder.
 NOT_ALWAYS = {"zip", "bz2", "tar.gz", "tar.bz2", "dxf", "xyz", "svg"}
-STL_HEADER, STL_FACE = 84, 50
 
 
 def load_mesh(path: str | Path) -> TriangleMesh:
@@ -42,7 +39,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     _check_file(source)
     vertices, faces = _flatten(_parse(source), source)
     if len(faces) == 0:
-        raise MeshError(f"{source} has no triangles{_why_empty(source)}; give a surface mesh, not points or lines")
+        raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
     wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > np.finfo(np.float32).max).any(1)
     if wrong.any():
         index = int(np.flatnonzero(wrong)[0])
@@ -71,6 +68,8 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"there is no mesh file {path}")
     if path.is_dir():
         raise MeshError(f"{path} is a folder; give a mesh file")
+    if path.stat().st_size == 0:
+        raise MeshError(f"{path} is empty")
     known = trimesh.available_formats()
     if not any(path.name.lower().endswith(f".{ending}") for ending in known):
         others = sorted(set(known) - set(USUAL))
@@ -81,12 +80,13 @@ def _check_file(path: Path) -> None:
 def _parse(path: Path) -> Any:
     import trimesh
 
-    options = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
     try:
+        check_whole(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return trimesh.load_scene(path, process=False, **options)
-    except MemoryError:
+    except (MeshError, MemoryError):
         raise
     except IndexError as error:
         why = one_line(error)
@@ -94,7 +94,7 @@ def _parse(path: Path) -> Any:
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
     # Parsers of damaged files raise whatever they come across.
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         why = one_line(error)
         raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
 
@@ -103,8 +103,6 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """All triangles of a scene where it puts them: vertices (V,3) float64, faces (F,3) int64."""
     import trimesh
 
-    if path.suffix.lower() == ".obj" and OBJ_VERTEX_0.search(path.read_bytes()):
-        raise MeshError(f"a face of {path} uses vertex 0, but OBJ files number vertices from 1")
     all_vertices, all_faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
     count = 0
     for node in scene.graph.nodes_geometry:
@@ -132,18 +130,3 @@ def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     kept = first == np.arange(len(vertices))
     number = np.cumsum(kept) - 1
     return vertices[kept], number[first[faces]].astype(np.int32)
-
-
-def _why_empty(path: Path) -> str:
-    """What an STL file says that its parser passed over."""
-    size = path.stat().st_size
-    if size == 0:
-        return ": the file is empty"
-    if path.suffix.lower() != ".stl" or size < STL_HEADER:
-        return ""
-    with path.open("rb") as file:
-        head = file.read(STL_HEADER)
-    said = int.from_bytes(head[-4:], "little")
-    if head.startswith(b"solid") or said == 0:
-        return ""
-    return f": its header says {said}, and {(size - STL_HEADER) // STL_FACE} are there, so it is cut off or damaged"

@@ -190,6 +190,7 @@ class Never:
     """An index that must not be asked."""
 
     closed = True
+    device = torch.device("cpu")
 
 
 @pytest.mark.parametrize("ending", [ending for ending in ENDINGS if ending != "zarr"])

@@ -12,7 +12,7 @@ from sdm.inspect.degenerate import zero_area
 
 def rational(corners: np.ndarray) -> bool:
     a, b, c = ([Fraction(float(x)) for x in corner] for corner in corners)
-    p, q = [x - y for x, y in zip(b, a)], [x - y for x, y in zip(c, a)]
+    p, q = [x - y for x, y in zip(b, a, strict=True)], [x - y for x, y in zip(c, a, strict=True)]
     return all(p[i] * q[j] == p[j] * q[i] for i, j in ((0, 1), (1, 2), (2, 0)))
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import nibabel as nib
 import nrrd
 import numpy as np
@@ -17,6 +20,10 @@ TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
 GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), (6, 7, 10), TURN)
 
 
+def opened(path: Path) -> Any:
+    return nib.load(path)  # pyright: ignore[reportPrivateImportUsage]
+
+
 @pytest.fixture
 def field() -> SDM:
     values = np.random.default_rng(0).normal(size=GRID.shape).astype(np.float32)
@@ -26,7 +33,7 @@ def field() -> SDM:
 @pytest.mark.parametrize("ending", ["nii", "nii.gz"])
 def test_nifti_as_others_see_it(field, ending, tmp_path):
     save(field, tmp_path / f"map.{ending}")
-    image = nib.load(tmp_path / f"map.{ending}")
+    image = opened(tmp_path / f"map.{ending}")
     assert image.get_data_dtype() == np.float32
     for affine, code in (image.get_sform(coded=True), image.get_qform(coded=True)):
         assert code == 1
@@ -38,7 +45,7 @@ def test_nifti_as_others_see_it(field, ending, tmp_path):
 
 def test_an_affine_that_someone_edits_wins(field, tmp_path):
     save(field, tmp_path / "map.nii")
-    image = nib.load(tmp_path / "map.nii")
+    image = opened(tmp_path / "map.nii")
     moved = GRID.affine.copy()
     moved[0, 3] += 0.01
     image.set_sform(moved)
@@ -50,7 +57,7 @@ def test_an_affine_that_someone_edits_wins(field, tmp_path):
 
 def test_a_crop_by_other_software_keeps_its_own_geometry(field, tmp_path):
     save(field, tmp_path / "map.nii.gz")
-    cropped = nib.load(tmp_path / "map.nii.gz").slicer[1:4, 2:, :]
+    cropped = opened(tmp_path / "map.nii.gz").slicer[1:4, 2:, :]
     nib.save(cropped, tmp_path / "crop.nii.gz")
     again = load(tmp_path / "crop.nii.gz")
     np.testing.assert_array_equal(again.numpy(), field.numpy()[1:4, 2:])
@@ -66,14 +73,14 @@ def test_an_image_of_other_software(tmp_path):
     grid = grid_like(tmp_path / "mri.nii.gz")
     assert (grid.spacing, grid.shape, grid.origin) == ((0.5, 0.5, 2.0), (2, 3, 4), (10.0, -20.0, 30.0))
     assert grid.direction[0] == (-1.0, 0.0, 0.0)
-    expected = nib.load(tmp_path / "mri.nii.gz").get_fdata().reshape(2, 3, 4)
+    expected = opened(tmp_path / "mri.nii.gz").get_fdata().reshape(2, 3, 4)
     np.testing.assert_array_equal(load(tmp_path / "mri.nii.gz").numpy(), expected)
 
 
 def test_a_long_axis_needs_nifti_2(tmp_path):
     grid = Grid((0, 0, 0), (1, 1, 1), (40000, 1, 1))
     save(SDM(torch.zeros(grid.shape), grid), tmp_path / "long.nii")
-    assert nib.load(tmp_path / "long.nii").header["sizeof_hdr"] == 540
+    assert opened(tmp_path / "long.nii").header["sizeof_hdr"] == 540
     assert load(tmp_path / "long.nii").grid == grid
 
 

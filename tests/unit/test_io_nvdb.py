@@ -1,3 +1,5 @@
+# Kernels are typed by Warp's rules.
+# pyright: reportInvalidTypeForm=false, reportOperatorIssue=false
 from __future__ import annotations
 
 import struct

@@ -61,6 +61,7 @@ class Slabs:
     """An index whose maps hold their layer's number, and which watches that slabs are let go."""
 
     closed = True
+    device = torch.device("cpu")
 
     def __init__(self) -> None:
         self.largest = 0
@@ -108,6 +109,7 @@ zarr.SLAB_BYTES = 1000
 
 class Index:
     closed = True
+    device = torch.device("cpu")
 
     def slabs(self, grid, max_bytes):
         for i in range(grid.shape[0]):

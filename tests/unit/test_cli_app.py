@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+from sdm.cli import COMMANDS, app, main
+from sdm.errors import GridError
+
+LIGHT = """
+import sys, types
+# The package itself, whose own imports are another matter, as an empty shell.
+shell = types.ModuleType("sdm")
+shell.__path__ = [sys.argv[1]]
+sys.modules["sdm"] = shell
+from sdm.cli import main
+for words in (["--help"], ["compute", "--help"], ["inspect", "--help"], ["compute"], ["nonsense"]):
+    main(words)
+heavy = {"torch", "warp", "trimesh", "scipy", "nibabel", "nrrd", "zarr", "matplotlib", "skimage", "numpy"}
+print("HEAVY", sorted(heavy & set(sys.modules)))
+"""
+
+
+def test_help_needs_no_heavy_library(root):
+    """Numbers and devices wait until a command runs."""
+    program = [sys.executable, "-W", "ignore", "-c", LIGHT, str(root / "sdm")]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name, capsys):
+    assert main([name, "--help"]) == 0
+    said = capsys.readouterr()
+    assert f"usage: sdm {name}" in said.out
+    assert said.err == ""
+
+
+def test_the_list_of_commands(capsys):
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name in COMMANDS:
+        assert f"• {name}" in text
+
+
+def test_help_tells_units_and_conventions(capsys):
+    main(["compute", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for words in (
+        "negative inside",
+        "mesh's own unit",
+        "share of the longest edge",
+        "cuda:N",
+        ".nii.gz",
+        "(default: 128)",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "inspect, compute"),
+        (["nonsense"], "nonsense"),
+        (["inspect"], "MESH"),
+        (["inspect", "a", "b"], "b"),
+        (["compute", "a.stl"], "--out"),
+        (["compute", "a.stl", "-o"], "-o"),
+        (["compute", "a.stl", "-o", "x.npz", "--resolution", "many"], "--resolution"),
+        (["compute", "a.stl", "-o", "x.npz", "--spacing", "1", "x"], "--spacing"),
+        (["compute", "a.stl", "-o", "x.npz", "--format", "tif"], "tif"),
+        (["compute", "a.stl", "-o", "x.npz", "--orient", "up"], "up"),
+        (["compute", "a.stl", "-o", "x.npz", "--wrong"], "--wrong"),
+    ],
+)
+def test_wrong_arguments_are_one_sentence(words, expected, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    assert line.startswith("sdm: ")
+    assert line.endswith("--help")
+    assert expected in line
+    assert "│" not in line
+
+
+def run_instead(monkeypatch, error: BaseException) -> int:
+    def fail():
+        raise error
+
+    monkeypatch.setattr(app, "_parse", lambda words: fail)
+    return main(["x"])
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (GridError("a\nb"), 2, "sdm: a b"),
+        (KeyboardInterrupt(), 130, "sdm: interrupted"),
+        (MemoryError(), 2, "not enough memory"),
+        (OSError(28, "No space left on device", "x.npz"), 2, "x.npz: No space left on device"),
+    ],
+)
+def test_errors_of_commands(error, code, words, monkeypatch, capsys):
+    assert run_instead(monkeypatch, error) == code
+    said = capsys.readouterr()
+    assert len(said.err.splitlines()) == 1
+    assert words in said.err
+
+
+def test_mistakes_of_the_program_are_not_hidden(monkeypatch):
+    with pytest.raises(ZeroDivisionError):
+        run_instead(monkeypatch, ZeroDivisionError())
+
+
+def test_out_of_memory_on_a_gpu(monkeypatch, capsys):
+    import torch
+
+    assert run_instead(monkeypatch, torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 9 TiB")) == 2
+    assert "not enough memory" in capsys.readouterr().err
+
+
+def test_exit_codes_of_commands(monkeypatch):
+    monkeypatch.setattr(app, "_parse", lambda words: lambda: 2)
+    assert main(["x"]) == 2
+    monkeypatch.setattr(app, "_parse", lambda words: lambda: None)
+    assert main(["x"]) == 0
+
+
+def test_the_program_and_the_module(tmp_path):
+    program = Path(sysconfig.get_path("scripts")) / "sdm"
+    for start in ([program], [sys.executable, "-m", "sdm.cli"]):
+        done = subprocess.run([*start, "inspect", tmp_path / "no.stl"], capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+        assert done.stderr.splitlines()[-1].startswith("sdm: there is no mesh file")
+
+
+def test_a_reader_that_leaves_early():
+    """As with `sdm ... | head`: no traceback, and not success."""
+    code = "import sys; from sdm.cli import app; app._parse = lambda words: talk; sys.exit(app.main())"
+    code = f"talk = lambda: print('x' * 10**6); {code}"
+    command = f'"{sys.executable}" -W ignore -c "{code}" | true; exit ${{PIPESTATUS[0]}}'
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 141
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from sdm.inspect import inspect_mesh
+from sdm.io import load_mesh, mesh_files
+
+BOX = trimesh.creation.box((1, 2, 3))
+
+
+@pytest.mark.parametrize("ending", ["stl", "stl_ascii", "ply", "obj", "off", "glb", "gltf"])
+def test_every_usual_format_gives_the_same_closed_box(ending, tmp_path):
+    path = tmp_path / f"box.{ending}"
+    if ending == "gltf":
+        parts: Any = BOX.export(file_type="gltf")
+        for name, content in parts.items():
+            (tmp_path / name).write_bytes(content)
+        path = tmp_path / "model.gltf"
+    else:
+        BOX.export(path)
+    mesh = load_mesh(path)
+    assert mesh.name == path.name
+    report = inspect_mesh(mesh)
+    assert (report.triangles, report.vertices, report.closed, report.outward) == (12, 8, True, True)
+    assert report.bounds == ((-0.5, -1.0, -1.5), (0.5, 1.0, 1.5))
+    assert report.volume == pytest.approx(6)
+
+
+def test_the_order_of_vertices_and_faces_stays(tmp_path):
+    rng = np.random.default_rng(0)
+    vertices, faces = rng.normal(size=(50, 3)), rng.integers(0, 50, (80, 3))
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in vertices.tolist())
+    text += "".join(f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist())
+    (tmp_path / "soup.obj").write_text(text)
+    mesh = load_mesh(tmp_path / "soup.obj")
+    np.testing.assert_array_equal(mesh.numpy()[0][mesh.numpy()[1]], vertices.astype(np.float32)[faces])
+
+
+def test_zero_area_and_repeated_faces_are_kept(tmp_path):
+    lines = ["OFF", "4 5 0", "0 0 0", "1 0 0", "0 1 0", "2 0 0"]
+    lines += ["3 0 1 2", "3 0 1 2", "3 2 1 0", "3 0 1 1", "3 0 1 3"]
+    (tmp_path / "a.off").write_text("\n".join(lines))
+    report = inspect_mesh(load_mesh(tmp_path / "a.off"))
+    assert (report.triangles, report.duplicate_faces, report.degenerate_faces) == (5, 2, 2)
+
+
+def test_polygons_become_triangles(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 0.5 0\nf 1 2 3 4\nf 1 2 3 4 5\n")
+    report = inspect_mesh(load_mesh(tmp_path / "a.obj"))
+    assert report.triangles == 5
+    assert report.area == pytest.approx(1 + 1.5)
+
+
+def test_texture_seams_do_not_open_a_mesh(tmp_path):
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in BOX.vertices.tolist())
+    seams = "".join(f"vt {i / 40} {i / 50}\nvn {i} 0 1\n" for i in range(36))
+    faces = "".join(
+        "f " + " ".join(f"{v + 1}/{3 * i + c + 1}/{3 * i + c + 1}" for c, v in enumerate(face)) + "\n"
+        for i, face in enumerate(BOX.faces.tolist())
+    )
+    (tmp_path / "a.obj").write_text("mtllib missing.mtl\nusemtl skin\n" + corners + seams + faces)
+    assert inspect_mesh(load_mesh(tmp_path / "a.obj")).closed
+
+
+def test_scenes_are_one_mesh_with_each_part_in_its_place(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(BOX, transform=np.diag([-2.0, 1, 1, 1]))
+    away = np.eye(4)
+    away[:3, 3] = (10, 20, 30)
+    scene.add_geometry(BOX, transform=away)
+    scene.add_geometry(trimesh.PointCloud(np.full((4, 3), 99.0)))
+    scene.export(tmp_path / "scene.glb")
+    report = inspect_mesh(load_mesh(tmp_path / "scene.glb"))
+    assert (report.triangles, report.components, report.closed, report.outward) == (24, 2, True, True)
+    assert report.volume == pytest.approx(6 * 2 + 6)
+    assert report.bounds == ((-1.0, -1.0, -1.5), (10.5, 21.0, 31.5))
+
+
+def test_the_same_part_twice(tmp_path):
+    scene: Any = trimesh.Scene()
+    name = scene.add_geometry(BOX)
+    moved = np.eye(4)
+    moved[0, 3] = 5
+    scene.graph.update(frame_to="again", geometry=scene.graph[name][1], matrix=moved)
+    scene.export(tmp_path / "scene.glb")
+    assert inspect_mesh(load_mesh(tmp_path / "scene.glb")).components == 2
+
+
+def test_positions_are_merged_only_where_they_are_equal(tmp_path):
+    near = float(np.nextafter(np.float32(1), np.float32(2)))
+    (tmp_path / "a.off").write_text(
+        f"OFF\n6 2 0\n0 0 0\n1 0 0\n0 1 0\n-0 0 0\n{near!r} 0 0\n0 -1 0\n3 0 1 2\n3 3 4 5\n"
+    )
+    mesh = load_mesh(tmp_path / "a.off")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 3, 4]]
+
+
+def test_the_mesh_files_of_a_folder(tmp_path):
+    for name in ("b.stl", "a.PLY", "c.obj", "notes.txt", "c.mtl", ".hidden.stl", "map.nii.gz", "x.zip"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "folder.stl").mkdir()
+    assert [path.name for path in mesh_files(tmp_path)] == ["a.PLY", "b.stl", "c.obj"]
+
+
+def test_real_meshes(data_dir):
+    files = mesh_files(data_dir / "meshes")
+    assert files
+    for path in files:
+        mesh = load_mesh(path)
+        assert len(mesh) > 0
+        assert inspect_mesh(mesh).name == path.name
