@@ -4,11 +4,38 @@ Nothing here knows torch or `sdm`: the functions take and fill `wp.array`s that 
 Warp's current stream. Read in this order: `geometry` (one triangle), `tree` (the bounding volume hierarchy),
 `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary` (what open meshes add),
 `solid_angle` (any soup), `points` (scattered queries), `scan` and `search` (the plain dense query), `frames`, `cull`,
-`cells` and `blocks` (the fast one), `dense` (which of them runs).
+`cells` and `bricks` (the fast one), `dense` (which of them runs).
 """
+
+import os
+import sys
+import tempfile
 
 import warp as wp
 
 # Warp greets, and reports every module that it compiles; a library should not. Whoever set a level keeps it.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_ERROR
+
+
+def _start_warp() -> None:
+    """Start Warp without its warning that a machine has no NVIDIA driver, which its native code writes on its own.
+
+    Anything else that it writes meanwhile is passed on.
+    """
+    with tempfile.TemporaryFile() as log:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(log.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            log.seek(0)
+            lines = [line for line in log if b"find or load the NVIDIA CUDA driver" not in line]
+            if lines:
+                os.write(2, b"".join(lines))
+
+
+_start_warp()

@@ -1,4 +1,4 @@
-"""First stage of the dense query: for each coarse cell, the triangles that can be nearest to any of its voxels.
+"""First stage of the dense query: for each cell of 8^3 voxels, the triangles that can be nearest to any of its voxels.
 
 One group of lanes descends the tree for one cell, a batch of nodes at a time. Lists have no length known before, so
 they are chains of chunks from a pool. A cell that finds the pool empty is marked, and its voxels are searched one by
@@ -25,6 +25,8 @@ from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, box_di
 
 wp.set_module_options({"enable_backward": False})
 
+# Voxels along the edge of a cell.
+CELL = wp.constant(8)
 CHUNK = 128
 ROOM = 127  # entries of a chunk; the last place names the next chunk
 # Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels.
@@ -32,7 +34,7 @@ STACK = 1024
 # Sides on which a cell looks for witnesses before it descends.
 PROBES = wp.constant(32)
 # Places of the shared counts.
-NEXT_CELL, NEXT_CHUNK, NEXT_BLOCK, COUNTS = 0, 1, 2, 4
+NEXT_CELL, NEXT_CHUNK, NEXT_BRICK, COUNTS = 0, 1, 2, 4
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -46,10 +48,9 @@ _LEAF = wp.constant(TRIANGLES_PER_LEAF)
 
 @wp.struct
 class Lists:
-    """The coarse cells of one pass, and their lists of triangles (slots)."""
+    """The cells of one pass, and their lists of triangles (slots)."""
 
-    cells: wp.vec3i  # coarse cells along each axis of the slab
-    size: wp.int32  # voxels of a coarse cell along an axis
+    cells: wp.vec3i  # cells along each axis of the slab
     first: wp.int32  # first cell of this pass, counting through the meshes
     count: wp.int32  # cells of this pass
     heads: wp.array(dtype=wp.int32)  # (count) first chunk, or -1: the pool ran out
@@ -78,14 +79,14 @@ def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
 
 @wp.func
 def cell_start(lists: Lists, item: int):
-    """The mesh, and the first voxel, of a coarse cell."""
+    """The mesh, and the first voxel, of a cell."""
     per_mesh = lists.cells[0] * lists.cells[1] * lists.cells[2]
     index = lists.first + item
     mesh = index / per_mesh
     index = index - mesh * per_mesh
     k = index % lists.cells[2]
     rest = index / lists.cells[2]
-    return mesh, lists.size * wp.vec3i(rest / lists.cells[1], rest % lists.cells[1], k)
+    return mesh, CELL * wp.vec3i(rest / lists.cells[1], rest % lists.cells[1], k)
 
 
 @wp.func
@@ -150,7 +151,7 @@ def _list_cells(
     while item < lists.count:
         mesh, start = cell_start(lists, item)
         base = mesh * 2 * leaves
-        cell = make_cell(slab, start, lists.size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+        cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
         known = no_witness()
         # The lanes look for witnesses on all sides: at the centre, then as far from it as the surface is.
         reach = float(0.0)

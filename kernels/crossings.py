@@ -39,7 +39,7 @@ def covers(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, p: wp.vec2i):
     left = is_left(a, b, p)
     if is_left(b, c, p) != left or is_left(c, a, p) != left:
         return 0
-    # All three agree for a triangle without projected area only by way of ties: it is met edge-on, which is no crossing.
+    # A triangle without projected area is met edge-on, if at all, which is no crossing.
     if cross2(a, b, c) == wp.int64(0):
         return 0
     return wp.where(left, 1, -1)

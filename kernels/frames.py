@@ -16,7 +16,7 @@ from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
 
-# Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, height to speak of?, 0, 0)
+# Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, solid, turn, 0).
 FRAME_FLOATS = 20
 _ROWS = wp.constant(5)
 
@@ -35,6 +35,7 @@ class Frame:
     inverse_bc: float
     inverse_ca: float
     solid: float  # 1, or 0 for a triangle so thin that its edges tell all
+    turn: wp.int32  # which of the face's corners is the frame's
 
 
 @wp.struct
@@ -66,6 +67,7 @@ def load_frame(frames: wp.array(dtype=wp.float32), slot: int):
     f.inverse_bc = r3[3]
     f.inverse_ca = r4[0]
     f.solid = r4[1]
+    f.turn = int(r4[2])
     return f
 
 
@@ -147,19 +149,44 @@ def some_perpendicular(x: wp.vec3d):
     return wp.normalize(other - wp.dot(other, x) * x)
 
 
+@wp.func
+def exact_distance(tree: Tree, slot: int, f: Frame, p: wp.vec3):
+    """Distance of p from the triangle in float64, save for where in the triangle the closest point is.
+
+    A closest point that is off by a rounding along the triangle changes the distance by a rounding squared.
+    """
+    seen = see(f, p)
+    to_c = float(0.0)
+    if f.tip_y > 0.0:
+        to_c = wp.clamp(seen.near_y / f.tip_y, 0.0, 1.0)
+    to_b = float(0.0)
+    if f.base > 0.0:
+        to_b = wp.clamp((seen.near_x - to_c * f.tip_x) / f.base, 0.0, 1.0 - to_c)
+    a = wp.vec3d(tree.corners[4 * slot + f.turn])
+    b = wp.vec3d(tree.corners[4 * slot + (f.turn + 1) % 3])
+    c = wp.vec3d(tree.corners[4 * slot + (f.turn + 2) % 3])
+    gap = wp.vec3d(p) - a - wp.float64(to_b) * (b - a) - wp.float64(to_c) * (c - a)
+    return wp.sqrt(float(wp.dot(gap, gap)))
+
+
 @wp.kernel
-def _make_frames(begin: int, tree: Tree, frames: wp.array(dtype=wp.float32)):
+def _make_frames(
+    begin: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+):
     slot = begin + wp.tid()
-    a = wp.vec3d(tree.corners[4 * slot])
-    b = wp.vec3d(tree.corners[4 * slot + 1])
-    c = wp.vec3d(tree.corners[4 * slot + 2])
-    # Turn the corners until ab is the longest edge.
-    for _turn in range(2):
-        if wp.length_sq(b - a) < wp.max(wp.length_sq(c - b), wp.length_sq(a - c)):
-            swap = a
-            a = b
-            b = c
-            c = swap
+    # Begin with the corner at the start of the longest edge.
+    turn = int(0)
+    longest2 = wp.float64(-1.0)
+    for k in range(3):
+        edge = wp.vec3d(tree.corners[4 * slot + (k + 1) % 3]) - wp.vec3d(tree.corners[4 * slot + k])
+        if wp.dot(edge, edge) > longest2:
+            longest2 = wp.dot(edge, edge)
+            turn = k
+    a = wp.vec3d(tree.corners[4 * slot + turn])
+    b = wp.vec3d(tree.corners[4 * slot + (turn + 1) % 3])
+    c = wp.vec3d(tree.corners[4 * slot + (turn + 2) % 3])
     normal = unit_normal(a, b, c)
     solid = wp.dot(normal, normal) > wp.float64(0.5)
     base = wp.length(b - a)
@@ -171,6 +198,9 @@ def _make_frames(begin: int, tree: Tree, frames: wp.array(dtype=wp.float32)):
     y_axis = wp.cross(normal, x_axis)
     tip_x = wp.dot(c - a, x_axis)
     tip_y = wp.dot(c - a, y_axis)
+    if not solid:
+        # Without a plane of its own the corners are on one line, whatever rounding says.
+        tip_y = wp.float64(0.0)
     bc2 = (tip_x - base) * (tip_x - base) + tip_y * tip_y
     ca2 = tip_x * tip_x + tip_y * tip_y
     at = 4 * _ROWS * slot
@@ -185,7 +215,7 @@ def _make_frames(begin: int, tree: Tree, frames: wp.array(dtype=wp.float32)):
     frames[at + 15] = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
     frames[at + 16] = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
     frames[at + 17] = wp.where(solid, 1.0, 0.0)
-    frames[at + 18] = 0.0
+    frames[at + 18] = float(turn)
     frames[at + 19] = 0.0
 
 

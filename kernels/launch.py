@@ -26,7 +26,9 @@ def _pool(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads(), thread_name_prefix="sdm")
 
 
-def launch(kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_dim: int = 128, smallest: int = SMALLEST_SHARE) -> None:
+def launch(
+    kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_dim: int = 128, smallest: int = SMALLEST_SHARE
+) -> None:
     """Run `kernel` for the indices 0 <= index < count, where index is `begin + wp.tid()`.
 
     Args:

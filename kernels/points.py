@@ -11,7 +11,7 @@ from sdm.kernels.closest import nearest_slot
 from sdm.kernels.crossings import count_crossings
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.solid_angle import soup_winding
-from sdm.kernels.tree import CURVE_BITS, FRAME_SIZE, SCALE, UNSCALE, Tree, curve_code, first_triangle
+from sdm.kernels.tree import CURVE_BITS, FRAME_SIZE, SCALE, UNSCALE, Tree, curve_code
 
 wp.set_module_options({"enable_backward": False})
 
@@ -130,7 +130,15 @@ def _winding(
 
 
 def sort_points(points: wp.array, tree: Tree, keys: wp.array, order: wp.array, launch: Any) -> None:
-    """Fill `order` (2 * points int32) with the points' order along the tree's curve; `keys` (2 * points int64) is scratch."""
+    """Fill `order` with the points' order along the tree's curve.
+
+    Args:
+        points: (N,) vec3.
+        tree: One mesh's hierarchy.
+        keys: (2N,) int64, scratch.
+        order: (2N,) int32, filled: the first N are the order.
+        launch: `sdm.kernels.launch.launch`.
+    """
     count = points.shape[0]
     launch(_point_keys, count, [points, tree, keys, order], points.device)
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=3 * CURVE_BITS)

@@ -65,9 +65,7 @@ def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.arr
 
 
 @wp.kernel
-def _sum_columns(
-    begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), values: wp.array4d(dtype=wp.float32)
-):
+def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), values: wp.array4d(dtype=wp.float32)):
     """From crossings to winding numbers, in the same memory: a voxel sees every crossing at or beyond it."""
     i = begin + wp.tid()
     columns = slab.shape[1] * slab.shape[2]

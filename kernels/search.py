@@ -1,4 +1,4 @@
-"""The plain dense query: one search of the tree for every voxel. What `cells` and `blocks` do faster is this."""
+"""The plain dense query: one search of the tree for every voxel. What `cells` and `bricks` do faster is this."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ wp.set_module_options({"enable_backward": False})
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
-# Voxels along z that one thread takes one after the other, and the tile of (x,y) that neighbouring threads share.
-RUN = wp.constant(8)
+# The tile of (x,y) that neighbouring threads share.
 TILE = wp.constant(4)
+# Voxels along z that one thread takes one after the other, each from the answer before it. A GPU would rather have
+# more threads.
+CPU_RUN = 8
 
 
 @wp.kernel
@@ -27,13 +29,14 @@ def _measure(
     begin: int,
     tree: Tree,
     slab: Slab,
+    length: int,
     values: wp.array4d(dtype=wp.float32),
     ambiguous: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     tiles_j = (slab.shape[1] + TILE - 1) / TILE
     tiles_i = (slab.shape[0] + TILE - 1) / TILE
-    runs = (slab.shape[2] + RUN - 1) / RUN
+    runs = (slab.shape[2] + length - 1) / length
     inner = thread % (TILE * TILE)
     rest = thread / (TILE * TILE)
     run = rest % runs
@@ -48,8 +51,8 @@ def _measure(
     unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
     guess = mesh * tree.count
     unclear = int(0)
-    for step in range(RUN):
-        k = run * RUN + step
+    for step in range(length):
+        k = run * length + step
         if k < slab.shape[2]:
             point = voxel(slab, i, j, k)
             guess = nearest_slot(tree, mesh, float(scale) * point, guess)
@@ -71,6 +74,6 @@ def _measure(
 def search_slab(tree: Tree, slab: Slab, values: wp.array, ambiguous: wp.array, launch: Any) -> None:
     """Replace winding numbers by signed distances; `ambiguous` (meshes,) int32 counts the unclear ones."""
     meshes, nx, ny, nz = values.shape
-    tile, run = int(TILE), int(RUN)
+    tile, run = int(TILE), 1 if values.device.is_cuda else CPU_RUN
     threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
-    launch(_measure, threads, [tree, slab, values, ambiguous], values.device)
+    launch(_measure, threads, [tree, slab, run, values, ambiguous], values.device)

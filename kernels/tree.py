@@ -253,9 +253,7 @@ def _gather_triangles(
         v = scale * vertices[mesh, faces[f, corner]]
         tree.corners[4 * i + corner] = v
         tree.lattice[3 * i + corner] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
-    n = unit_normal(
-        wp.vec3d(tree.corners[4 * i]), wp.vec3d(tree.corners[4 * i + 1]), wp.vec3d(tree.corners[4 * i + 2])
-    )
+    n = unit_normal(wp.vec3d(tree.corners[4 * i]), wp.vec3d(tree.corners[4 * i + 1]), wp.vec3d(tree.corners[4 * i + 2]))
     tree.corners[4 * i + 3] = wp.vec3(n)
 
 

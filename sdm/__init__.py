@@ -1,14 +1,42 @@
 """Exact signed distance maps of triangle meshes, on GPUs and CPUs. Sign: negative inside."""
 
-from sdm.engine import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
-from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
-from sdm.field import SDM
-from sdm.grid import Grid
-from sdm.inspect import MeshReport, inspect_mesh
-from sdm.io import load, load_mesh, save
-from sdm.mesh import TriangleMesh
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sdm import shapes as shapes
+    from sdm.engine import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
+    from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
+    from sdm.field import SDM
+    from sdm.grid import Grid
+    from sdm.inspect import MeshReport, inspect_mesh
+    from sdm.io import load, load_mesh, save
+    from sdm.mesh import TriangleMesh
 
 __version__ = "0.1.0"
+
+# Where each name comes from. A name is imported when it is first used, so that `sdm --help` waits for no torch.
+_HOMES = {
+    "SDM": "field",
+    "DeviceError": "errors",
+    "FormatError": "errors",
+    "Grid": "grid",
+    "GridError": "errors",
+    "MeshError": "errors",
+    "MeshIndex": "engine",
+    "MeshReport": "inspect",
+    "SDMError": "errors",
+    "TriangleMesh": "mesh",
+    "inspect_mesh": "inspect",
+    "load": "io",
+    "load_mesh": "io",
+    "save": "io",
+    "signed_distance": "engine",
+    "signed_distance_map": "engine",
+    "signed_distance_maps": "engine",
+}
 
 __all__ = [
     "SDM",
@@ -29,3 +57,17 @@ __all__ = [
     "signed_distance_map",
     "signed_distance_maps",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "shapes":
+        return import_module("sdm.shapes")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sdm' has no attribute {name!r}")
+    value = getattr(import_module(f"sdm.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, "shapes"})

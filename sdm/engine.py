@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sdm import ops
+from sdm import ops  # noqa: F401 - registers the operators
 from sdm.device import choose_device, require_memory
 from sdm.errors import MeshError
 from sdm.field import SDM
@@ -57,7 +57,9 @@ class MeshIndex:
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
     """
 
-    def __init__(self, mesh: TriangleMesh, device: str | torch.device | None = None, *, orient: Orient = "keep") -> None:
+    def __init__(
+        self, mesh: TriangleMesh, device: str | torch.device | None = None, *, orient: Orient = "keep"
+    ) -> None:
         if orient not in ("keep", "auto"):
             raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
         self.device = choose_device(device, mesh.vertices)
@@ -122,18 +124,25 @@ class MeshIndex:
         values = parts[0] if len(parts) == 1 else torch.cat(parts)
         return SDM(values, grid, 0 if self.closed else int(unclear))
 
-    def slabs(self, grid: Grid, max_bytes: int = 1 << 28) -> Iterator[tuple[int, int, Tensor]]:
+    def slabs(
+        self, grid: Grid, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
+    ) -> Iterator[tuple[int, int, Tensor]]:
         """The map of a grid, slab by slab: (begin, end, values (end - begin, ny, nz)) for ascending i.
 
         Args:
             grid: The whole grid, of any size.
-            max_bytes: Most memory for one slab; at least one layer of voxels is always taken.
+            max_bytes: Most memory for one slab, which has a multiple of 8 layers; at least 8 are always taken.
+            ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
 
-        The slabs together are, bit for bit, what `signed_distance_map` gives. Nothing larger is ever allocated.
+        The slabs together are, bit for bit, what `signed_distance_map` gives. Beyond a slab, up to 400 MiB of scratch
+        memory are used at a time on a GPU, 100 MiB on a CPU.
         """
         vertices, faces, hierarchy, aligned = self._seen_from(grid)
         for begin, end in _slabs(aligned, min(max_bytes // 4, LARGEST_SLAB)):
-            yield begin, end, _slab(vertices, faces, hierarchy, self._kind, aligned, begin, end)[0][0]
+            values, unclear = _slab(vertices, faces, hierarchy, self._kind, aligned, begin, end)
+            if ambiguous is not None and not self.closed:
+                ambiguous += unclear[0]
+            yield begin, end, values[0]
 
     def _seen_from(self, grid: Grid) -> tuple[Tensor, Tensor, list[Tensor], Grid]:
         """The mesh in the frame of a grid's own axes, and that grid without its direction."""
@@ -202,9 +211,9 @@ def signed_distance(
         device: Where to compute; by default where the points are if they are a tensor, else a GPU if there is one.
 
     Returns:
-        (...) float32, negative inside, as exact as `signed_distance_map`; NaN where a point is not finite. Differentiable
-        in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex minus the
-        closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
+        (...) float32, negative inside, as exact as `signed_distance_map`; NaN where a point is not finite.
+        Differentiable in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex
+        minus the closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
     """
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
     return _at_points(mesh.to(where), points, return_closest, [], 0)
@@ -262,7 +271,8 @@ def _at_points(
 
 
 def _slabs(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
-    layers = max(1, voxels // (grid.shape[1] * grid.shape[2]))
+    # The kernels work in cells of 8^3: whole ones, so that a slab's voxels are treated as those of the whole map.
+    layers = max(8, voxels // (grid.shape[1] * grid.shape[2]) // 8 * 8)
     for begin in range(0, grid.shape[0], layers):
         yield begin, min(begin + layers, grid.shape[0])
 

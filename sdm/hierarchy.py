@@ -15,12 +15,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.kernels import points, solid_angle, tree
+from sdm.kernels import frames, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.topology import boundary_edges
-
-wp.init()
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
@@ -35,7 +33,7 @@ _ELEMENT = {
     "high": wp.vec3,
     "frame": wp.float64,
 }
-TENSORS = len(_FIELDS) + 3  # and the boundary's ends, their lattice, and the moments
+TENSORS = len(_FIELDS) + 4  # and the triangles' frames, the boundary's ends, their lattice, and the moments
 
 
 @contextmanager
@@ -96,12 +94,13 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     tensors = [empty(shape, _TORCH_TYPE[dtype]) for shape, dtype in tree.sizes(meshes, count).values()]
     ends = 2 * meshes * edges.shape[0] if kind == points.OPEN else 0
     nodes = tensors[_FIELDS.index("low")].shape[0] if kind == points.SOUP else 0
+    tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
     tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32)]
     tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
     scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
     slots = empty((2 * meshes * count,), torch.int32)
     with on_current_stream(vertices, vertices, faces, edges):
-        hierarchy, winding = unpack(tensors, kind, meshes)
+        hierarchy, winding, local = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
         tree.build(
             hierarchy,
@@ -112,6 +111,7 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             as_warp(slots, wp.int32),
             launch,
         )
+        frames.make_frames(hierarchy, local, launch)
         if kind == points.OPEN:
             gather_boundary(winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), launch)
         elif kind == points.SOUP:
@@ -119,12 +119,12 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     return tensors, kind
 
 
-def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any]:
-    """The kernels' view of what `build` made: a `Tree` and a `Winding`."""
+def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array]:
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, and the triangles' frames."""
     hierarchy = tree.Tree()
     for name, tensor in zip(_FIELDS, tensors, strict=False):
         setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    ends, ends_lattice, moments = tensors[len(_FIELDS) :]
+    local, ends, ends_lattice, moments = tensors[len(_FIELDS) :]
     hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
     boundary = Boundary()
@@ -135,7 +135,7 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any]:
     winding.boundary = boundary
     winding.moments = as_warp(moments, wp.float32)
     winding.kind = kind
-    return hierarchy, winding
+    return hierarchy, winding, as_warp(local, wp.float32)
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

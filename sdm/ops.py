@@ -22,8 +22,8 @@ from sdm.kernels import dense, points
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 
-# How maps are computed: "cells", or "search" for the plain path that tests compare it with.
-DENSE_METHOD = "cells"
+# How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
+DENSE_METHOD = "auto"
 # Fewer points than this are queried in the order they come in.
 SMALLEST_SORT = 1 << 12
 # Points of a grid that the backward pass looks up at a time.
@@ -42,7 +42,7 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, *tensors):
-        hierarchy, winding = unpack(tensors, kind, 1)
+        hierarchy, winding, _ = unpack(tensors, kind, 1)
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
@@ -151,7 +151,7 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
     at = points.contiguous()
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
     with on_current_stream(at, at, *hierarchy):
-        tree, winding = unpack(hierarchy, kind, 1)
+        tree, winding, _ = unpack(hierarchy, kind, 1)
         _points().query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
     return values
 
@@ -187,7 +187,7 @@ def distance_map(
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, *hierarchy):
-        tree, winding = unpack(hierarchy, kind, meshes)
+        tree, winding, frames = unpack(hierarchy, kind, meshes)
         slab = Slab()
         slab.origin = wp.vec3d(*origin)
         slab.spacing = wp.vec3d(*spacing)
@@ -195,6 +195,7 @@ def distance_map(
         slab.first = first
         dense.query_slab(
             tree,
+            frames,
             winding,
             slab,
             as_warp(values, wp.float32),

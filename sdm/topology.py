@@ -30,11 +30,12 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     """
     # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
     now = None if faces.is_inference() else faces._version
-    version, edges = _seen.get(faces, (None, None))
-    if edges is None or version is None or version != now:
+    known: tuple[int | None, Tensor] | None = _seen.get(faces)
+    if known is None or known[0] is None or known[0] != now:
         _check_range(faces, vertices.shape[-2])
-        edges = _unpaired(faces.long(), vertices.shape[-2])
-        _seen[faces] = (now, edges)
+        known = (now, _unpaired(faces.long(), vertices.shape[-2]))
+        _seen[faces] = known
+    edges = known[1]
     if edges.shape[0] == 0:
         return edges
     same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))

@@ -113,17 +113,13 @@ def _finished(target: Path, grid: Grid) -> bool:
         return False
 
 
-def _warnings(closed: bool, turned: bool, ambiguous: int | None, orient: str, grid: Grid) -> list[str]:
+def _warnings(closed: bool, turned: bool, ambiguous: int, orient: str, grid: Grid) -> list[str]:
     found = []
     if turned and orient == "auto":
         found.append("was inside out and has been turned")
     elif turned:
         found.append("is inside out, so nothing counts as inside: --orient auto turns it")
-    if not closed and ambiguous is None:
-        found.append(
-            "is not closed: the sign follows the generalised winding number; ambiguous voxels are not counted in slabs"
-        )
-    elif not closed and ambiguous:
+    if not closed and ambiguous:
         share = 100 * ambiguous / grid.size
         found.append(
             f"is not closed: whether {ambiguous:,} voxels ({share:.2g} %) are inside is ambiguous; "

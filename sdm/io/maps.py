@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 from sdm.errors import FormatError, SDMError
 from sdm.field import SDM
 from sdm.grid import Grid
@@ -69,7 +71,7 @@ def grid_like(path: str | Path) -> Grid:
 
 def write_streamed(
     index: MeshIndex, grid: Grid, path: str | Path, *, progress: Callable[[float], Any] | None = None
-) -> int | None:
+) -> int:
     """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
 
     Args:
@@ -79,8 +81,7 @@ def write_streamed(
         progress: Called with the share that is done, 0 to 1; for formats other than `.zarr` at the end alone.
 
     Returns:
-        How many voxels are ambiguous, as in `SDM`: 0 for closed meshes. None where a mesh that is not closed was
-        streamed, since slabs are not counted.
+        How many voxels are ambiguous, as in `SDM`: 0 for closed meshes.
 
     Raises:
         FormatError: As `save`, before anything is computed.
@@ -94,13 +95,13 @@ def write_streamed(
         save(field, target)
         if progress is not None:
             progress(1.0)
-        return field.ambiguous_voxels
-    count = 0 if index.closed else None
+        return field.ambiguous_voxels or 0
+    unclear = torch.zeros((), dtype=torch.int64, device=index.device)
     with replacing(target) as part:
         layer_bytes = 4 * grid.shape[1] * grid.shape[2]
-        slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes)
-        chosen.module.write_slabs(_told(slabs, grid.shape[0], progress), grid, part, count)
-    return count
+        slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes, ambiguous=unclear)
+        chosen.module.write_slabs(_told(slabs, grid.shape[0], progress), grid, part, lambda: int(unclear))
+    return int(unclear)
 
 
 def _told(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def write(field: SDM, path: Path) -> None:
     values = field.numpy()
     layers = slab_layers(field.grid)
     slabs = ((i, min(i + layers, len(values)), values[i : i + layers]) for i in range(0, len(values), layers))
-    write_slabs(slabs, field.grid, path, field.ambiguous_voxels)
+    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels)
 
 
 def slab_layers(grid: Grid) -> int:
@@ -37,9 +37,12 @@ def slab_layers(grid: Grid) -> int:
 
 
 def write_slabs(
-    slabs: Iterable[tuple[int, int, Any]], grid: Grid, path: Path, ambiguous_voxels: int | None = None
+    slabs: Iterable[tuple[int, int, Any]], grid: Grid, path: Path, ambiguous_voxels: Callable[[], int | None]
 ) -> None:
-    """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come."""
+    """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come.
+
+    `ambiguous_voxels` is asked for the count after the last slab.
+    """
     layers = min(slab_layers(grid), CHUNK, grid.shape[0])
     array = zarr.create_array(
         store=path,
@@ -48,7 +51,6 @@ def write_slabs(
         dtype="float32",
         # Zero would be a surface: where a chunk is lost, nothing is known.
         fill_value=float("nan"),
-        attributes={KEY: record(grid, ambiguous_voxels)},
         dimension_names=["x", "y", "z"] if grid.is_axis_aligned else ["i", "j", "k"],
         config={"write_empty_chunks": True},
     )
@@ -56,6 +58,7 @@ def write_slabs(
         array[begin:end] = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
         # Let go of this slab before the next one is computed.
         del values
+    array.attrs[KEY] = record(grid, ambiguous_voxels())
 
 
 def read(path: Path) -> SDM:

@@ -66,7 +66,7 @@ class Slabs:
     def __init__(self) -> None:
         self.largest = 0
 
-    def slabs(self, grid: Grid, max_bytes: int):
+    def slabs(self, grid: Grid, max_bytes: int, *, ambiguous: torch.Tensor | None = None):
         layers = max(1, max_bytes // (4 * grid.shape[1] * grid.shape[2]))
         last = None
         for begin in range(0, grid.shape[0], layers):
@@ -111,7 +111,7 @@ class Index:
     closed = True
     device = torch.device("cpu")
 
-    def slabs(self, grid, max_bytes):
+    def slabs(self, grid, max_bytes, *, ambiguous=None):
         for i in range(grid.shape[0]):
             if i == 5:
                 os.kill(os.getpid(), signal.SIGKILL)
