@@ -14,6 +14,8 @@ import json
 import sys
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from bench._machine import ROOT, describe
 from bench._report import accuracy_markdown
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note, names
+from sdm import ops
 
 SHARES = {"uniform": 0.35, "near": 0.35, "surface": 0.12, "far": 0.06, "voxels": 0.08, "turned": 0.04}
 # Larger meshes get fewer points, so that the brute force stays within seconds on a GPU.
@@ -65,11 +68,18 @@ def check(case: Case, points: int, resolution: int, device: str) -> dict[str, An
         for what, error in _hit_errors(case, brute, at, distance, *found).items():
             hits[what] = max(hits[what], error)
 
-    for kind, grid in {"voxels": _grid(mesh, resolution), "turned": _turned_grid(mesh, resolution)}.items():
+    straight, turned = _grid(mesh, resolution), _turned_grid(mesh, resolution)
+    for kind, grid, method in (
+        ("voxels", straight, "cells"),
+        ("voxels, search", straight, "search"),
+        ("turned", turned, "auto"),
+    ):
         begin = time.perf_counter()
-        values = sdm.signed_distance_map(mesh, grid, device=device).numpy()
+        with computed_by(method):
+            values = sdm.signed_distance_map(mesh, grid, device=device).numpy()
         seconds["sdm"] += time.perf_counter() - begin
-        chosen = sampling.generator(case, kind).integers(0, grid.size, round(SHARES[kind] * total))
+        share = SHARES[kind.split(",")[0]]
+        chosen = sampling.generator(case, kind).integers(0, grid.size, round(share * total))
         measure(kind, grid.points().numpy().reshape(-1, 3)[chosen], values.reshape(-1)[chosen])
 
     fine = all(t.fine for t in kinds.values()) and all(e <= LIMIT for e in hits.values())
@@ -108,6 +118,17 @@ def _hit_errors(
         "face": float((brute.distance_to_face(closest, face) / unit).max()),
         "barycentric": float((np.maximum(placed, outside) / unit).max()),
     }
+
+
+@contextmanager
+def computed_by(method: str) -> Iterator[None]:
+    """Maps are computed by one of the engine's ways: "cells", "search" or "auto"."""
+    usual = ops.DENSE_METHOD
+    ops.DENSE_METHOD = method
+    try:
+        yield
+    finally:
+        ops.DENSE_METHOD = usual
 
 
 def _grid(mesh: sdm.TriangleMesh, resolution: int) -> sdm.Grid:
