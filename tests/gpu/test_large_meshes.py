@@ -1,0 +1,65 @@
+"""Large meshes: a soup that is all boundary, a fine torus, a map of a hundred million voxels in slabs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from bench.meshes import load_case
+from tests.exactness import ROUNDING, assert_exact
+
+pytestmark = pytest.mark.gpu
+
+
+def test_a_soup_of_200_000_triangles():
+    rng = np.random.default_rng(1)
+    count = 200_000
+    corner = rng.uniform(-1, 1, (count, 1, 3)) + 10.0 ** rng.uniform(-4, -1, (count, 1, 1)) * rng.normal(
+        size=(count, 3, 3)
+    )
+    vertices = corner.reshape(-1, 3).astype(np.float32)
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    points = rng.uniform(-1.5, 1.5, (50_000, 3)).astype(np.float32)
+    mesh = sdm.TriangleMesh(vertices, faces)
+    gpu = sdm.MeshIndex(mesh, "cuda")
+    values = gpu.signed_distance(points).cpu()
+    assert_exact(vertices, faces, points[:60], values[:60])
+    cpu = sdm.MeshIndex(mesh, "cpu")
+    some = points[:3000]
+    assert (cpu.signed_distance(some).abs() - values[:3000].abs()).abs().max() <= 4 * ROUNDING * 2
+    winding = cpu.winding_number(some)
+    sure = (winding - 0.5).abs() > 2e-3
+    assert torch.equal((values[:3000] < 0)[sure], (winding > 0.5)[sure])
+
+
+def test_a_torus_of_a_million_triangles():
+    """Against the formula of a torus: chords leave arcs by no more than their sagittas, 5e-6 each."""
+    case = load_case("torus-1000000")
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    points = np.random.default_rng(2).uniform(-1, 1, (1_000_000, 3)).astype(np.float32)
+    values = sdm.signed_distance(mesh, points, device="cuda").cpu().double().numpy()
+    x, y, z = points.astype(np.float64).T
+    expected = np.hypot(np.hypot(x, y) - 0.65, z) - 0.25
+    assert np.abs(values - expected).max() < 2e-5
+    clear = np.abs(expected) > 2e-5
+    assert ((values < 0) == (expected < 0))[clear].all()
+
+
+def test_a_map_in_slabs_takes_little_memory():
+    case = load_case("torus-20000")
+    index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cuda")
+    grid = sdm.Grid([-1, -1, -1], [2 / 511] * 3, [512, 512, 400])
+    for _ in index.slabs(sdm.Grid(grid.origin, grid.spacing, [8, 512, 400]), 1 << 24):
+        pass
+    torch.cuda.synchronize()
+    torch.cuda.reset_peak_memory_stats()
+    before = torch.cuda.memory_allocated()
+    inside = 0
+    for _, _, values in index.slabs(grid, 1 << 24):
+        inside += int((values < 0).sum())
+    # One slab at a time, what its search needs, and the slab before it.
+    assert torch.cuda.max_memory_allocated() - before < 8 << 24
+    volume = 2 * np.pi**2 * 0.65 * 0.25**2
+    assert inside * (2 / 511) ** 3 == pytest.approx(volume, rel=2e-3)
