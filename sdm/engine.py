@@ -241,10 +241,15 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
     if not grid.is_axis_aligned:
         raise MeshError("a batch needs a grid whose direction is the identity: turn the vertices instead")
     require_memory(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps")
-    hierarchy, kind = build(batch.detach(), shared)
+    return batch_maps(batch, shared, grid, None)
+
+
+def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
+    """`signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
+    hierarchy, kind = build(vertices.detach(), faces, edges)
     values = [
-        _slab(batch, shared, hierarchy, kind, grid, begin, end)[0]
-        for begin, end in _slabs(grid, LARGEST_SLAB // batch.shape[0])
+        _slab(vertices, faces, hierarchy, kind, grid, begin, end)[0]
+        for begin, end in _slabs(grid, LARGEST_SLAB // vertices.shape[0])
     ]
     return values[0] if len(values) == 1 else torch.cat(values, 1)
 

@@ -1,0 +1,135 @@
+"""From global numbers to a batch: the one way in which streams and datasets make samples."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.device import choose_device, require_memory
+from sdm.engine import batch_maps
+from sdm.errors import GridError, SDMError
+from sdm.grid import Grid
+from sdm.shapes import Family
+from sdm.stream.batch import Batch
+from sdm.stream.samplers import Sampler, as_sampler
+from sdm.stream.topology import Topology
+
+DTYPES = {torch.float32: "float32", torch.float16: "float16", torch.bfloat16: "bfloat16"}
+
+
+class Maker:
+    """Makes samples: each a pure function of (seed, global number), bit for bit on one kind of device.
+
+    Args:
+        family: The shapes.
+        grid: Where to measure; its direction must be the identity.
+        seed: Any whole number of 64 bits.
+        sampler: Which parameters, by name or as a `Sampler`.
+        device: Where to compute; by default a GPU if there is one.
+        dtype: Type of the maps: float32, float16 or bfloat16.
+        truncate: Distances beyond this (in the family's unit) become this, with their sign; None keeps all.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: A grid that is turned.
+        SDMError: A type or a truncation that makes no sense.
+
+    A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
+    so for all arithmetic by element, but not for every matrix product.
+    """
+
+    def __init__(
+        self,
+        family: Family,
+        grid: Grid,
+        *,
+        seed: int = 0,
+        sampler: Sampler | str = "uniform",
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        truncate: float | None = None,
+    ) -> None:
+        if not grid.is_axis_aligned:
+            raise GridError("a stream needs a grid whose direction is the identity: turn the shapes instead")
+        if dtype not in DTYPES:
+            raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
+        if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
+            raise SDMError(f"the truncation {truncate} must be a positive distance")
+        self.family, self.grid, self.seed = family, grid, int(seed)
+        self.sampler = as_sampler(sampler)
+        self.device = choose_device(device)
+        self.dtype, self.truncate = dtype, truncate
+        require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
+        self.sampler.size(family)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        with torch.no_grad():
+            self._topology = Topology(self.family, self.device)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is known about a family's faces is known about its tensors in this process.
+        return {key: value for key, value in self.__dict__.items() if key != "_topology"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """All that a sample depends on besides its number, ready for JSON."""
+        return {
+            "family": self.family.name,
+            "fingerprint": self.family.fingerprint,
+            "grid": {k: list(getattr(self.grid, k)) for k in ("origin", "spacing", "shape")},
+            "seed": self.seed,
+            "sampler": str(self.sampler),
+            "dtype": DTYPES[self.dtype],
+            "truncate": self.truncate,
+        }
+
+    def theta(self, index: Tensor) -> Tensor:
+        """Parameters (B,P) float32 on the host for global numbers (B,) int64 on the host."""
+        return self.sampler.theta(self.family, self.seed, index)
+
+    def make(self, index: Tensor) -> Batch:
+        """The samples with these global numbers (B,) int64 on the host: fresh tensors, queued on the current stream.
+
+        Never waits for the device. What the caller has turned on (autocast, gradients, inference mode) changes nothing.
+        """
+        with ExitStack() as stack:
+            stack.enter_context(torch.inference_mode(False))
+            stack.enter_context(torch.no_grad())
+            stack.enter_context(torch.autocast(self.device.type, enabled=False))
+            if self.device.type == "cuda":
+                stack.enter_context(torch.cuda.device(self.device))
+            host = self.theta(index)
+            theta = to_device(host, self.device)
+            return Batch(theta, self._maps(theta, host), index)
+
+    def measure(self, vertices: Tensor, faces: Tensor) -> Tensor:
+        """Maps (B,1,nx,ny,nz) of vertices (B,V,3) on the device, in the type that was asked for."""
+        values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
+        if self.truncate is not None:
+            values = values.clamp_(-self.truncate, self.truncate)
+        return values.to(self.dtype)[:, None]
+
+    def _maps(self, theta: Tensor, host: Tensor) -> Tensor:
+        if type(self.family).groups is Family.groups:
+            return self.measure(self.family.vertices(theta), self.family.faces_on(self.device))
+        values = torch.empty((theta.shape[0], 1, *self.grid.shape), dtype=self.dtype, device=self.device)
+        for group in self.family.groups(theta, host):
+            values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
+        return values
+
+
+def to_device(host: Tensor, device: torch.device) -> Tensor:
+    """A small tensor of the host on a device, without waiting for it."""
+    if device.type == "cpu":
+        return host
+    # Memory that is not pinned would make the copy wait for the host's side of it.
+    return host.pin_memory().to(device, non_blocking=True)

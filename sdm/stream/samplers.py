@@ -1,0 +1,213 @@
+"""Which parameters a sample has: each a pure function of (seed, global number), drawn on the host.
+
+A batch's parameters are a few kilobytes; drawn on the host, they are the same bits whatever the device, and a family
+whose samples differ in mesh knows without asking a GPU which mesh each sample needs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from abc import ABC, abstractmethod
+from fractions import Fraction
+
+import torch
+from torch import Tensor
+
+from sdm.errors import SDMError
+from sdm.shapes import Family, sampling
+
+# Shares of a mixture are fractions with at most this denominator.
+FINEST_SHARE = 10_000
+
+
+class Sampler(ABC):
+    """Parameters by number. A subclass says `theta`, and in `__str__` all that it depends on."""
+
+    @abstractmethod
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """Parameters (B,P) float32 on the host for global numbers `index` (B,) int64 on the host."""
+
+    @abstractmethod
+    def __str__(self) -> str: ...
+
+    def size(self, family: Family) -> int | None:
+        """After how many samples they come again; None for never."""
+        return None
+
+
+class Uniform(Sampler):
+    """Independent and uniform over the family's box: the paper's online samples."""
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        return family.sample_at(index, seed=seed, sampler="uniform")
+
+    def __str__(self) -> str:
+        return "uniform"
+
+
+class Sobol(Sampler):
+    """Evenly spread over the family's box, by a randomly shifted Sobol sequence."""
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        return family.sample_at(index, seed=seed, sampler="sobol")
+
+    def __str__(self) -> str:
+        return "sobol"
+
+
+class _Static(Sampler):
+    """A finite set, passed through again and again; each pass in an order of its own unless `shuffle` is off."""
+
+    def __init__(self, shuffle: bool) -> None:
+        self.shuffle = shuffle
+        self._order: tuple[tuple[int, int, int], Tensor] | None = None
+
+    def _places(self, count: int, seed: int, index: Tensor) -> Tensor:
+        """Which member of the set each sample is."""
+        passes, places = index // count, index % count
+        if not self.shuffle:
+            return places
+        found = torch.empty_like(places)
+        for number in passes.unique().tolist():
+            mine = passes == number
+            found[mine] = self._permutation(count, seed, number)[places[mine]]
+        return found
+
+    def _permutation(self, count: int, seed: int, number: int) -> Tensor:
+        key = (count, seed, number)
+        # Samples come in order, so one pass is asked about many times in a row.
+        if self._order is None or self._order[0] != key:
+            draws = sampling.uniform(derived_seed(seed, "shuffle", number), torch.arange(count), 2).double()
+            self._order = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
+        return self._order[1]
+
+
+class TensorGrid(_Static):
+    """The tensor grid over the family's box, its faces included: for 5 and 4 parameters the paper's 625 static shapes.
+
+    Args:
+        per_axis: Points along each axis, at least 2.
+        shuffle: Whether each pass over the grid has an order of its own, a function of the seed.
+    """
+
+    def __init__(self, per_axis: int = 5, *, shuffle: bool = True) -> None:
+        if per_axis < 2:
+            raise SDMError(f"a grid of {per_axis} points for each axis has no width; give 2 or more")
+        super().__init__(shuffle)
+        self.per_axis = per_axis
+
+    def size(self, family: Family) -> int:
+        """Number of points of the grid."""
+        count = self.per_axis ** len(family.parameters)
+        if count > sampling.LARGEST_GRID:
+            raise SDMError(
+                f"a grid of {self.per_axis} points for each of {len(family.parameters)} parameters is too large: "
+                "use a random sampler"
+            )
+        return count
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        place = self._places(self.size(family), seed, index)
+        axis = torch.linspace(0, 1, self.per_axis)
+        digits = [place // self.per_axis**k % self.per_axis for k in reversed(range(len(family.parameters)))]
+        return family.from_unit(torch.stack([axis[d] for d in digits], 1))
+
+    def __str__(self) -> str:
+        return f"grid:{self.per_axis}" + ("" if self.shuffle else ":ordered")
+
+
+class Table(_Static):
+    """A set of shapes of your own.
+
+    Args:
+        theta: (N,P) parameters.
+        shuffle: Whether each pass over the table has an order of its own, a function of the seed.
+    """
+
+    def __init__(self, theta: Tensor, *, shuffle: bool = True) -> None:
+        super().__init__(shuffle)
+        self.rows = torch.as_tensor(theta, dtype=torch.float32).detach().cpu().contiguous()
+        if self.rows.ndim != 2 or self.rows.shape[0] == 0:
+            raise SDMError(f"the table has shape {tuple(self.rows.shape)}; (N, P) with N > 0 is needed")
+
+    def size(self, family: Family) -> int:
+        """Number of rows."""
+        return self.rows.shape[0]
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        return self.rows[self._places(self.rows.shape[0], seed, index)]
+
+    def __str__(self) -> str:
+        digest = hashlib.sha256(self.rows.numpy().tobytes()).hexdigest()[:16]
+        return f"table:{digest}" + ("" if self.shuffle else ":ordered")
+
+
+class Mixture(Sampler):
+    """A static set mixed evenly with online samples, as in Wang et al., MIDL 2020.
+
+    Args:
+        static: The set, for example `TensorGrid(5)`.
+        online: Where the others come from.
+        share: Share of the static samples, above 0 and below 1. They are spread evenly: of the first n samples
+            floor(n share) are static.
+    """
+
+    def __init__(self, static: Sampler | str = "grid:5", online: Sampler | str = "uniform", share: float = 0.5) -> None:
+        self.static, self.online = as_sampler(static), as_sampler(online)
+        if not (math.isfinite(share) and 0 < share < 1):
+            raise SDMError(f"the share of static samples is {share}; give a number between 0 and 1")
+        self.share = Fraction(share).limit_denominator(FINEST_SHARE)
+        if not 0 < self.share < 1:
+            raise SDMError(f"the share of static samples is {share}; the least is {1 / FINEST_SHARE:g}")
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        up, down = self.share.numerator, self.share.denominator
+        before = index // down * up + index % down * up // down
+        is_static = (index % down + 1) * up // down > index % down * up // down
+        theta = torch.empty(index.shape[0], len(family.parameters))
+        for sampler, name, rows, number in (
+            (self.static, "static", is_static, before),
+            (self.online, "online", ~is_static, index - before),
+        ):
+            if bool(rows.any()):
+                theta[rows] = sampler.theta(family, derived_seed(seed, name), number[rows])
+        return theta
+
+    def __str__(self) -> str:
+        return f"mixture({self.static}, {self.online}, {self.share})"
+
+
+def as_sampler(sampler: Sampler | str) -> Sampler:
+    """A sampler, or one by name: "uniform", "sobol", "grid:5", "grid:5:ordered", "mixture", "mixture:0.25".
+
+    Raises:
+        SDMError: There is no sampler of that name.
+    """
+    if isinstance(sampler, Sampler):
+        return sampler
+    kind, *words = str(sampler).split(":")
+    try:
+        if kind in ("uniform", "sobol") and not words:
+            return Uniform() if kind == "uniform" else Sobol()
+        if kind == "grid" and words[1:] in ([], ["ordered"]):
+            return TensorGrid(int(words[0]) if words else 5, shuffle=len(words) < 2)
+        if kind == "mixture" and len(words) < 2:
+            return Mixture(share=float(words[0]) if words else 0.5)
+    except ValueError as error:
+        if isinstance(error, SDMError):
+            raise
+    raise SDMError(
+        f"there is no sampler called {sampler!r}; use uniform, sobol, grid:N, grid:N:ordered or mixture:SHARE"
+    )
+
+
+def derived_seed(seed: int, *words: object) -> int:
+    """A seed of 64 bits for one purpose, unrelated to those for others."""
+    digest = hashlib.sha256(repr((int(seed) & (2**64 - 1), *words)).encode()).digest()
+    return int.from_bytes(digest[:8], "little")

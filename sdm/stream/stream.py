@@ -1,0 +1,198 @@
+"""The stream: an iterable dataset of fresh batches that never ends and never repeats."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from torch.utils.data import IterableDataset, get_worker_info
+
+from sdm.errors import DeviceError, SDMError
+from sdm.grid import Grid
+from sdm.shapes import Family
+from sdm.stream.ahead import ahead, one_by_one
+from sdm.stream.batch import Batch
+from sdm.stream.maker import Maker
+from sdm.stream.ranks import rank_and_size
+from sdm.stream.samplers import Sampler
+from sdm.stream.validation import ValidationSet
+
+VERSION = 1
+
+
+class SDMStream(IterableDataset[Batch]):
+    """Random shapes and their exact signed distance maps, made on the device, endless and never repeated.
+
+    Args:
+        family: The shapes, for example `sdm.shapes.Cochlea()`.
+        grid: Where to measure, for example `family.grid(64)`.
+        batch_size: Samples of a batch on each rank.
+        seed: Any whole number of 64 bits.
+        rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun.
+        world_size: Number of processes that share the stream.
+        sampler: "uniform", "sobol", "grid:5" (the tensor grid, again and again), "mixture:0.5" (half static, half
+            online), or a `Sampler`.
+        device: Where to compute; by default a GPU if there is one.
+        dtype: Type of the maps: float32, float16 or bfloat16.
+        truncate: Distances beyond this (in the family's unit) become this, with their sign.
+        ahead: How many batches are queued on a CUDA stream of their own before they are asked for.
+        start: Global number of the first sample.
+        stop: Global number before which the stream ends, a multiple of the global batch after `start`; None: never.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: A grid that is turned, or that does not fit.
+        SDMError: A number that makes no sense.
+
+    A sample is a pure function of (seed, global number): the same for any batch size, number of ranks or restart, bit
+    for bit on one kind of device. At its n-th step rank r has the numbers
+    `start + (n world_size + r) batch_size + (0 ... batch_size - 1)`, so ranks never share one and all together have
+    the batch that one process with `world_size` times the batch size has.
+
+    Iterating again goes on where the last batch was given. `state_dict` and `load_state_dict` (as torchdata's
+    StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks.
+
+    Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
+    device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`; workers on CUDA
+    are for the CPU alone: a forked process cannot use CUDA.
+    """
+
+    def __init__(
+        self,
+        family: Family,
+        grid: Grid,
+        batch_size: int = 16,
+        seed: int = 0,
+        rank: int | None = None,
+        world_size: int | None = None,
+        *,
+        sampler: Sampler | str = "uniform",
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        truncate: float | None = None,
+        ahead: int = 2,
+        start: int = 0,
+        stop: int | None = None,
+    ) -> None:
+        super().__init__()
+        if batch_size < 1:
+            raise SDMError(f"the batch size is {batch_size}; give at least 1")
+        if ahead < 1:
+            raise SDMError(f"{ahead} batches ahead were asked for; give at least 1")
+        self.rank, self.world_size = rank_and_size(rank, world_size)
+        self.batch_size, self._ahead = int(batch_size), int(ahead)
+        if start < 0 or (stop is not None and (stop < start or (stop - start) % self.global_batch_size)):
+            raise SDMError(
+                f"the stream runs from sample {start} to {stop}; give a start of at least 0, and a stop that is a "
+                f"multiple of the {self.global_batch_size} samples of a global batch after it"
+            )
+        self._maker = Maker(family, grid, seed=seed, sampler=sampler, device=device, dtype=dtype, truncate=truncate)
+        self.stop = stop
+        self._position = int(start)
+        # Whether the position is already that of this worker's own next batch.
+        self._own = False
+        self._process = os.getpid()
+
+    @property
+    def family(self) -> Family:
+        """The shapes."""
+        return self._maker.family
+
+    @property
+    def grid(self) -> Grid:
+        """Where the maps are measured."""
+        return self._maker.grid
+
+    @property
+    def device(self) -> torch.device:
+        """Where batches are made, and are."""
+        return self._maker.device
+
+    @property
+    def global_batch_size(self) -> int:
+        """Samples of a step on all ranks together."""
+        return self.batch_size * self.world_size
+
+    @property
+    def position(self) -> int:
+        """Global number of the first sample of the next step: all before it have been given, on all ranks."""
+        return self._position
+
+    def __iter__(self) -> Iterator[Batch]:
+        worker = get_worker_info()
+        self._refuse_fork()
+        workers, first = (1, 0) if worker is None else (worker.num_workers, worker.id)
+        # Worker w of a DataLoader makes every n-th step, which is the order in which it asks its n workers.
+        stride = workers * self.global_batch_size
+        if not self._own and worker is not None:
+            self._position += first * self.global_batch_size
+            self._own = True
+        begin, end = self._position, self.stop
+        steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
+        if self.device.type == "cuda":
+            batches = ahead(self._make, steps, self.device, self._ahead)
+        else:
+            batches = one_by_one(self._make, steps)
+        return self._count(batches, stride)
+
+    def _count(self, batches: Iterator[tuple[int, Batch]], stride: int) -> Iterator[Batch]:
+        for step, batch in batches:
+            # Before the batch is given, so that a state taken by whoever has it says that it is done.
+            self._position = step + stride
+            yield batch
+            del batch
+
+    def _make(self, step: int) -> Batch:
+        begin = step + self.rank * self.batch_size
+        return self._maker.make(torch.arange(begin, begin + self.batch_size, device="cpu"))
+
+    def sample(self, index: int | list[int] | torch.Tensor) -> Batch:
+        """The samples with these global numbers, as the stream gives them, whatever its position."""
+        numbers = torch.as_tensor(index, dtype=torch.int64, device="cpu").reshape(-1)
+        if bool((numbers < 0).any()):
+            raise SDMError(f"sample {int(numbers.min())} was asked for; they are numbered from 0")
+        self._refuse_fork()
+        return self._maker.make(numbers)
+
+    def validation(self, count: int = 64) -> ValidationSet:
+        """A fixed set of uniform samples from the same family, grid and seed that the stream itself never gives."""
+        self._refuse_fork()
+        return ValidationSet(self._maker, count)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the stream is, ready for JSON or torch.save. Take it after a step: it counts the batches given."""
+        return {"version": VERSION, "position": self._position, "own": self._own, "recipe": self._maker.recipe}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a state, from the next `iter` on.
+
+        Raises:
+            SDMError: The state is of a stream with other samples.
+        """
+        if not isinstance(state, dict) or state.get("version") != VERSION:
+            raise SDMError("this is not the state of a stream of this version of sdm")
+        mine = self._maker.recipe
+        for key, value in state["recipe"].items():
+            if mine.get(key) != value:
+                raise SDMError(
+                    f"the state is of a stream whose {key} is {value}, but here it is {mine.get(key)}: "
+                    "make the stream as it was"
+                )
+        self._position, self._own = int(state["position"]), bool(state["own"])
+
+    def _refuse_fork(self) -> None:
+        if self.device.type == "cuda" and os.getpid() != self._process:
+            raise DeviceError(
+                f"a forked process cannot use {self.device}: iterate over the stream itself or give the DataLoader "
+                "num_workers=0 (batches are made ahead on the GPU, so workers gain nothing)"
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "_process"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A process that unpickles a stream was not forked with it.
+        self.__dict__.update(state, _process=os.getpid())

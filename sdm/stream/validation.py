@@ -1,0 +1,77 @@
+"""A fixed set of samples, named by what is in it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+
+import torch
+from torch.utils.data import Dataset
+
+from sdm.errors import SDMError
+from sdm.grid import Grid
+from sdm.stream.batch import Batch
+from sdm.stream.maker import Maker
+from sdm.stream.samplers import Uniform, derived_seed
+
+# Samples made at a time.
+CHUNK = 16
+
+
+class ValidationSet(Dataset[Batch]):
+    """Samples that stay the same, on the device that made them.
+
+    Args:
+        maker: Makes them.
+        count: How many.
+
+    They are uniform samples of a seed derived from the maker's, which its own samples do not have. `len` and `[i]`
+    give single samples, `batches` gives batches.
+
+    Attributes:
+        theta: (N,P) float32 parameters.
+        sdm: (N,1,nx,ny,nz) maps.
+        index: (N,) int64, 0 to N-1, on the host.
+        grid: Where the maps are measured.
+        name: "val-" and the first 16 digits of the SHA-256 of what is in it: family, grid, parameters, every bit of
+            every map. The same name means the same numbers; another kind of device may round otherwise, and then the
+            name differs.
+    """
+
+    def __init__(self, maker: Maker, count: int) -> None:
+        if count < 1:
+            raise SDMError(f"a validation set of {count} samples was asked for; give at least 1")
+        own = Maker(
+            maker.family,
+            maker.grid,
+            seed=derived_seed(maker.seed, "validation"),
+            sampler=Uniform(),
+            device=maker.device,
+            dtype=maker.dtype,
+            truncate=maker.truncate,
+        )
+        made = [own.make(numbers) for numbers in torch.arange(count, device="cpu").split(CHUNK)]
+        self.theta, self.sdm, self.index = (torch.cat(parts) for parts in zip(*made, strict=True))
+        self.grid: Grid = maker.grid
+        recipe = {key: own.recipe[key] for key in ("family", "fingerprint", "grid", "dtype", "truncate")}
+        digest = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode())
+        digest.update(self.theta.cpu().numpy().tobytes())
+        for part in self.sdm.split(CHUNK):
+            # As plain bytes: NumPy has no bfloat16.
+            digest.update(part.cpu().contiguous().view(torch.uint8).numpy().tobytes())
+        self.name = f"val-{digest.hexdigest()[:16]}"
+
+    def __len__(self) -> int:
+        return self.theta.shape[0]
+
+    def __getitem__(self, item: int) -> Batch:
+        return Batch(self.theta[item], self.sdm[item], self.index[item])
+
+    def batches(self, batch_size: int) -> Iterator[Batch]:
+        """The set in batches, in order; the last one may be smaller."""
+        for parts in zip(*(x.split(batch_size) for x in (self.theta, self.sdm, self.index)), strict=True):
+            yield Batch(*parts)
+
+    def __repr__(self) -> str:
+        return f"ValidationSet({self.name}, {len(self)} samples)"

@@ -1,0 +1,44 @@
+"""Meshes with holes and unmerged vertices: the topology is found once, and no sample depends on its neighbours."""
+
+from __future__ import annotations
+
+import torch
+
+import sdm
+from sdm.demo_mesh import demo_mesh
+from sdm.mesh import TriangleMesh
+from sdm.shapes import MeshFolder
+from sdm.stream import SDMStream, topology
+
+
+def meshes():
+    whole = demo_mesh(rings=41, segments=16, cap_rings=3)
+    # As an STL file holds it: every triangle has vertices of its own.
+    torn = TriangleMesh(whole.vertices[whole.faces.long().reshape(-1)], torch.arange(3 * len(whole)).reshape(-1, 3))
+    open_ = TriangleMesh(whole.vertices, whole.faces[:-20])
+    return [whole, torn, open_]
+
+
+def test_no_sample_depends_on_its_batch():
+    family = MeshFolder(meshes(), open_meshes="keep")
+    grid = family.grid(10)
+    source = SDMStream(family, grid, 12, device="cpu")
+    batch = source.sample(list(range(12)))
+    assert len(batch.theta[:, 0].floor().unique()) == 3
+    for number in range(12):
+        assert torch.equal(source.sample(number).sdm[0], batch.sdm[number])
+        group = next(iter(family.groups(batch.theta[number : number + 1])))
+        alone = sdm.signed_distance_map(TriangleMesh(group.vertices[0], group.faces), grid, device="cpu")
+        assert torch.equal(batch.sdm[number, 0], alone.values)
+
+
+def test_topology_is_found_once(monkeypatch):
+    family = MeshFolder(meshes(), open_meshes="keep")
+    source = SDMStream(family, family.grid(8), 4, device="cpu")
+
+    def asked_again(*_: object) -> None:
+        raise AssertionError("the boundary was looked for during a batch")
+
+    monkeypatch.setattr(topology, "boundary_edges", asked_again)
+    monkeypatch.setattr("sdm.hierarchy.boundary_edges", asked_again)
+    assert source.sample(list(range(12))).sdm.shape == (12, 1, 8, 8, 8)

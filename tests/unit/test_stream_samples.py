@@ -1,0 +1,184 @@
+"""A sample is a pure function of seed and number: the same for every batch size, rank count and restart."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import pickle
+
+import pytest
+import torch
+
+import sdm
+from sdm.demo_mesh import demo_mesh
+from sdm.errors import DeviceError, GridError, SDMError
+from sdm.shapes import Cochlea, GeometricShapes, MeshFolder
+from sdm.stream import Batch, SDMStream, TensorGrid
+
+FAMILIES = {
+    "cochlea": lambda: Cochlea(600),
+    "solids": lambda: GeometricShapes(triangles=108),
+    "folder": lambda: MeshFolder([demo_mesh(rings=41, segments=16, cap_rings=3), Cochlea(600).mesh([3, 0.5, 0.1, 0])]),
+}
+
+
+@pytest.fixture(params=FAMILIES)
+def family(request):
+    return FAMILIES[request.param]()
+
+
+def stream(family, batch_size=4, **options):
+    options = {"device": "cpu", "seed": 5, **options}
+    return SDMStream(family, family.grid(12), batch_size, **options)
+
+
+def take(source, steps):
+    return [Batch(*parts) for parts in itertools.islice(source, steps)]
+
+
+def together(batches) -> Batch:
+    return Batch(*(torch.cat(parts) for parts in zip(*batches, strict=True)))
+
+
+def same(a: Batch, b: Batch) -> bool:
+    return all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_maps_are_those_of_the_engine(family):
+    batch = take(stream(family), 1)[0]
+    assert batch.sdm.shape == (4, 1, 12, 12, 12)
+    assert batch.sdm.dtype == torch.float32
+    assert batch.index.tolist() == [0, 1, 2, 3]
+    assert torch.equal(batch.theta, family.sample(4, seed=5, device="cpu"))
+    for theta, values in zip(batch.theta, batch.sdm, strict=True):
+        alone = next(iter(family.groups(theta[None])))
+        mesh = sdm.TriangleMesh(alone.vertices[0], alone.faces)
+        assert torch.equal(values[0], sdm.signed_distance_map(mesh, family.grid(12), device="cpu").values)
+    assert bool((batch.sdm < 0).flatten(1).any(1).all())
+
+
+def test_any_batch_size_gives_the_same_samples(family):
+    whole = together(take(stream(family, 12), 1))
+    for size in (1, 3, 4):
+        assert same(together(take(stream(family, size), 12 // size)), whole)
+
+
+def test_ranks_are_disjoint_and_make_the_global_batch(family):
+    steps = [take(stream(family, 2, rank=rank, world_size=3), 2) for rank in range(3)]
+    for step, expected in enumerate(take(stream(family, 6), 2)):
+        assert same(together([steps[rank][step] for rank in range(3)]), expected)
+
+
+def test_ranks_come_from_the_launcher(family, monkeypatch):
+    monkeypatch.setenv("RANK", "1")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert take(stream(family), 1)[0].index.tolist() == [4, 5, 6, 7]
+    assert take(stream(family, rank=0, world_size=1), 1)[0].index.tolist() == [0, 1, 2, 3]
+
+
+def test_goes_on_where_it_was(family):
+    first = stream(family)
+    before = take(first, 2)
+    state = first.state_dict()
+    after = take(first, 2)
+    assert after[0].index.tolist() == [8, 9, 10, 11]
+    assert not set(before[0].index.tolist()) & set(after[0].index.tolist())
+    for resumed in (stream(family), copy.deepcopy(first), pickle.loads(pickle.dumps(first))):
+        resumed.load_state_dict(state)
+        assert same(together(take(resumed, 2)), together(after))
+    # Another number of ranks and another batch size share out the same samples.
+    parts = []
+    for rank in range(2):
+        resumed = stream(family, 2, rank=rank, world_size=2)
+        resumed.load_state_dict(state)
+        parts.append(take(resumed, 1))
+    assert same(together([p[0] for p in parts]), after[0])
+
+
+def test_state_counts_a_batch_once_it_is_given(family):
+    source = stream(family)
+    iterator = iter(source)
+    assert source.state_dict()["position"] == 0
+    next(iterator)
+    assert source.state_dict()["position"] == 4
+
+
+def test_batches_are_fresh_memory(family):
+    first, second = take(stream(family), 2)
+    assert first.sdm.data_ptr() != second.sdm.data_ptr()
+    kept = first.sdm.clone()
+    second.sdm.zero_()
+    assert torch.equal(first.sdm, kept)
+
+
+def test_what_the_caller_has_turned_on_changes_nothing(family):
+    expected = take(stream(family), 1)[0]
+    source = stream(family)
+    with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16):
+        found = take(source, 1)[0]
+    assert same(found, expected)
+    assert not found.sdm.is_inference()
+    assert not found.sdm.requires_grad
+
+
+def test_sample_gives_any_numbers(family):
+    source = stream(family)
+    whole = take(source, 2)
+    found = source.sample([6, 1, 1])
+    assert found.index.tolist() == [6, 1, 1]
+    expected = together(whole)
+    assert torch.equal(found.sdm, expected.sdm[[6, 1, 1]])
+    with pytest.raises(SDMError, match="numbered from 0"):
+        source.sample(-1)
+
+
+def test_half_precision_and_truncation(family):
+    full = take(stream(family), 1)[0].sdm
+    limit = float(full.abs().median())
+    half = take(stream(family, dtype=torch.float16, truncate=limit), 1)[0].sdm
+    assert torch.equal(half, full.clamp(-limit, limit).half())
+
+
+def test_stops_where_it_is_told(family):
+    source = stream(family, start=8, stop=16)
+    assert [b.index.tolist() for b in source] == [[8, 9, 10, 11], [12, 13, 14, 15]]
+    assert list(source) == []
+
+
+def test_refuses_what_makes_no_sense():
+    family = Cochlea(600)
+    grid = family.grid(8)
+    for options, message in (
+        ({"batch_size": 0}, "batch size is 0"),
+        ({"ahead": 0}, "0 batches ahead"),
+        ({"rank": 2, "world_size": 2}, "rank is 2 of 2"),
+        ({"rank": 1}, "both, or neither"),
+        ({"start": -1}, "from sample -1"),
+        ({"start": 0, "stop": 5}, "multiple of the 16"),
+        ({"sampler": "halton"}, "no sampler called 'halton'"),
+        ({"dtype": torch.int8}, "torch.int8 are not supported"),
+        ({"truncate": 0.0}, "truncation 0.0"),
+    ):
+        with pytest.raises(SDMError, match=message):
+            SDMStream(family, grid, **{"device": "cpu", **options})
+    turned = sdm.Grid((0, 0, 0), (1, 1, 1), (4, 4, 4), [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+    with pytest.raises(GridError, match="identity"):
+        SDMStream(family, turned, device="cpu")
+    with pytest.raises(SDMError, match="too large"):
+        SDMStream(FAMILIES["folder"](), grid, device="cpu", sampler=TensorGrid(5))
+    if not torch.cuda.is_available():
+        with pytest.raises(DeviceError, match="no CUDA device"):
+            SDMStream(family, grid, device="cuda")
+
+
+def test_state_of_another_stream_is_refused():
+    state = stream(Cochlea(600)).state_dict()
+    for other, key in (
+        (stream(Cochlea(600), seed=6), "seed is 5, but here it is 6"),
+        (stream(Cochlea(900)), "fingerprint"),
+        (stream(Cochlea(600), sampler="sobol"), "sampler is uniform"),
+    ):
+        with pytest.raises(SDMError, match=key):
+            other.load_state_dict(state)
+    with pytest.raises(SDMError, match="not the state"):
+        stream(Cochlea(600)).load_state_dict({})
