@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sdm import shapes as shapes
+    from sdm.dataset import SDMDataset
     from sdm.engine import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
     from sdm.field import SDM
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save
     from sdm.mesh import TriangleMesh
+    from sdm.stream import SDMStream
 
 __version__ = "0.1.0"
 
@@ -27,7 +29,9 @@ _HOMES = {
     "MeshError": "errors",
     "MeshIndex": "engine",
     "MeshReport": "inspect",
+    "SDMDataset": "dataset",
     "SDMError": "errors",
+    "SDMStream": "stream",
     "TriangleMesh": "mesh",
     "inspect_mesh": "inspect",
     "load": "io",
@@ -47,7 +51,9 @@ __all__ = [
     "MeshError",
     "MeshIndex",
     "MeshReport",
+    "SDMDataset",
     "SDMError",
+    "SDMStream",
     "TriangleMesh",
     "inspect_mesh",
     "load",

@@ -180,6 +180,8 @@ class Mixture(Sampler):
         return theta
 
     def __str__(self) -> str:
+        if (str(self.static), str(self.online)) == ("grid:5", "uniform"):
+            return f"mixture:{self.share}"
         return f"mixture({self.static}, {self.online}, {self.share})"
 
 
@@ -198,10 +200,11 @@ def as_sampler(sampler: Sampler | str) -> Sampler:
         if kind == "grid" and words[1:] in ([], ["ordered"]):
             return TensorGrid(int(words[0]) if words else 5, shuffle=len(words) < 2)
         if kind == "mixture" and len(words) < 2:
-            return Mixture(share=float(words[0]) if words else 0.5)
-    except ValueError as error:
-        if isinstance(error, SDMError):
-            raise
+            return Mixture(share=float(Fraction(words[0])) if words else 0.5)
+    except SDMError:
+        raise
+    except (ValueError, ZeroDivisionError, OverflowError):
+        pass
     raise SDMError(
         f"there is no sampler called {sampler!r}; use uniform, sobol, grid:N, grid:N:ordered or mixture:SHARE"
     )

@@ -65,6 +65,13 @@ def test_mixture_has_its_share_everywhere(share):
     assert len(set(online)) == len(online)
 
 
+def test_names_say_which_sampler_it_is():
+    for name in ("uniform", "sobol", "grid:3", "grid:3:ordered", "mixture:0.3"):
+        sampler = as_sampler(name)
+        again = as_sampler(str(sampler))
+        assert torch.equal(again.theta(FAMILY, 1, INDEX), sampler.theta(FAMILY, 1, INDEX))
+
+
 def test_bad_names_are_refused():
     for name in ("", "grid:x", "grid:1", "grid:5:5", "uniform:2", "mixture:0", "mixture:1.5", "mixture:nan"):
         with pytest.raises(SDMError):

@@ -50,6 +50,7 @@ def test_a_worker_goes_on_with_its_own_steps(monkeypatch):
     assert numbers(resumed, 1) == [[14, 15]]
 
 
+@pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")
 def test_torchdata_resumes_it():
     stateful = pytest.importorskip("torchdata.stateful_dataloader", reason="needs torchdata")
     loader = stateful.StatefulDataLoader(stream(), batch_size=None)

@@ -1,0 +1,35 @@
+"""Files of a dataset: whole under their final name, or not there, and on the disk before anything says so."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+LEFTOVER = ".part"
+
+
+def put(target: Path, content: bytes | Path) -> None:
+    """Write bytes, or move a file that is on the same disk, to `target`."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(content, Path):
+        _flush(content)
+        content.replace(target)
+    else:
+        part = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}{LEFTOVER}")
+        try:
+            part.write_bytes(content)
+            _flush(part)
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
+    _flush(target.parent)
+
+
+def _flush(path: Path) -> None:
+    # Also for folders: without it a power cut may forget the renaming.
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,25 @@
+"""The devices of this machine that make a dataset."""
+
+from __future__ import annotations
+
+import torch
+
+from sdm.device import choose_device
+
+
+def devices_for(wanted: str | torch.device | None) -> list[str]:
+    """Every GPU of this machine, else the CPU; or the one device that was asked for.
+
+    Raises:
+        DeviceError: It is not there.
+    """
+    if wanted is None or wanted == "auto":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        return [f"cuda:{n}" for n in range(count)] or ["cpu"]
+    return [str(choose_device(wanted))]
+
+
+def device_kind(device: str | torch.device) -> str:
+    """What two devices that compute the same bits have in common: the GPU's name, or "cpu"."""
+    where = torch.device(device)
+    return torch.cuda.get_device_name(where) if where.type == "cuda" else "cpu"

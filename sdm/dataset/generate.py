@@ -1,0 +1,193 @@
+"""Write a dataset: plan it, find what is missing, share out the shards, give it its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sdm.dataset import layout
+from sdm.dataset.cluster import run_on_ray
+from sdm.dataset.devices import device_kind, devices_for
+from sdm.dataset.job import Job
+from sdm.dataset.pool import run_here
+from sdm.errors import FormatError, SDMError
+from sdm.grid import Grid
+from sdm.shapes import Family
+from sdm.stream import Sampler, as_sampler
+from sdm.stream.maker import DTYPES, Maker
+
+Progress = Callable[[int, int], None]
+
+
+def generate(
+    family: Family,
+    grid: Grid,
+    count: int,
+    path: str | Path,
+    *,
+    seed: int = 0,
+    sampler: Sampler | str = "uniform",
+    dtype: torch.dtype = torch.float32,
+    truncate: float | None = None,
+    shard: int | None = None,
+    compression: str = "zstd",
+    device: str | torch.device | None = None,
+    ray: str | None = None,
+    resume: bool = False,
+    source: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write samples 0 to `count` - 1 of a stream to a Zarr 3 dataset: bit for bit what `SDMStream` yields.
+
+    Args:
+        family: The shapes.
+        grid: Where to measure.
+        count: Number of samples.
+        path: The dataset to write, a folder that is not there yet. Until it is complete it is called `path`.part.
+        seed: As of `SDMStream`.
+        sampler: As of `SDMStream`.
+        dtype: float32 or float16.
+        truncate: Distances beyond this (in the family's unit) become this, with their sign.
+        shard: Samples in one file; by default 256 MiB of them.
+        compression: "zstd" (lossless) or "none".
+        device: "cuda:1", "cpu", ...; by default every GPU there is, else the CPU.
+        ray: Address of a Ray cluster whose GPUs share the work ("auto" for the one this machine is in).
+        resume: Finish an unfinished dataset of the same recipe; what is there stays.
+        source: What the family was made from, kept in the manifest.
+        progress: Called with the number of samples on the disk and `count`.
+
+    Returns:
+        The path.
+
+    Raises:
+        FormatError: The path is taken, the unfinished dataset is another one, or the disk cannot be written.
+        SDMError: A number that makes no sense.
+
+    Killed at any moment it loses the shards in flight; `resume` finishes it to the identical dataset on the same kind
+    of device.
+    """
+    target = Path(path)
+    folder = layout.part_of(target)
+    if count < 1:
+        raise SDMError(f"a dataset of {count} samples was asked for; give at least 1")
+    if shard is not None and shard < 1:
+        raise SDMError(f"a shard of {shard} samples was asked for; give at least 1")
+    if compression not in layout.COMPRESSIONS:
+        raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(layout.COMPRESSIONS)}")
+    if dtype not in (torch.float32, torch.float16):
+        raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
+    devices = ["cpu"] if ray is not None else devices_for(device)
+    # Refuses what makes no sense before anything is on the disk.
+    recipe = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate).recipe
+    sample_bytes = grid.size * (2 if dtype == torch.float16 else 4)
+    manifest = {
+        "version": layout.VERSION,
+        "sign": "negative inside",
+        "recipe": recipe,
+        "count": count,
+        "shard": shard or layout.samples_of_a_shard(sample_bytes, count),
+        "compression": compression,
+        "parameters": [{"name": p.name, "low": p.low, "high": p.high, "unit": p.unit} for p in family.parameters],
+        "transforms": bool(getattr(family, "meshes", ())),
+        "rejected": [list(pair) for pair in getattr(family, "rejected", ())],
+        "sdm_version": version(),
+        "device": None if ray is not None else device_kind(devices[0]),
+        "source": source,
+    }
+    if resume and target.exists():
+        same(layout.read_manifest(target), manifest, target)
+        return target
+    manifest = begin(target, folder, manifest, resume)
+    job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
+    fill(job, devices, ray, progress)
+    finish(folder, target)
+    return target
+
+
+def begin(target: Path, folder: Path, manifest: dict[str, Any], resume: bool) -> dict[str, Any]:
+    """Make the unfinished dataset, or take the one that is there; its manifest."""
+    if target.exists():
+        raise FormatError(f"{target} is there already: choose another name, or remove it")
+    if not target.parent.is_dir():
+        raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
+    if not folder.exists():
+        try:
+            layout.create(folder, manifest)
+        except OSError as error:
+            raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+        return manifest
+    if not resume:
+        raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
+    found = layout.read_manifest(folder)
+    same(found, manifest, folder)
+    return found
+
+
+def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
+    """Whether a dataset that is there is the one that is asked for.
+
+    Raises:
+        FormatError: It is not; says in what.
+    """
+    for key, value in {**wanted["recipe"], **{k: wanted[k] for k in ("count", "sdm_version", "device")}}.items():
+        there = found["recipe"].get(key, found.get(key))
+        if (there is not None and value is not None and there != value) or (key == "truncate" and there != value):
+            raise FormatError(
+                f"{path} has {key} {there}, but {value} was asked for: ask for the same, or for a new one"
+            )
+
+
+def fill(job: Job, devices: list[str], ray: str | None, progress: Progress | None) -> None:
+    """Make every shard that is missing."""
+    count = layout.shard_count(job.manifest)
+    missing = [n for n in range(count) if not layout.is_done(job.folder, job.manifest, n)]
+    remake(job, missing, devices, ray, progress)
+
+
+def remake(job: Job, shards: list[int], devices: list[str], ray: str | None, progress: Progress | None) -> None:
+    """Make these shards, whatever is there."""
+    rows = [end - begin for begin, end in (layout.rows_of(job.manifest, n) for n in shards)]
+    sizes = dict(zip(shards, rows, strict=True))
+    total = job.manifest["count"]
+    written = total - sum(rows)
+
+    def done(number: int) -> None:
+        nonlocal written
+        written += sizes[number]
+        if progress is not None:
+            progress(written, total)
+
+    if progress is not None:
+        progress(written, total)
+    if not shards:
+        return
+    if ray is not None:
+        run_on_ray(job, shards, ray, done)
+    else:
+        run_here(job, shards, devices, done)
+
+
+def finish(folder: Path, target: Path) -> None:
+    """Give the finished dataset its name."""
+    # What killed processes have left.
+    for leftover in folder.rglob(".*.part"):
+        import shutil
+
+        shutil.rmtree(leftover, ignore_errors=True) if leftover.is_dir() else leftover.unlink()
+    try:
+        folder.rename(target)
+    except OSError as error:
+        raise FormatError(f"{target} cannot be written: {error.strerror or error}; the data is in {folder}") from error
+
+
+def version() -> str:
+    """The version of sdm that makes the data."""
+    import sdm
+
+    return sdm.__version__
+
+
+__all__ = ["DTYPES", "generate"]

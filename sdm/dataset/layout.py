@@ -1,0 +1,203 @@
+"""What a dataset looks like on disk: a Zarr 3 group that any Zarr reader understands.
+
+- `sdm` (N,nx,ny,nz): one chunk a sample, many chunks in a shard, each shard one file written at once;
+- `theta` (N,P) float32: the parameters of each sample;
+- `transform` (N,4,4) float64, for families that place meshes: from the mesh's own coordinates to the sample's;
+- `sha256` (shards,32) bytes: of each shard's files, written after them: a shard is done when its checksum is there;
+- the group's attribute `sdm`: the manifest.
+
+While it is being made a dataset is called NAME.part; the last step gives it its name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
+
+from sdm.dataset.atomic import put
+from sdm.errors import FormatError
+
+VERSION = 1
+KEY = "sdm"
+UNFINISHED = ".part"
+# Bytes of a shard before compression: large enough for disks, small enough to lose.
+SHARD_BYTES = 1 << 28
+COMPRESSIONS = ("zstd", "none")
+DIGEST = 32
+
+
+def part_of(path: Path) -> Path:
+    """Where an unfinished dataset is."""
+    return path.with_name(path.name + UNFINISHED)
+
+
+def samples_of_a_shard(sample_bytes: int, count: int) -> int:
+    """How many samples a shard has, if nobody says."""
+    return max(1, min(count, SHARD_BYTES // sample_bytes))
+
+
+def create(folder: Path, manifest: dict[str, Any]) -> None:
+    """Make an empty dataset in `folder`, which must not be there."""
+    # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset.
+    fresh = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    group = zarr.create_group(store=fresh, attributes={KEY: manifest})
+    count, shard = manifest["count"], manifest["shard"]
+    shape = tuple(manifest["recipe"]["grid"]["shape"])
+    _sdm_array(fresh / "sdm", count, shape, manifest)
+    width = len(manifest["parameters"])
+    _plain(group, "theta", (count, width), (shard, width), "float32")
+    if manifest["transforms"]:
+        _plain(group, "transform", (count, 4, 4), (shard, 4, 4), "float64")
+    shards = -(-count // shard)
+    _plain(group, "sha256", (shards, DIGEST), (1, DIGEST), "uint8")
+    fresh.rename(folder)
+
+
+def _plain(group: zarr.Group, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: str) -> None:
+    group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=dtype,
+        compressors=None,
+        filters=None,
+        config={"write_empty_chunks": True},
+    )
+
+
+def _sdm_array(store: Path, rows: int, shape: tuple[int, ...], manifest: dict[str, Any]) -> zarr.Array:
+    dtype = manifest["recipe"]["dtype"]
+    size = np.dtype(dtype).itemsize
+    compress = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle", typesize=size)]
+    return zarr.create_array(
+        store=store,
+        shape=(rows, *shape),
+        shards=(manifest["shard"], *shape),
+        chunks=(1, *shape),
+        dtype=dtype,
+        serializer=BytesCodec(),
+        # A damaged chunk is an error when it is read, not a wrong distance.
+        compressors=[*(compress if manifest["compression"] == "zstd" else []), Crc32cCodec()],
+        filters=None,
+        # Zero would be a surface: where a chunk is lost, nothing is known.
+        fill_value=float("nan"),
+        dimension_names=["sample", "x", "y", "z"],
+        config={"write_empty_chunks": True},
+    )
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a dataset.
+
+    Raises:
+        FormatError: There is none.
+    """
+    try:
+        found = json.loads((folder / "zarr.json").read_text())["attributes"][KEY]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise FormatError(f"{folder} is not a dataset that sdm generate wrote") from None
+    if not isinstance(found, dict) or "recipe" not in found:
+        raise FormatError(f"{folder} is not a dataset that sdm generate wrote")
+    if found.get("version", 0) > VERSION:
+        raise FormatError(f"{folder} was written by a newer version of sdm: update it to read this dataset")
+    return found
+
+
+def shard_count(manifest: dict[str, Any]) -> int:
+    """Number of shards."""
+    return -(-manifest["count"] // manifest["shard"])
+
+
+def rows_of(manifest: dict[str, Any], number: int) -> tuple[int, int]:
+    """First sample of a shard, and the one after its last."""
+    begin = number * manifest["shard"]
+    return begin, min(begin + manifest["shard"], manifest["count"])
+
+
+def files_of(folder: Path, manifest: dict[str, Any], number: int) -> list[Path]:
+    """The files of a shard, the maps last."""
+    files = [folder / "theta" / "c" / str(number) / "0"]
+    if manifest["transforms"]:
+        files.append(folder / "transform" / "c" / str(number) / "0" / "0")
+    return [*files, folder / "sdm" / "c" / str(number) / "0" / "0" / "0"]
+
+
+def checksum_file(folder: Path, number: int) -> Path:
+    """Where the checksum of a shard is, 32 bytes."""
+    return folder / "sha256" / "c" / str(number) / "0"
+
+
+def is_done(folder: Path, manifest: dict[str, Any], number: int) -> bool:
+    """Whether a shard was finished: a matter of names and sizes, not of what is in it."""
+    mark = checksum_file(folder, number)
+    return (
+        mark.is_file()
+        and mark.stat().st_size == DIGEST
+        and all(f.is_file() and f.stat().st_size > 0 for f in files_of(folder, manifest, number))
+    )
+
+
+def is_sound(folder: Path, manifest: dict[str, Any], number: int) -> bool:
+    """Whether a shard's files are, byte for byte, what was written."""
+    return (
+        is_done(folder, manifest, number)
+        and checksum(folder, manifest, number) == checksum_file(folder, number).read_bytes()
+    )
+
+
+def checksum(folder: Path, manifest: dict[str, Any], number: int) -> bytes:
+    """SHA-256 over the files of a shard."""
+    digest = hashlib.sha256()
+    for path in files_of(folder, manifest, number):
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return digest.digest()
+
+
+def write_shard(
+    folder: Path,
+    manifest: dict[str, Any],
+    number: int,
+    theta: np.ndarray,
+    transform: np.ndarray | None,
+    maps: np.ndarray,
+    scratch: Path,
+) -> None:
+    """Write a shard: each file whole or not at all, its checksum last.
+
+    Args:
+        folder: The dataset.
+        manifest: Its manifest.
+        number: Which shard.
+        theta: (n,P) parameters.
+        transform: (n,4,4), for families that place meshes.
+        maps: (n,nx,ny,nz) in the dataset's type.
+        scratch: A folder on the same disk that nobody else uses.
+    """
+    files = files_of(folder, manifest, number)
+    put(files[0], _padded(theta.astype("<f4"), manifest["shard"]).tobytes())
+    if transform is not None:
+        put(files[1], _padded(transform.astype("<f8"), manifest["shard"]).tobytes())
+    # Zarr encodes the shard as the only one of an array of its own; its file then takes its place in the dataset.
+    alone = scratch / "sdm"
+    shutil.rmtree(alone, ignore_errors=True)
+    _sdm_array(alone, len(maps), maps.shape[1:], manifest)[:] = maps
+    put(files[-1], alone / "c" / "0" / "0" / "0" / "0")
+    shutil.rmtree(alone)
+    put(checksum_file(folder, number), checksum(folder, manifest, number))
+
+
+def _padded(rows: np.ndarray, count: int) -> np.ndarray:
+    """A whole chunk: Zarr keeps the last one in full length."""
+    room = np.zeros((count, *rows.shape[1:]), dtype=rows.dtype)
+    room[: len(rows)] = rows
+    return room

@@ -1,0 +1,109 @@
+"""Read a dataset: random access for a DataLoader, item for item what the stream yields."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import zarr
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from sdm.dataset import layout
+from sdm.errors import FormatError, SDMError
+from sdm.field import SDM
+from sdm.grid import Grid
+from sdm.shapes import Parameter
+from sdm.stream import Batch
+
+
+class SDMDataset(Dataset[Batch]):
+    """The samples of a dataset that `sdm generate` wrote.
+
+    Args:
+        path: The dataset.
+
+    Attributes:
+        manifest: What it was made from: family, seed, sampler, version, device, ...
+        grid: Where all maps are measured.
+        parameters: Name, range and unit of each column of theta.
+        theta: (N,P) float32 parameters of all samples, on the host.
+
+    `dataset[i]` is `Batch(theta (P,), sdm (1,nx,ny,nz), index ())` on the host, which a DataLoader stacks to the
+    `Batch` that a stream with the same seed yields. Any number of workers and processes may read at a time.
+
+    Raises:
+        FormatError: It is no dataset, or an unfinished one.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.exists() and layout.part_of(self.path).exists():
+            raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
+        if self.path.name.endswith(layout.UNFINISHED):
+            raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
+        self.manifest: dict[str, Any] = layout.read_manifest(self.path)
+        grid = self.manifest["recipe"]["grid"]
+        self.grid = Grid(grid["origin"], grid["spacing"], grid["shape"])
+        self.parameters = tuple(Parameter(**p) for p in self.manifest["parameters"])
+        self.theta = torch.from_numpy(np.asarray(self._open("theta")[:], dtype=np.float32))
+        self._maps: zarr.Array | None = None
+        self._process = os.getpid()
+
+    def __len__(self) -> int:
+        return self.manifest["count"]
+
+    def __getitem__(self, item: int) -> Batch:
+        number = self._number(item)
+        values = self._array()[number]
+        return Batch(self.theta[number], torch.from_numpy(self._whole(values, number))[None], torch.tensor(number))
+
+    def sdm(self, item: int) -> SDM:
+        """One sample as a map with its grid, float32."""
+        return SDM(self[item].sdm[0].float(), self.grid)
+
+    def inverse_transform(self, item: int) -> Tensor:
+        """(4,4) float64 matrix from a sample's coordinates back to those of the mesh that it was made from.
+
+        The identity for families whose shapes have no other coordinates. A smooth warp is not undone: points come to
+        where they are on the warped mesh.
+        """
+        number = self._number(item)
+        if not self.manifest["transforms"]:
+            return torch.eye(4, dtype=torch.float64)
+        return torch.linalg.inv(torch.from_numpy(np.asarray(self._open("transform")[number])))
+
+    def _number(self, item: int) -> int:
+        number = int(item)
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"{self.path} has {len(self)} samples; there is no number {number}")
+        return number % len(self)
+
+    def _whole(self, values: Any, number: int) -> np.ndarray:
+        found = np.array(values)
+        # A file that is gone reads as the fill value.
+        if np.isnan(found.flat[0]) and not layout.is_done(self.path, self.manifest, number // self.manifest["shard"]):
+            raise SDMError(f"sample {number} of {self.path} is gone: sdm generate --verify makes it again")
+        return found
+
+    def _open(self, name: str) -> zarr.Array:
+        try:
+            return zarr.open_array(self.path / name, mode="r")
+        except (OSError, ValueError, KeyError) as error:
+            raise FormatError(f"{self.path} cannot be read: its array {name} is damaged ({error})") from error
+
+    def _array(self) -> zarr.Array:
+        # Open files and threads of a parent are not those of its children.
+        if self._maps is None or self._process != os.getpid():
+            self._maps, self._process = self._open("sdm"), os.getpid()
+        return self._maps
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_maps": None}
+
+    def __repr__(self) -> str:
+        family, shape = self.manifest["recipe"]["family"], " x ".join(map(str, self.grid.shape))
+        return f"SDMDataset({self.path.name}: {len(self):,} of {family}, {shape} voxels)"

@@ -1,0 +1,59 @@
+"""What a family is made from: a few words that a manifest keeps, so that a dataset can be finished from its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sdm import shapes
+from sdm.errors import SDMError
+from sdm.shapes import Family, MeshFolder
+
+FAMILIES: dict[str, type[Family]] = {
+    family.name: family
+    for family in (
+        shapes.Cochlea,
+        shapes.Cuboid,
+        shapes.Rhomboid,
+        shapes.Ellipsoid,
+        shapes.Cylinder,
+        shapes.GeometricShapes,
+    )
+}
+
+
+def describe(name: str, options: dict[str, Any]) -> dict[str, Any]:
+    """A family by name, or a folder of meshes, with the options that differ from its own; ready for JSON.
+
+    Raises:
+        SDMError: There is no such family or folder, or it has no such option.
+    """
+    given = {key: value for key, value in options.items() if value is not None}
+    if name in FAMILIES:
+        wrong = sorted(set(given) - {"triangles"})
+        if wrong:
+            raise SDMError(f"--{wrong[0].replace('_', '-')} is for a folder of meshes; {name} does not take it")
+        return {"family": name, **given}
+    if not Path(name).is_dir():
+        raise SDMError(f"{name} is neither a family ({', '.join(FAMILIES)}) nor a folder of meshes")
+    if "triangles" in given:
+        raise SDMError("--triangles is for a family; meshes of a folder have their own")
+    return {"folder": str(Path(name).resolve()), **given}
+
+
+def family_from(source: dict[str, Any]) -> Family:
+    """The family that `describe` says.
+
+    Raises:
+        SDMError: It cannot be made here.
+    """
+    options = dict(source)
+    if "folder" in options:
+        folder = options.pop("folder")
+        if isinstance(options.get("scale"), list):
+            options["scale"] = tuple(options["scale"])
+        return MeshFolder(folder, skip_bad=True, **options)
+    name = options.pop("family", None)
+    if name not in FAMILIES:
+        raise SDMError(f"the dataset's family {name!r} is not one that sdm knows by name: give it")
+    return FAMILIES[name](**options)

@@ -1,0 +1,92 @@
+"""Find the damaged shards of a dataset and make them again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from sdm.dataset import layout
+from sdm.dataset.devices import device_kind, devices_for
+from sdm.dataset.generate import remake, version
+from sdm.dataset.job import Job
+from sdm.errors import FormatError
+from sdm.grid import Grid
+from sdm.shapes import Family
+from sdm.stream import Sampler, as_sampler
+from sdm.stream.maker import DTYPES
+
+
+def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None) -> list[int]:
+    """Numbers of the shards of a dataset whose files are not, byte for byte, what was written.
+
+    Args:
+        path: The dataset, finished or not. Shards that are not there yet count.
+        progress: Called with the number of samples looked at and of all.
+
+    Raises:
+        FormatError: It is no dataset.
+    """
+    folder = Path(path)
+    manifest = layout.read_manifest(folder)
+    found = []
+    for number in range(layout.shard_count(manifest)):
+        if not layout.is_sound(folder, manifest, number):
+            found.append(number)
+        if progress is not None:
+            progress(layout.rows_of(manifest, number)[1], manifest["count"])
+    return found
+
+
+def verify(
+    path: str | Path,
+    family: Family,
+    *,
+    sampler: Sampler | str | None = None,
+    device: str | torch.device | None = None,
+    ray: str | None = None,
+    shards: list[int] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[int]:
+    """Find the damaged shards of a dataset and make them again.
+
+    Args:
+        path: The dataset.
+        family: The shapes that it was made from.
+        sampler: Needed if the dataset's has no name, such as a table.
+        device: As of `generate`; of the kind that the dataset was made on.
+        ray: As of `generate`.
+        shards: Those that are damaged, if that is known.
+        progress: As of `generate`.
+
+    Returns:
+        The numbers of the shards that were made again.
+
+    Raises:
+        FormatError: Not a dataset, or one of another family, version or kind of device.
+    """
+    folder = Path(path)
+    manifest = layout.read_manifest(folder)
+    found = damaged(folder) if shards is None else shards
+    if not found:
+        return []
+    recipe = manifest["recipe"]
+    devices = ["cpu"] if ray is not None else devices_for(device)
+    kind = manifest["device"] if ray is not None else device_kind(devices[0])
+    for what, there, here in (
+        ("the family", recipe["fingerprint"], family.fingerprint),
+        ("the version of sdm", manifest["sdm_version"], version()),
+        ("the device", manifest["device"], kind),
+    ):
+        if there is not None and there != here:
+            raise FormatError(
+                f"{folder} has {len(found)} damaged shards, but {what} it was made with was {there}, here it is "
+                f"{here}: made again they would differ"
+            )
+    grid = Grid(recipe["grid"]["origin"], recipe["grid"]["spacing"], recipe["grid"]["shape"])
+    dtype = {name: kind for kind, name in DTYPES.items()}[recipe["dtype"]]
+    chosen = as_sampler(recipe["sampler"] if sampler is None else sampler)
+    job = Job(folder, manifest, family, grid, chosen, recipe["seed"], dtype, recipe["truncate"])
+    remake(job, found, devices, ray, progress)
+    return found
