@@ -49,10 +49,10 @@ class Output:
 
 
 @wp.func
-def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: float):
+def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: wp.float64):
     """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
     winding = out.values[mesh, i, j, k]
-    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
+    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -float(distance), float(distance))
     return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
 
 
@@ -126,8 +126,8 @@ def measure_brick(
     lanes: int,
 ):
     """Distances of the 4^3 voxels from `start` to the triangles at kept[at...]; returns the unclear ones."""
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
     unclear = int(0)
     # Two voxels at a time, two layers apart: each triangle is loaded once for both.
     v = lane
@@ -135,12 +135,15 @@ def measure_brick(
         i = start[0] + (v >> 4)
         j = start[1] + ((v >> 2) & 3)
         k = start[2] + (v & 3)
-        p = scale * voxel(slab, i, j, k)
-        q = scale * voxel(slab, i + 2, j, k)
+        p_exact = scale * wp.vec3d(voxel(slab, i, j, k))
+        q_exact = scale * wp.vec3d(voxel(slab, i + 2, j, k))
+        p = wp.vec3(p_exact)
+        q = wp.vec3(q_exact)
         p2 = float(wp.inf)
         q2 = float(wp.inf)
-        p_slot = int(0)
-        q_slot = int(0)
+        # Some triangle is taken even where float32 overflows.
+        p_slot = int(kept[at])
+        q_slot = int(kept[at])
         for entry in range(length):
             slot = kept[at + entry]
             f = load_frame(frames, slot)
@@ -155,11 +158,11 @@ def measure_brick(
         if j < slab.shape[1] and k < slab.shape[2]:
             if i < slab.shape[0]:
                 unclear = unclear + write_distance(
-                    out, mesh, i, j, k, unscale * exact_distance(tree, p_slot, load_frame(frames, p_slot), p)
+                    out, mesh, i, j, k, unscale * exact_distance(tree, p_slot, load_frame(frames, p_slot), p_exact)
                 )
             if i + 2 < slab.shape[0]:
                 unclear = unclear + write_distance(
-                    out, mesh, i + 2, j, k, unscale * exact_distance(tree, q_slot, load_frame(frames, q_slot), q)
+                    out, mesh, i + 2, j, k, unscale * exact_distance(tree, q_slot, load_frame(frames, q_slot), q_exact)
                 )
         v = v + lanes
     return unclear
@@ -177,8 +180,8 @@ def search_brick(
     lanes: int,
 ):
     """Distances of the 4^3 voxels from `start` by one search of the tree for each; returns the unclear ones."""
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
     unclear = int(0)
     guess = mesh * tree.count
     v = lane
@@ -187,8 +190,8 @@ def search_brick(
         j = start[1] + ((v >> 2) & 3)
         k = start[2] + (v & 3)
         if i < slab.shape[0] and j < slab.shape[1] and k < slab.shape[2]:
-            p = scale * voxel(slab, i, j, k)
-            guess = nearest_slot(tree, mesh, p, guess)
+            p = scale * wp.vec3d(voxel(slab, i, j, k))
+            guess = nearest_slot(tree, mesh, wp.vec3(p), guess)
             unclear = unclear + write_distance(
                 out, mesh, i, j, k, unscale * exact_distance(tree, guess, load_frame(frames, guess), p)
             )

@@ -13,7 +13,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell, agree, away, box_is_behind, no_witness, remember, triangle_is_behind
 from sdm.kernels.frames import load_frame, see
-from sdm.kernels.grid import Slab, along
+from sdm.kernels.grid import Slab, voxel
 from sdm.kernels.lanes import (
     ballot,
     fetch_add_once,
@@ -63,11 +63,22 @@ class Lists:
 @wp.func
 def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
     """The cell of up to size^3 voxels from `start`, in scaled coordinates."""
-    low = wp.vec3()
-    high = wp.vec3()
-    for axis in range(3):
-        low[axis] = scale * along(slab, axis, start[axis])
-        high[axis] = scale * along(slab, axis, wp.min(start[axis] + size, slab.shape[axis]) - 1)
+    last = wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1)
+    low = voxel(slab, start[0], start[1], start[2])
+    high = voxel(slab, last[0], last[1], last[2])
+    if slab.turned != 0:
+        # The box around all corners of a turned cell.
+        for corner in range(8):
+            p = voxel(
+                slab,
+                wp.where((corner & 1) != 0, last[0], start[0]),
+                wp.where((corner & 2) != 0, last[1], start[1]),
+                wp.where((corner & 4) != 0, last[2], start[2]),
+            )
+            low = wp.min(low, p)
+            high = wp.max(high, p)
+    low = scale * low
+    high = scale * high
     cell = Cell()
     cell.centre = 0.5 * (low + high)
     half = wp.max(high - cell.centre, cell.centre - low)

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.geometry import unit_normal
+from sdm.kernels.geometry import segment_parameter, unit_normal
 from sdm.kernels.lanes import load4
 from sdm.kernels.tree import Tree
 
@@ -47,6 +47,7 @@ class Local:
     height: float
     near_x: float
     near_y: float
+    edge: wp.int32  # the closest point is inside (0), or on ab (1), bc (2), ca (3)
 
 
 @wp.func
@@ -113,9 +114,11 @@ def see(f: Frame, p: wp.vec3):
     s.height = wp.dot(q, f.normal)
     s.near_x = s.x
     s.near_y = s.y
+    s.edge = 0
     if not is_inside(f, s.x, s.y):
         s.near_x = wp.clamp(s.x, 0.0, f.base)
         s.near_y = 0.0
+        s.edge = 1
         dx = s.x - s.near_x
         best = dx * dx + s.y * s.y
         ex = f.tip_x - f.base
@@ -128,6 +131,7 @@ def see(f: Frame, p: wp.vec3):
             best = d2
             s.near_x = f.base + t * ex
             s.near_y = t * f.tip_y
+            s.edge = 2
         t = wp.clamp((s.x * f.tip_x + s.y * f.tip_y) * f.inverse_ca, 0.0, 1.0)
         dx = s.x - t * f.tip_x
         dy = s.y - t * f.tip_y
@@ -135,6 +139,7 @@ def see(f: Frame, p: wp.vec3):
         if d2 < best:
             s.near_x = t * f.tip_x
             s.near_y = t * f.tip_y
+            s.edge = 3
     return s
 
 
@@ -150,23 +155,24 @@ def some_perpendicular(x: wp.vec3d):
 
 
 @wp.func
-def exact_distance(tree: Tree, slot: int, f: Frame, p: wp.vec3):
-    """Distance of p from the triangle in float64, save for where in the triangle the closest point is.
+def exact_distance(tree: Tree, slot: int, f: Frame, p: wp.vec3d):
+    """Distance of p from the triangle in float64: from the plane or the edge that float32 says is closest.
 
-    A closest point that is off by a rounding along the triangle changes the distance by a rounding squared.
+    Where float32 takes the wrong one, the two are within a rounding of each other.
     """
-    seen = see(f, p)
-    to_c = float(0.0)
-    if f.tip_y > 0.0:
-        to_c = wp.clamp(seen.near_y / f.tip_y, 0.0, 1.0)
-    to_b = float(0.0)
-    if f.base > 0.0:
-        to_b = wp.clamp((seen.near_x - to_c * f.tip_x) / f.base, 0.0, 1.0 - to_c)
-    a = wp.vec3d(tree.corners[4 * slot + f.turn])
-    b = wp.vec3d(tree.corners[4 * slot + (f.turn + 1) % 3])
-    c = wp.vec3d(tree.corners[4 * slot + (f.turn + 2) % 3])
-    gap = wp.vec3d(p) - a - wp.float64(to_b) * (b - a) - wp.float64(to_c) * (c - a)
-    return wp.sqrt(float(wp.dot(gap, gap)))
+    seen = see(f, wp.vec3(p))
+    first = f.turn
+    if seen.edge == 2:
+        first = (f.turn + 1) % 3
+    if seen.edge == 3:
+        first = (f.turn + 2) % 3
+    a = wp.vec3d(tree.corners[4 * slot + first])
+    ab = wp.vec3d(tree.corners[4 * slot + (first + 1) % 3]) - a
+    q = p - a
+    if seen.edge == 0:
+        n = wp.cross(ab, wp.vec3d(tree.corners[4 * slot + (first + 2) % 3]) - a)
+        return wp.abs(wp.dot(n, q)) / wp.length(n)
+    return wp.length(q - segment_parameter(q, ab) * ab)
 
 
 @wp.kernel

@@ -9,17 +9,19 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Slab:
-    """The voxels `first <= i < first + shape[0]` of an axis-aligned grid."""
+    """The voxels `first <= i < first + shape[0]` of a grid."""
 
     origin: wp.vec3d  # centre of the grid's voxel (0,0,0)
     spacing: wp.vec3d
+    axes: wp.mat33d  # if turned: columns from one voxel to the next along i, j and k
+    turned: wp.int32  # 0 if the grid's axes are x, y and z
     shape: wp.vec3i  # of the slab
     first: wp.int32
 
 
 @wp.func
 def along(slab: Slab, axis: int, index: int):
-    """The coordinate of a voxel centre, rounded to float32: the point that is measured."""
+    """The coordinate of a voxel centre of a grid that is not turned, rounded to float32: the point that is measured."""
     i = index
     if axis == 0:
         i = index + slab.first
@@ -28,12 +30,16 @@ def along(slab: Slab, axis: int, index: int):
 
 @wp.func
 def voxel(slab: Slab, i: int, j: int, k: int):
+    """A voxel centre, rounded to float32."""
+    if slab.turned != 0:
+        index = wp.vec3d(wp.float64(i + slab.first), wp.float64(j), wp.float64(k))
+        return wp.vec3(slab.origin + slab.axes * index)
     return wp.vec3(along(slab, 0, i), along(slab, 1, j), along(slab, 2, k))
 
 
 @wp.func
 def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
-    """How many of the slab's voxels along an axis have a (scaled) coordinate below x."""
+    """How many of the slab's voxels along an axis have a (scaled) coordinate below x; the grid is not turned."""
     count = slab.shape[axis]
     first = 0
     if axis == 0:

@@ -18,8 +18,9 @@ wp.set_module_options({"enable_backward": False})
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
-# Neighbours along the curve that one thread takes one after the other: each starts from the answer before it.
-RUN = wp.constant(8)
+# Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
+# rather have more threads.
+CPU_RUN = 8
 
 
 @wp.struct
@@ -71,6 +72,7 @@ def _point_keys(
 @wp.kernel
 def _query(
     begin: int,
+    length: int,
     tree: Tree,
     winding: Winding,
     points: wp.array(dtype=wp.vec3),
@@ -86,8 +88,10 @@ def _query(
     guess = int(0)
     scale = tree.frame[_SCALE]
     unscale = tree.frame[_UNSCALE]
-    for step in range(RUN):
-        at = run * RUN + step
+    # The bound is a variable so that Warp does not write the loop out.
+    steps = int(length)
+    for step in range(steps):
+        at = run * steps + step
         if at < total:
             i = at
             if order.shape[0] > 0:
@@ -171,8 +175,9 @@ def query_points(
         wanted = 0
     else:
         wanted = 1
-    runs = -(-points.shape[0] // int(RUN))
-    launch(_query, runs, [tree, winding, points, order, values, wanted, *hits], device)
+    length = 1 if device.is_cuda else CPU_RUN
+    runs = -(-points.shape[0] // length)
+    launch(_query, runs, [length, tree, winding, points, order, values, wanted, *hits], device)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array, launch: Any) -> None:

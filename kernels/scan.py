@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.boundary import boundary_winding
-from sdm.kernels.crossings import covers, crossing_x
+from sdm.kernels.crossings import count_crossings, covers, crossing_x
 from sdm.kernels.grid import Slab, along, count_below, voxel
 from sdm.kernels.lanes import GPU_LANES, fetch_add
 from sdm.kernels.points import CLOSED, SOUP, Winding
@@ -80,6 +80,19 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
 
 
 @wp.kernel
+def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtype=wp.float32)):
+    """One ray for every voxel: for turned grids, whose columns are not along x."""
+    at = begin + wp.tid()
+    k = at % slab.shape[2]
+    j = (at / slab.shape[2]) % slab.shape[1]
+    row = at / (slab.shape[1] * slab.shape[2])
+    mesh = row / slab.shape[0]
+    i = row % slab.shape[0]
+    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+    values[mesh, i, j, k] = float(count_crossings(tree, mesh, p))
+
+
+@wp.kernel
 def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
     at = begin + wp.tid()
     k = at % slab.shape[2]
@@ -100,8 +113,12 @@ def slab_winding(tree: Tree, winding: Winding, slab: Slab, values: wp.array, lau
     """Fill `values` (meshes, n, ny, nz) float32 with the winding number of each mesh at each voxel of the slab."""
     device = values.device
     meshes, nx, ny, nz = values.shape
-    values.zero_()
-    if winding.kind != SOUP:
+    if winding.kind == SOUP:
+        values.zero_()
+    elif slab.turned != 0:
+        launch(_count_at_voxels, meshes * nx * ny * nz, [tree, slab, values], device)
+    else:
+        values.zero_()
         counts = values.view(wp.int32)
         lanes = GPU_LANES if device.is_cuda else 1
         launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)

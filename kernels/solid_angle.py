@@ -198,15 +198,16 @@ def soup_winding(tree: Tree, moments: wp.array(dtype=wp.float32), mesh: int, p: 
     tolerance = float(2.0e-3)
     winding = wp.float64(0.0)
     settled = int(0)
-    for _round in range(12):
-        if settled == 0:
-            estimate, error = descend(tree, moments, mesh, p, tolerance)
-            winding = estimate
-            margin = wp.abs(estimate - half)
-            margin = wp.min(margin, wp.abs(margin - quarter))
-            needed = wp.max(FINEST, margin)
-            if error <= needed:
-                settled = int(1)
-            else:
-                tolerance = tolerance * wp.clamp(0.5 * float(needed / error), 0.02, 0.5)
+    rounds = int(0)
+    while settled == 0 and rounds < 12:
+        rounds = rounds + 1
+        estimate, error = descend(tree, moments, mesh, p, tolerance)
+        winding = estimate
+        margin = wp.abs(estimate - half)
+        margin = wp.min(margin, wp.abs(margin - quarter))
+        needed = wp.max(FINEST, margin)
+        if error <= needed:
+            settled = int(1)
+        else:
+            tolerance = tolerance * wp.clamp(0.5 * float(needed / error), 0.02, 0.5)
     return winding

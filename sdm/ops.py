@@ -22,6 +22,7 @@ from sdm.kernels import dense, points
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
 DENSE_METHOD = "auto"
 # Fewer points than this are queried in the order they come in.
@@ -176,10 +177,12 @@ def distance_map(
     spacing: Sequence[float],
     shape: Sequence[int],
     first: int,
+    direction: Sequence[float],
 ) -> tuple[Tensor, Tensor]:
     """Signed distances (B,n,ny,nz) of meshes (B,V,3), and the number of ambiguous voxels of each (B,).
 
-    `shape` is the slab's (n,ny,nz); its voxel (0,0,0) is the grid's voxel (first,0,0).
+    `shape` is the slab's (n,ny,nz); its voxel (0,0,0) is the grid's voxel (first,0,0). `direction` is the grid's, row
+    by row.
     """
     meshes = vertices.shape[0]
     if not hierarchy:
@@ -193,6 +196,11 @@ def distance_map(
         slab.spacing = wp.vec3d(*spacing)
         slab.shape = wp.vec3i(*shape)
         slab.first = first
+        if tuple(direction) != IDENTITY:
+            slab.turned = 1
+            slab.axes = wp.mat33d(
+                *(d * s for row in range(3) for d, s in zip(direction[3 * row :], spacing, strict=False))
+            )
         dense.query_slab(
             tree,
             frames,
@@ -217,13 +225,14 @@ def _(
     spacing: Sequence[float],
     shape: Sequence[int],
     first: int,
+    direction: Sequence[float],
 ) -> tuple[Tensor, Tensor]:
     meshes = vertices.shape[0]
     return vertices.new_empty((meshes, *shape)), vertices.new_empty(meshes, dtype=torch.int32)
 
 
 def _map_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
-    vertices, faces, hierarchy, ctx.kind, ctx.origin, ctx.spacing, ctx.shape, ctx.first = inputs
+    vertices, faces, hierarchy, ctx.kind, ctx.origin, ctx.spacing, ctx.shape, ctx.first, ctx.direction = inputs
     ctx.mark_non_differentiable(output[1])
     ctx.save_for_backward(vertices, faces, *hierarchy)
 
@@ -240,17 +249,20 @@ def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
             values, point, face, barycentric = closest(vertices[mesh], faces, at, tensors, kind)
             flow = grad[mesh, begin:end].reshape(-1, 1) * outward(vertices[mesh], faces, at, values, point, face)
             result[mesh] += _to_vertices(vertices[mesh], faces, face, barycentric, flow)
-    return result, None, [None] * len(hierarchy), None, None, None, None, None
+    return result, None, [None] * len(hierarchy), None, None, None, None, None, None
 
 
 def _centres(ctx: Any, begin: int, end: int, device: torch.device) -> Tensor:
     """Voxel centres (N,3) float32 of part of the slab, as the kernels see them."""
     ranges = ((ctx.first + begin, ctx.first + end), (0, ctx.shape[1]), (0, ctx.shape[2]))
     axes = [
-        torch.arange(low, high, device=device, dtype=torch.float64) * s + o
-        for (low, high), s, o in zip(ranges, ctx.spacing, ctx.origin, strict=True)
+        torch.arange(low, high, device=device, dtype=torch.float64) * s
+        for (low, high), s in zip(ranges, ctx.spacing, strict=True)
     ]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).float()
+    at = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    if tuple(ctx.direction) != IDENTITY:
+        at = at @ torch.tensor(ctx.direction, dtype=torch.float64, device=device).reshape(3, 3).T
+    return (at + torch.tensor(ctx.origin, dtype=torch.float64, device=device)).float()
 
 
 distance_map.register_autograd(_map_backward, setup_context=_map_setup)

@@ -68,10 +68,10 @@ def test_a_grid_that_cannot_fit():
 
 
 def test_a_grid_that_cannot_fit_comes_in_slabs():
-    grid = sdm.Grid([0, 0, 0], [1, 1, 1], [1 << 14, 1 << 6, 1 << 14])
+    grid = sdm.Grid([0, 0, 0], [1, 1, 1], [1 << 24, 1 << 6, 1 << 10])
     begin, end, values = next(sdm.MeshIndex(MESH, "cpu").slabs(grid, max_bytes=1 << 22))
-    assert (begin, end) == (0, 1)
-    assert values.shape == (1, 1 << 6, 1 << 14)
+    assert (begin, end) == (0, 8)
+    assert values.shape == (8, 1 << 6, 1 << 14)
     assert values[0, 0, :3].tolist() == [-1, 0, 1]
 
 
@@ -95,9 +95,11 @@ def test_batches(vertices, faces, message):
 
 
 def test_a_batch_on_a_turned_grid():
-    with pytest.raises(sdm.MeshError, match="direction"):
-        turned = sdm.Grid([0, 0, 0], [1, 1, 1], [2, 2, 2], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
-        sdm.signed_distance_maps(VERTICES[None], FACES, turned, device="cpu")
+    turned = sdm.Grid([0, 0, 0], [0.3, 0.4, 0.5], [5, 4, 3], [[0, 1, 0], [0.6, 0, 0.8], [-0.8, 0, 0.6]])
+    batch = sdm.signed_distance_maps(np.stack([VERTICES, 2 * VERTICES]), FACES, turned, device="cpu")
+    for values, scale in zip(batch, (1, 2), strict=True):
+        one = sdm.signed_distance_map(sdm.TriangleMesh(scale * VERTICES, FACES), turned, device="cpu")
+        assert torch.equal(values, one.values)
 
 
 @pytest.mark.parametrize("orient", ["outward", "", None, True])

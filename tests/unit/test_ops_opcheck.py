@@ -44,9 +44,12 @@ def test_closest(case):
 
 
 @pytest.mark.parametrize("meshes", [1, 3])
-def test_distance_map(case, meshes):
+@pytest.mark.parametrize(
+    "direction", [[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]]
+)
+def test_distance_map(case, meshes, direction):
     vertices, faces, tensors, kind = _inputs(case[0], case[1], case[2], meshes)
-    arguments = (vertices, faces, tensors, kind, [-1.0, -1, -1], [0.5, 0.6, 0.7], [3, 4, 2], 1)
+    arguments = (vertices, faces, tensors, kind, [-1.0, -1, -1], [0.5, 0.6, 0.7], [3, 4, 2], 1, direction)
     torch.library.opcheck(torch.ops.sdm.distance_map.default, arguments)
 
 
