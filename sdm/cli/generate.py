@@ -118,7 +118,7 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     from sdm import dataset
     from sdm.cli.meter import Meter
     from sdm.dataset.layout import part_of, read_manifest, shard_count
-    from sdm.dataset.verify import damaged
+    from sdm.dataset.repair import damaged
 
     if not out.exists() and part_of(out).exists():
         out = part_of(out)

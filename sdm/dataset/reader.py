@@ -58,7 +58,12 @@ class SDMDataset(Dataset[Batch]):
 
     def __getitem__(self, item: int) -> Batch:
         number = self._number(item)
-        values = self._array()[number]
+        try:
+            values = self._array()[number]
+        except (OSError, ValueError, RuntimeError, IndexError) as error:
+            raise FormatError(
+                f"sample {number} of {self.path} is damaged: sdm generate --verify makes it again ({error})"
+            ) from error
         return Batch(self.theta[number], torch.from_numpy(self._whole(values, number))[None], torch.tensor(number))
 
     def sdm(self, item: int) -> SDM:

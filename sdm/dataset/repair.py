@@ -9,7 +9,7 @@ import torch
 
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.generate import remake, version
+from sdm.dataset.writer import remake, version
 from sdm.dataset.job import Job
 from sdm.errors import FormatError
 from sdm.grid import Grid

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from sdm.errors import FormatError, SDMError
 from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
-from sdm.stream.maker import DTYPES, Maker
+from sdm.stream.maker import Maker
 
 Progress = Callable[[int, int], None]
 
@@ -174,8 +175,6 @@ def finish(folder: Path, target: Path) -> None:
     """Give the finished dataset its name."""
     # What killed processes have left.
     for leftover in folder.rglob(".*.part"):
-        import shutil
-
         shutil.rmtree(leftover, ignore_errors=True) if leftover.is_dir() else leftover.unlink()
     try:
         folder.rename(target)
@@ -188,6 +187,3 @@ def version() -> str:
     import sdm
 
     return sdm.__version__
-
-
-__all__ = ["DTYPES", "generate"]

@@ -1,0 +1,196 @@
+"""Cut off at any moment, a dataset is finished to the same bytes; damaged shards are found and made again."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from sdm.dataset import SDMDataset, damaged, generate, layout, verify
+from sdm.dataset import job as job_module
+from sdm.errors import FormatError, SDMError
+from sdm.shapes import Cochlea
+
+FAMILY = Cochlea(600)
+GRID = FAMILY.grid(10)
+COUNT = 11
+
+
+def write(path, **options):
+    return generate(FAMILY, GRID, options.pop("count", COUNT), path, **{"device": "cpu", "shard": 3, **options})
+
+
+def contents(folder: Path) -> dict[str, str]:
+    files = (f for f in folder.rglob("*") if f.is_file())
+    return {str(f.relative_to(folder)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return write(tmp_path_factory.mktemp("whole") / "d.zarr")
+
+
+@pytest.fixture
+def copy(whole, tmp_path) -> Path:
+    return shutil.copytree(whole, tmp_path / "d.zarr")
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("after", [0, 1, 2, 3])
+def test_a_stopped_one_is_finished_to_the_same_bytes(whole, tmp_path, monkeypatch, after):
+    target = tmp_path / "d.zarr"
+    count = 0
+
+    def fail(*args, **kwargs):
+        nonlocal count
+        count += 1
+        if count > after:
+            raise Stop
+        layout.write_shard(*args, **kwargs)
+
+    monkeypatch.setattr(job_module, "write_shard", fail)
+    with pytest.raises(Stop):
+        write(target)
+    assert not target.exists()
+    with pytest.raises(FormatError, match="unfinished dataset: --resume"):
+        write(target)
+    with pytest.raises(FormatError, match="not finished"):
+        SDMDataset(target)
+    monkeypatch.undo()
+    seen = []
+    write(target, resume=True, progress=lambda done, total: seen.append((done, total)))
+    assert seen[0] == (min(COUNT, 3 * after), COUNT)
+    assert seen[-1] == (COUNT, COUNT)
+    assert contents(target) == contents(whole)
+    assert not layout.part_of(target).exists()
+
+
+def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
+    target = tmp_path / "d.zarr"
+    real, calls = layout.put, []
+
+    def full(path, content):
+        calls.append(path)
+        if len(calls) == 6:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        real(path, content)
+
+    monkeypatch.setattr(layout, "put", full)
+    with pytest.raises(FormatError, match="No space left on device; --resume"):
+        write(target)
+    monkeypatch.undo()
+    part = layout.part_of(target)
+    manifest = layout.read_manifest(part)
+    assert [layout.is_done(part, manifest, n) for n in range(4)] == [True, False, False, False]
+    assert not list(part.rglob("*.part"))
+    write(target, resume=True)
+    assert contents(target) == contents(whole)
+
+
+@pytest.mark.slow
+def test_kill_9_at_any_moment_loses_only_what_is_in_flight(tmp_path):
+    options = ["--count", "40", "--resolution", "24", "--triangles", "600", "--shard", "2", "--device", "cpu"]
+    command = [sys.executable, "-m", "sdm.cli", "generate", "cochlea", *options, "-o"]
+    expected = tmp_path / "expected.zarr"
+    subprocess.run([*command, str(expected)], check=True, capture_output=True)
+    target = tmp_path / "d.zarr"
+    part = layout.part_of(target)
+    kills = 0
+    while not target.exists() and kills < 2:
+        have = len(list(part.glob("sha256/c/*/0")))
+        child = subprocess.Popen([*command, str(target), "--resume"], stderr=subprocess.DEVNULL)
+        limit = time.monotonic() + 60
+        while child.poll() is None and time.monotonic() < limit and len(list(part.glob("sha256/c/*/0"))) < have + 3:
+            time.sleep(0.005)
+        if child.poll() is None:
+            child.send_signal(signal.SIGKILL)
+            kills += 1
+        child.wait()
+        assert len(list(part.glob("sha256/c/*/0"))) >= have + 3 or target.exists()
+    assert kills
+    # Neither family nor options are needed: the dataset knows.
+    subprocess.run(
+        [sys.executable, "-m", "sdm.cli", "generate", "--resume", "-o", str(target)], check=True, capture_output=True
+    )
+    assert contents(target) == contents(expected)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda d: (d / "sdm/c/1/0/0/0").write_bytes((d / "sdm/c/1/0/0/0").read_bytes()[:-5]),
+        lambda d: (d / "sdm/c/1/0/0/0").unlink(),
+        lambda d: (d / "theta/c/1/0").write_bytes(bytes(48)),
+        lambda d: (d / "sha256/c/1/0").unlink(),
+        lambda d: (d / "sha256/c/1/0").write_bytes(bytes(32)),
+    ],
+    ids=["cut", "gone", "theta", "no checksum", "wrong checksum"],
+)
+def test_damage_is_found_and_mended(whole, copy, harm):
+    assert damaged(copy) == []
+    assert verify(copy, FAMILY, device="cpu") == []
+    harm(copy)
+    assert damaged(copy) == [1]
+    assert verify(copy, FAMILY, device="cpu") == [1]
+    assert contents(copy) == contents(whole)
+
+
+def test_one_flipped_bit_is_an_error_when_it_is_read(copy):
+    path = copy / "sdm/c/1/0/0/0"
+    content = bytearray(path.read_bytes())
+    content[100] ^= 1
+    path.write_bytes(content)
+    data = SDMDataset(copy)
+    with pytest.raises(SDMError, match="sample 3 of .* is damaged: sdm generate --verify"):
+        data[3]
+    path.unlink()
+    with pytest.raises(SDMError, match="is gone: sdm generate --verify"):
+        SDMDataset(copy)[3]
+    assert torch.isfinite(data[0].sdm).all()
+
+
+def test_another_recipe_is_not_mixed_in(whole, copy):
+    with pytest.raises(FormatError, match="there already"):
+        write(copy)
+    assert write(copy, resume=True) == copy
+    copy.rename(layout.part_of(copy))
+    before = contents(layout.part_of(copy))
+    for options, message in (
+        ({"seed": 1}, "seed 0, but 1"),
+        ({"count": 12}, "count 11, but 12"),
+        ({"truncate": 1.0}, "truncate None, but 1.0"),
+        ({"sampler": "sobol"}, "sampler uniform"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            write(copy, resume=True, **options)
+    with pytest.raises(FormatError, match="fingerprint"):
+        generate(Cochlea(900), GRID, COUNT, copy, device="cpu", resume=True)
+    assert contents(layout.part_of(copy)) == before
+    write(copy, resume=True)
+    assert contents(copy) == contents(whole)
+
+
+def test_another_family_does_not_mend(copy):
+    (copy / "sdm/c/1/0/0/0").unlink()
+    with pytest.raises(FormatError, match="the family it was made with"):
+        verify(copy, Cochlea(900), device="cpu")
+
+
+@pytest.mark.slow
+def test_several_devices_share_the_work(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr("sdm.dataset.writer.devices_for", lambda _: ["cpu", "cpu"])
+    target = tmp_path / "d.zarr"
+    write(target)
+    assert contents(target) == contents(whole)
