@@ -1,0 +1,70 @@
+"""A Ray cluster shares the shards; one that loses a node half way makes the identical dataset."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from sdm.dataset import SDMDataset, generate
+from sdm.errors import SDMError
+from sdm.shapes import Cochlea
+
+FAMILY = Cochlea(5_000)
+COUNT = 60
+
+
+def contents(folder: Path) -> dict[str, str]:
+    files = (f for f in folder.rglob("*") if f.is_file() and f.name != "zarr.json")
+    return {str(f.relative_to(folder)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+def write(path, **options):
+    return generate(FAMILY, FAMILY.grid(64), COUNT, path, shard=1, **options)
+
+
+def test_says_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(SDMError, match=r"pip install 'warp-sdm\[ray\]'"):
+        write(tmp_path / "d.zarr", ray="auto")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_lost_node_changes_nothing(tmp_path):
+    ray = pytest.importorskip("ray", reason="needs Ray, an extra")
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    # The head has no CPU for workers, so that the node that is lost is one of those at work.
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    cluster.wait_for_nodes()
+    lost = threading.Event()
+
+    def lose_one() -> None:
+        # Each worker has a folder of its own while it makes a shard: one goes when both are in the middle of one.
+        while not (tmp_path / "d.zarr").exists():
+            if len(list(tmp_path.glob("d.zarr.part/.*.part"))) == 2:
+                cluster.remove_node(nodes[1], allow_graceful=False)
+                lost.set()
+                return
+            time.sleep(0.01)
+
+    def slowly(done: int, total: int) -> None:
+        # The first worker must not be through before the second has started.
+        time.sleep(0 if lost.is_set() else 0.3)
+
+    watch = threading.Thread(target=lose_one, daemon=True)
+    watch.start()
+    try:
+        write(tmp_path / "d.zarr", ray=cluster.address, progress=slowly)
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    watch.join()
+    assert lost.is_set()
+    alone = write(tmp_path / "alone.zarr", device="cpu")
+    assert contents(tmp_path / "d.zarr") == contents(alone)
+    assert SDMDataset(tmp_path / "d.zarr").manifest["device"] == "cpu"
