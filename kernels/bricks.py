@@ -13,7 +13,7 @@ import warp as wp
 from sdm.kernels.cells import CHUNK, NEXT_BRICK, ROOM, Lists, cell_start, make_cell
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cull import Cell, agree, away, no_witness, remember, triangle_is_behind
-from sdm.kernels.frames import exact_distance, frame_distance2, load_frame, see
+from sdm.kernels.frames import exact_distance, exact_place, frame_distance2, load_frame, see
 from sdm.kernels.grid import Slab, voxel
 from sdm.kernels.lanes import (
     ballot,
@@ -29,7 +29,7 @@ wp.set_module_options({"enable_backward": False})
 
 BRICK = wp.constant(4)
 # Places for the list of a brick. A longer one is not worth it: the brick's voxels are then searched one by one.
-SCRATCH = 6144
+SCRATCH = 2048
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -58,18 +58,21 @@ def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: wp.
 
 @wp.func
 def filter_chain(
+    tree: Tree,
     frames: wp.array(dtype=wp.float32),
     lists: Lists,
     item: int,
     cell: Cell,
     kept: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec3),
     at: int,
     lane: int,
     lanes: int,
 ):
     """Write the entries of a cell's list that matter to its brick `cell` at kept[at...]; returns how many there are.
 
-    More than SCRATCH are counted but not written.
+    With each goes the brick's centre in the triangle's frame, to float32's last bit: a voxel is measured from there, so
+    that its distance to a far corner costs no accuracy. More than SCRATCH are counted but not written.
     """
     known = no_witness()
     chunk = lists.heads[item]
@@ -95,14 +98,17 @@ def filter_chain(
             i = start + lane
             keep = False
             slot = int(0)
+            turn = int(0)
             if i < taken:
                 slot = lists.pool[chunk * _CHUNK + i]
                 f = load_frame(frames, slot)
+                turn = f.turn
                 keep = not triangle_is_behind(cell, known, f, see(f, cell.centre))
             mask = ballot(keep)
             place = total + rank(mask, lane)
             if keep and place < _SCRATCH:
                 kept[at + place] = slot
+                places[at + place] = exact_place(tree, slot, turn, wp.vec3d(cell.centre))
             total = total + members(mask)
             start = start + lanes
         left = left - taken
@@ -119,7 +125,9 @@ def measure_brick(
     out: Output,
     mesh: int,
     start: wp.vec3i,
+    centre: wp.vec3,
     kept: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec3),
     at: int,
     length: int,
     lane: int,
@@ -137,8 +145,8 @@ def measure_brick(
         k = start[2] + (v & 3)
         p_exact = scale * wp.vec3d(voxel(slab, i, j, k))
         q_exact = scale * wp.vec3d(voxel(slab, i + 2, j, k))
-        p = wp.vec3(p_exact)
-        q = wp.vec3(q_exact)
+        p = wp.vec3(p_exact - wp.vec3d(centre))
+        q = wp.vec3(q_exact - wp.vec3d(centre))
         p2 = float(wp.inf)
         q2 = float(wp.inf)
         # Some triangle is taken even where float32 overflows.
@@ -147,11 +155,12 @@ def measure_brick(
         for entry in range(length):
             slot = kept[at + entry]
             f = load_frame(frames, slot)
-            d2 = frame_distance2(f, p)
+            o = places[at + entry]
+            d2 = frame_distance2(f, o[0] + wp.dot(p, f.x_axis), o[1] + wp.dot(p, f.y_axis), o[2] + wp.dot(p, f.normal))
             if d2 < p2:
                 p2 = d2
                 p_slot = slot
-            d2 = frame_distance2(f, q)
+            d2 = frame_distance2(f, o[0] + wp.dot(q, f.x_axis), o[1] + wp.dot(q, f.y_axis), o[2] + wp.dot(q, f.normal))
             if d2 < q2:
                 q2 = d2
                 q_slot = slot
@@ -208,6 +217,7 @@ def _measure_bricks(
     slab: Slab,
     lists: Lists,
     scratch: wp.array(dtype=wp.int32),
+    places: wp.array(dtype=wp.vec3),
     out: Output,
 ):
     thread = begin + wp.tid()
@@ -220,16 +230,18 @@ def _measure_bricks(
         start = start + BRICK * wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
         if start[0] < slab.shape[0] and start[1] < slab.shape[1] and start[2] < slab.shape[2]:
             few = int(0)
+            brick = make_cell(slab, start, BRICK, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
             if lists.heads[item / 8] >= 0:
-                brick = make_cell(slab, start, BRICK, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-                few = filter_chain(frames, lists, item / 8, brick, scratch, kept, lane, lanes)
+                few = filter_chain(tree, frames, lists, item / 8, brick, scratch, places, kept, lane, lanes)
                 wait_for_lanes()
             unclear = int(0)
             # No list is ever empty; but were one to be, the tree still has the answer.
             if few == 0 or few > _SCRATCH:
                 unclear = search_brick(tree, frames, slab, out, mesh, start, lane, lanes)
             else:
-                unclear = measure_brick(tree, frames, slab, out, mesh, start, scratch, kept, few, lane, lanes)
+                unclear = measure_brick(
+                    tree, frames, slab, out, mesh, start, brick.centre, scratch, places, kept, few, lane, lanes
+                )
             wait_for_lanes()
             if unclear > 0:
                 fetch_add(out.ambiguous, mesh, unclear)
@@ -242,12 +254,17 @@ def measure_bricks(
     slab: Slab,
     lists: Lists,
     scratch: wp.array,
+    places: wp.array,
     out: Output,
     workers: int,
     lanes: int,
     launch: Any,
 ) -> None:
-    """Distances of every voxel of one pass; `scratch` is (workers * SCRATCH) int32."""
+    """Distances of every voxel of one pass; `scratch` is (workers * SCRATCH) int32, `places` as many vec3."""
     launch(
-        _measure_bricks, workers * lanes, [lanes, tree, frames, slab, lists, scratch, out], frames.device, smallest=1
+        _measure_bricks,
+        workers * lanes,
+        [lanes, tree, frames, slab, lists, scratch, places, out],
+        frames.device,
+        smallest=1,
     )

@@ -83,6 +83,7 @@ def query_slab(
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
     scratch = empty(workers * SCRATCH, wp.int32)
+    places = empty(workers * SCRATCH, wp.vec3)
     out = Output()
     out.values = values
     out.ambiguous = ambiguous
@@ -91,4 +92,4 @@ def query_slab(
         lists.count = min(share, total - first)
         lists.counts.zero_()
         list_cells(tree, frames, slab, lists, stacks, workers, lanes, launch)
-        measure_bricks(tree, frames, slab, lists, scratch, out, workers, lanes, launch)
+        measure_bricks(tree, frames, slab, lists, scratch, places, out, workers, lanes, launch)

@@ -81,12 +81,8 @@ def is_inside(f: Frame, x: float, y: float):
 
 
 @wp.func
-def frame_distance2(f: Frame, p: wp.vec3):
-    """Squared distance of p from the triangle."""
-    q = p - f.corner
-    x = wp.dot(q, f.x_axis)
-    y = wp.dot(q, f.y_axis)
-    h = wp.dot(q, f.normal)
+def frame_distance2(f: Frame, x: float, y: float, h: float):
+    """Squared distance from the triangle of a point given in its frame."""
     flat = float(0.0)
     if not is_inside(f, x, y):
         dx = x - wp.clamp(x, 0.0, f.base)
@@ -155,6 +151,31 @@ def some_perpendicular(x: wp.vec3d):
 
 
 @wp.func
+def exact_axes(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """The frame's axes: along ab, across it in the plane, and the normal; and whether there is a plane."""
+    normal = unit_normal(a, b, c)
+    solid = wp.dot(normal, normal) > wp.float64(0.5)
+    x_axis = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    base = wp.length(b - a)
+    if base > wp.float64(0.0):
+        x_axis = (b - a) / base
+    if not solid:
+        normal = some_perpendicular(x_axis)
+    return x_axis, wp.cross(normal, x_axis), normal, solid
+
+
+@wp.func
+def exact_place(tree: Tree, slot: int, turn: int, p: wp.vec3d):
+    """p in the triangle's frame, worked out in float64."""
+    a = wp.vec3d(tree.corners[4 * slot + turn])
+    b = wp.vec3d(tree.corners[4 * slot + (turn + 1) % 3])
+    c = wp.vec3d(tree.corners[4 * slot + (turn + 2) % 3])
+    x_axis, y_axis, normal, _solid = exact_axes(a, b, c)
+    q = p - a
+    return wp.vec3(float(wp.dot(q, x_axis)), float(wp.dot(q, y_axis)), float(wp.dot(q, normal)))
+
+
+@wp.func
 def exact_distance(tree: Tree, slot: int, f: Frame, p: wp.vec3d):
     """Distance of p from the triangle in float64: from the plane or the edge that float32 says is closest.
 
@@ -193,15 +214,8 @@ def _make_frames(
     a = wp.vec3d(tree.corners[4 * slot + turn])
     b = wp.vec3d(tree.corners[4 * slot + (turn + 1) % 3])
     c = wp.vec3d(tree.corners[4 * slot + (turn + 2) % 3])
-    normal = unit_normal(a, b, c)
-    solid = wp.dot(normal, normal) > wp.float64(0.5)
+    x_axis, y_axis, normal, solid = exact_axes(a, b, c)
     base = wp.length(b - a)
-    x_axis = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
-    if base > wp.float64(0.0):
-        x_axis = (b - a) / base
-    if not solid:
-        normal = some_perpendicular(x_axis)
-    y_axis = wp.cross(normal, x_axis)
     tip_x = wp.dot(c - a, x_axis)
     tip_y = wp.dot(c - a, y_axis)
     if not solid:

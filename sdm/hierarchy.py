@@ -67,7 +67,8 @@ def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
     """An allocator of scratch arrays for kernels: torch's memory, kept by the Warp array for as long as it lives."""
 
     def empty(length: int, dtype: Any) -> wp.array:
-        return as_warp(torch.empty(length, dtype=_TORCH_TYPE[dtype], device=device), dtype)
+        shape = (length, 3) if dtype is wp.vec3 else (length,)
+        return as_warp(torch.empty(shape, dtype=_TORCH_TYPE.get(dtype, torch.float32), device=device), dtype)
 
     return empty
 
