@@ -27,8 +27,6 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
     """Distances (B,nx,ny,nz) float32 from bool (B,nx,ny,nz); see `euclidean_distance_transform`."""
     mask = mask.contiguous()
     out = torch.empty(mask.shape, dtype=torch.float32, device=mask.device)
-    if not mask.numel():
-        return out
     count, nx, ny, nz = mask.shape
     largest = nx * ny * max(nz, _LANES)
     chunk = max(1, min(count, MOST_VOXELS // largest))
@@ -103,6 +101,8 @@ def euclidean_distance_transform(
             f"a volume of shape {tuple(shape)} is too large: at most {LONGEST_LINE} voxels along an axis and "
             f"{MOST_VOXELS} in all"
         )
+    if not mask.numel():
+        return torch.empty(mask.shape, dtype=torch.float32, device=mask.device)
     inside = mask.detach()
     inside = inside if inside.dtype == torch.bool else inside != 0
     return _transform(inside.reshape(-1, *shape), size, SURFACES[surface], signed, missing).reshape(mask.shape)
@@ -112,9 +112,11 @@ def spacing_of(spacing: float | Sequence[float]) -> list[float]:
     """Three voxel sizes from one or three numbers.
 
     Raises:
-        GridError: They are not three positive, finite numbers.
+        GridError: They are not three positive, finite numbers, or so different that their squares leave float32.
     """
     sizes = [float(spacing)] * 3 if isinstance(spacing, int | float) else [float(s) for s in spacing]
     if len(sizes) != 3 or not all(s > 0 and math.isfinite(s) for s in sizes):
         raise GridError(f"the spacing {spacing} must be one or three positive numbers")
+    if max(sizes) > 1e9 * min(sizes):
+        raise GridError(f"the spacing {spacing} differs too much between the axes: by at most a factor of 1e9")
     return sizes

@@ -1,0 +1,70 @@
+"""Summaries of the distances between two surfaces, in millimetres.
+
+Each takes two masks (x,y,z) and their voxels' size in mm, and is infinite where exactly one mask is empty and NaN
+where both are. See `surface_distances` for what is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from sdm.errors import SDMError
+from sdm.metrics.surface_voxels import SurfaceDistances, surface_distances
+
+Spacing = float | Sequence[float]
+
+
+def hausdorff_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing, percentile: float = 95.0) -> float:
+    """The larger of the two directions' percentiles of surface distances in mm: the 95 % Hausdorff distance.
+
+    As in MONAI. Percentiles are interpolated linearly; 100 is the Hausdorff distance itself.
+    """
+    return hausdorff_of(surface_distances(prediction, truth, spacing_mm), percentile)
+
+
+def average_surface_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing) -> float:
+    """Average symmetric surface distance in mm: the mean over all surface voxels of both masks."""
+    return average_of(surface_distances(prediction, truth, spacing_mm))
+
+
+def rms_surface_distance(prediction: Tensor, truth: Tensor, spacing_mm: Spacing) -> float:
+    """Root mean square symmetric surface distance in mm, over all surface voxels of both masks."""
+    return rms_of(surface_distances(prediction, truth, spacing_mm))
+
+
+def hausdorff_of(distances: SurfaceDistances, percentile: float = 95.0) -> float:
+    """`hausdorff_distance` of distances known already."""
+    if not 0 <= percentile <= 100:
+        raise SDMError(f"a percentile is between 0 and 100, not {percentile}")
+    without = _without_surface(distances)
+    return max(_percentile(d, percentile) for d in distances) if without is None else without
+
+
+def average_of(distances: SurfaceDistances) -> float:
+    """`average_surface_distance` of distances known already."""
+    without = _without_surface(distances)
+    return float(torch.cat(list(distances)).double().mean()) if without is None else without
+
+
+def rms_of(distances: SurfaceDistances) -> float:
+    """`rms_surface_distance` of distances known already."""
+    without = _without_surface(distances)
+    return float(torch.cat(list(distances)).double().square().mean().sqrt()) if without is None else without
+
+
+def _without_surface(distances: SurfaceDistances) -> float | None:
+    empty = [d.numel() == 0 for d in distances]
+    return math.nan if all(empty) else math.inf if any(empty) else None
+
+
+def _percentile(values: Tensor, percentile: float) -> float:
+    # torch.quantile refuses more than 2^24 values.
+    ordered = values.double().sort().values
+    at = percentile / 100.0 * (len(ordered) - 1)
+    low = math.floor(at)
+    below, above = float(ordered[low]), float(ordered[min(low + 1, len(ordered) - 1)])
+    return below + (at - low) * (above - below)

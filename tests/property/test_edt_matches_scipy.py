@@ -1,0 +1,74 @@
+"""The distance transform against SciPy's, and, to voxel faces, against every pair of voxels, in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from sdm.distance_transform import euclidean_distance_transform
+
+# Squares, their sum and their products are rounded: 3 roundings before the root, 2 after it.
+ROUNDINGS = 4 * 2.0**-24
+SPACINGS = st.one_of(
+    st.just((1.0, 1.0, 1.0)),
+    st.tuples(*[st.floats(1 / 64, 64.0, width=32)] * 3),
+)
+
+
+@st.composite
+def masks(draw, longest=9):
+    shape = draw(st.tuples(*[st.integers(1, longest)] * 3))
+    share = draw(st.sampled_from([0.02, 0.2, 0.5, 0.8, 0.98]))
+    seed = draw(st.integers(0, 2**32 - 1))
+    return np.random.default_rng(seed).random(shape) < share
+
+
+def to_boxes(mask: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
+    """From every voxel's centre to the nearest point of the boxes of a mask's voxels."""
+    there, everywhere = np.argwhere(mask), np.argwhere(np.ones_like(mask))
+    if not len(there):
+        return np.full(mask.shape, np.inf)
+    steps = np.maximum(np.abs(everywhere[:, None] - there[None]) - 0.5, 0.0) * spacing
+    return np.sqrt((steps**2).sum(-1).min(1)).reshape(mask.shape)
+
+
+def scipy_distance(mask: np.ndarray, spacing: tuple[float, ...]) -> np.ndarray:
+    return distance_transform_edt(~mask, spacing) if mask.any() else np.full(mask.shape, np.inf)
+
+
+@settings(max_examples=400)
+@given(mask=masks(), spacing=SPACINGS)
+def test_to_centres(mask, spacing):
+    values = euclidean_distance_transform(torch.tensor(mask), spacing).numpy()
+    np.testing.assert_allclose(values, scipy_distance(mask, spacing), rtol=ROUNDINGS, atol=0)
+    values = euclidean_distance_transform(torch.tensor(mask), spacing, signed=True).numpy()
+    expected = np.where(mask, -scipy_distance(~mask, spacing), scipy_distance(mask, spacing))
+    np.testing.assert_allclose(values, expected, rtol=ROUNDINGS, atol=0)
+
+
+@settings(max_examples=400)
+@given(mask=masks(6), spacing=SPACINGS)
+def test_to_faces(mask, spacing):
+    values = euclidean_distance_transform(torch.tensor(mask), spacing, signed=True, surface="faces").numpy()
+    expected = np.where(mask, -to_boxes(~mask, spacing), to_boxes(mask, spacing))
+    np.testing.assert_allclose(values, expected, rtol=ROUNDINGS, atol=0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_larger_volumes(seed, device):
+    """Long enough for several words of a GPU's rows, for CPU threads, and for deep envelopes."""
+    random = np.random.default_rng(seed)
+    shape = (*random.integers(30, 60, 2), random.choice([31, 32, 33, 64, 97]))
+    mask = random.random(shape) < [0.5, 0.01, 0.001, 0.9999, 0.0001, 0.99][seed]
+    mask[0, 0, 0], mask[-1, -1, -1] = True, False
+    spacing = (1.0, 1.0, 1.0) if seed % 2 else tuple(random.uniform(0.1, 4.0, 3))
+    values = euclidean_distance_transform(torch.tensor(mask, device=device), spacing, signed=True).cpu().numpy()
+    expected = np.where(mask, -scipy_distance(~mask, spacing), scipy_distance(mask, spacing))
+    np.testing.assert_allclose(values, expected, rtol=ROUNDINGS, atol=0)
+    if spacing == (1.0, 1.0, 1.0):
+        # Whole squared distances are exact, so only the root is rounded.
+        assert np.array_equal(values, expected.astype(np.float32))
