@@ -132,7 +132,9 @@ class MeshIndex:
             max_bytes: Most memory for one slab, which has a multiple of 8 layers; at least 8 are always taken.
             ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
 
-        The slabs together are, bit for bit, what `signed_distance_map` gives. Beyond a slab, up to 400 MiB of scratch
+        The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid
+        that lists of triangles outgrow their memory, and equally near triangles are then told apart in another order.
+        Beyond a slab, up to 400 MiB of scratch
         memory are used at a time on a GPU, 100 MiB on a CPU.
         """
         for begin, end in _slabs(grid, min(max_bytes // 4, LARGEST_SLAB)):

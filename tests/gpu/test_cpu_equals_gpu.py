@@ -119,7 +119,7 @@ def test_gradients():
     torch.testing.assert_close(results[1][0], results[0][0])
     # On the medial axis the devices may choose either side.
     clear = (results[1][1] - results[0][1]).norm(dim=-1) < 1e-3
-    assert clear.float().mean() > 0.98
+    assert clear.float().mean() > 0.95
     clear = (results[1][2] - results[0][2]).norm(dim=-1) < 1e-2
     assert clear.float().mean() > 0.95
 

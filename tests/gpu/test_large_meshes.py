@@ -59,7 +59,7 @@ def test_a_map_in_slabs_takes_little_memory():
     inside = 0
     for _, _, values in index.slabs(grid, 1 << 24):
         inside += int((values < 0).sum())
-    # One slab at a time, what its search needs, and the slab before it.
-    assert torch.cuda.max_memory_allocated() - before < 8 << 24
+    # One slab at a time, the slab before it, and the lists' memory, whatever the grid.
+    assert torch.cuda.max_memory_allocated() - before < 400 << 20
     volume = 2 * np.pi**2 * 0.65 * 0.25**2
     assert inside * (2 / 511) ** 3 == pytest.approx(volume, rel=2e-3)

@@ -1,0 +1,59 @@
+"""Datasets made on a GPU: what the stream yields there, by one GPU or all of them, finished to the same bits."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sdm.dataset import SDMDataset, damaged, generate, verify
+from sdm.dataset import job as job_module
+from sdm.shapes import Cochlea
+from sdm.stream import SDMStream
+
+pytestmark = pytest.mark.gpu
+
+FAMILY = Cochlea(2_000)
+GRID = FAMILY.grid(32)
+COUNT = 40
+
+
+def maps(path) -> torch.Tensor:
+    data = SDMDataset(path)
+    return torch.stack([data[i].sdm for i in range(len(data))])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
+def test_holds_what_the_stream_yields(tmp_path, dtype):
+    batch = next(iter(SDMStream(FAMILY, GRID, COUNT, device="cuda", dtype=dtype, truncate=1.5)))
+    path = generate(FAMILY, GRID, COUNT, tmp_path / "d.zarr", shard=16, dtype=dtype, truncate=1.5, device="cuda")
+    assert torch.equal(maps(path), batch.sdm.cpu())
+    assert SDMDataset(path).manifest["device"] == torch.cuda.get_device_name()
+
+
+def test_is_finished_and_mended_to_the_same_bits(tmp_path, monkeypatch):
+    whole = generate(FAMILY, GRID, COUNT, tmp_path / "whole.zarr", shard=8, device="cuda")
+    real = job_module.write_shard
+
+    def stop_at_2(*args):
+        if args[2] == 2:
+            raise KeyboardInterrupt
+        real(*args)
+
+    monkeypatch.setattr(job_module, "write_shard", stop_at_2)
+    with pytest.raises(KeyboardInterrupt):
+        generate(FAMILY, GRID, COUNT, tmp_path / "d.zarr", shard=8, device="cuda")
+    monkeypatch.undo()
+    path = generate(FAMILY, GRID, COUNT, tmp_path / "d.zarr", shard=8, device="cuda", resume=True)
+    (path / "sdm/c/3/0/0/0").unlink()
+    assert damaged(path) == [3]
+    assert verify(path, FAMILY, device="cuda") == [3]
+    assert torch.equal(maps(path), maps(whole))
+
+
+@pytest.mark.slow
+def test_every_gpu_of_the_machine_shares_the_work(tmp_path):
+    if torch.cuda.device_count() < 2:
+        pytest.skip("needs two GPUs")
+    alone = generate(FAMILY, GRID, COUNT, tmp_path / "alone.zarr", shard=2, device="cuda:0")
+    shared = generate(FAMILY, GRID, COUNT, tmp_path / "shared.zarr", shard=2)
+    assert torch.equal(maps(shared), maps(alone))
