@@ -149,7 +149,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     options = {key: recipe[key] for key in ("seed", "sampler", "truncate")}
     options |= {"dtype": getattr(torch, recipe["dtype"])}
     options |= {key: manifest[key] for key in ("shard", "compression")}
-    grid = Grid(recipe["grid"]["origin"], recipe["grid"]["spacing"], recipe["grid"]["shape"])
+    grid = Grid(**recipe["grid"])
     return options, manifest["count"], grid, manifest["source"] or {}
 
 

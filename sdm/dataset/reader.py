@@ -46,8 +46,7 @@ class SDMDataset(Dataset[Batch]):
         if self.path.name.endswith(layout.UNFINISHED):
             raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
         self.manifest: dict[str, Any] = layout.read_manifest(self.path)
-        grid = self.manifest["recipe"]["grid"]
-        self.grid = Grid(grid["origin"], grid["spacing"], grid["shape"])
+        self.grid = Grid(**self.manifest["recipe"]["grid"])
         self.parameters = tuple(Parameter(**p) for p in self.manifest["parameters"])
         self.theta = torch.from_numpy(np.asarray(self._open("theta")[:], dtype=np.float32))
         self._maps: zarr.Array | None = None

@@ -9,8 +9,8 @@ import torch
 
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.writer import remake, version
 from sdm.dataset.job import Job
+from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
 from sdm.grid import Grid
 from sdm.shapes import Family
@@ -84,7 +84,7 @@ def verify(
                 f"{folder} has {len(found)} damaged shards, but {what} it was made with was {there}, here it is "
                 f"{here}: made again they would differ"
             )
-    grid = Grid(recipe["grid"]["origin"], recipe["grid"]["spacing"], recipe["grid"]["shape"])
+    grid = Grid(**recipe["grid"])
     dtype = {name: kind for kind, name in DTYPES.items()}[recipe["dtype"]]
     chosen = as_sampler(recipe["sampler"] if sampler is None else sampler)
     job = Job(folder, manifest, family, grid, chosen, recipe["seed"], dtype, recipe["truncate"])

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sdm.device import choose_device, require_memory
 from sdm.engine import batch_maps
-from sdm.errors import GridError, SDMError
+from sdm.errors import DeviceError, SDMError
 from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
@@ -26,7 +26,7 @@ class Maker:
 
     Args:
         family: The shapes.
-        grid: Where to measure; its direction must be the identity.
+        grid: Where to measure.
         seed: Any whole number of 64 bits.
         sampler: Which parameters, by name or as a `Sampler`.
         device: Where to compute; by default a GPU if there is one.
@@ -35,7 +35,7 @@ class Maker:
 
     Raises:
         DeviceError: The device is not there.
-        GridError: A grid that is turned.
+        GridError: A map that does not fit into memory.
         SDMError: A type or a truncation that makes no sense.
 
     A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
@@ -53,12 +53,12 @@ class Maker:
         dtype: torch.dtype = torch.float32,
         truncate: float | None = None,
     ) -> None:
-        if not grid.is_axis_aligned:
-            raise GridError("a stream needs a grid whose direction is the identity: turn the shapes instead")
         if dtype not in DTYPES:
             raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
         if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
             raise SDMError(f"the truncation {truncate} must be a positive distance")
+        if device is None or str(device).startswith("cuda"):
+            refuse_fork(getattr(torch.cuda, "_is_in_bad_fork", bool)())
         self.family, self.grid, self.seed = family, grid, int(seed)
         self.sampler = as_sampler(sampler)
         self.device = choose_device(device)
@@ -85,7 +85,7 @@ class Maker:
         return {
             "family": self.family.name,
             "fingerprint": self.family.fingerprint,
-            "grid": {k: list(getattr(self.grid, k)) for k in ("origin", "spacing", "shape")},
+            "grid": grid_record(self.grid),
             "seed": self.seed,
             "sampler": str(self.sampler),
             "dtype": DTYPES[self.dtype],
@@ -125,6 +125,25 @@ class Maker:
         for group in self.family.groups(theta, host):
             values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
         return values
+
+
+def refuse_fork(forked: bool) -> None:
+    """Say what to do in a forked process, where CUDA cannot be used.
+
+    Raises:
+        DeviceError: It is one.
+    """
+    if forked:
+        raise DeviceError(
+            "a forked process cannot use CUDA: iterate over the stream itself, or give the DataLoader num_workers=0 "
+            "(batches are made ahead on the GPU, so workers gain nothing)"
+        )
+
+
+def grid_record(grid: Grid) -> dict[str, Any]:
+    """A grid ready for JSON, which keeps every digit: `Grid(**record)` makes it again."""
+    lists = {key: list(getattr(grid, key)) for key in ("origin", "spacing", "shape")}
+    return {**lists, "direction": [list(row) for row in grid.direction]}
 
 
 def to_device(host: Tensor, device: torch.device) -> Tensor:

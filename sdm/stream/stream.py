@@ -10,12 +10,12 @@ from typing import Any
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
-from sdm.errors import DeviceError, SDMError
+from sdm.errors import SDMError
 from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream.ahead import ahead, one_by_one
 from sdm.stream.batch import Batch
-from sdm.stream.maker import Maker
+from sdm.stream.maker import Maker, refuse_fork
 from sdm.stream.ranks import rank_and_size
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
@@ -44,7 +44,7 @@ class SDMStream(IterableDataset[Batch]):
 
     Raises:
         DeviceError: The device is not there.
-        GridError: A grid that is turned, or that does not fit.
+        GridError: A map that does not fit into memory.
         SDMError: A number that makes no sense.
 
     A sample is a pure function of (seed, global number): the same for any batch size, number of ranks or restart, bit
@@ -56,8 +56,9 @@ class SDMStream(IterableDataset[Batch]):
     StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks.
 
     Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
-    device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`; workers on CUDA
-    are for the CPU alone: a forked process cannot use CUDA.
+    device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`. Workers are for
+    the CPU alone, as a forked process cannot use CUDA; they keep the order, and start anew with each `iter` of a
+    DataLoader unless it has `persistent_workers`.
     """
 
     def __init__(
@@ -184,11 +185,7 @@ class SDMStream(IterableDataset[Batch]):
         self._position, self._own = int(state["position"]), bool(state["own"])
 
     def _refuse_fork(self) -> None:
-        if self.device.type == "cuda" and os.getpid() != self._process:
-            raise DeviceError(
-                f"a forked process cannot use {self.device}: iterate over the stream itself or give the DataLoader "
-                "num_workers=0 (batches are made ahead on the GPU, so workers gain nothing)"
-            )
+        refuse_fork(self.device.type == "cuda" and os.getpid() != self._process)
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "_process"}

@@ -39,7 +39,9 @@ def folder(tmp_path) -> Path:
 
 def test_writes_what_the_stream_yields(tmp_path, capsys):
     out = tmp_path / "cochlea.zarr"
-    assert run("cochlea", "--triangles", 600, *SMALL, "--seed", 7, "--dtype", "float16", "--truncate", 2, "-o", out) == 0
+    assert (
+        run("cochlea", "--triangles", 600, *SMALL, "--seed", 7, "--dtype", "float16", "--truncate", 2, "-o", out) == 0
+    )
     said = capsys.readouterr()
     assert re.search(r"cochlea.zarr: 5 maps of cochlea, 10 x 10 x 10 voxels of 1\.\d+, 0\.\d MiB", said.out)
     assert said.err == ""

@@ -153,7 +153,7 @@ def test_one_flipped_bit_is_an_error_when_it_is_read(copy):
     content[100] ^= 1
     path.write_bytes(content)
     data = SDMDataset(copy)
-    with pytest.raises(SDMError, match="sample 3 of .* is damaged: sdm generate --verify"):
+    with pytest.raises(SDMError, match=r"sample 3 of .* is damaged: sdm generate --verify"):
         data[3]
     path.unlink()
     with pytest.raises(SDMError, match="is gone: sdm generate --verify"):

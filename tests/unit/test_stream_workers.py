@@ -71,3 +71,11 @@ def test_a_fork_on_cuda_is_told_what_to_do():
     for use in (lambda: next(iter(source)), lambda: source.sample(0), lambda: source.validation(1)):
         with pytest.raises(DeviceError, match="num_workers=0"):
             use()
+
+
+def test_a_stream_made_in_a_fork_is_told_too(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "_is_in_bad_fork", lambda: True)
+    for device in (None, "cuda"):
+        with pytest.raises(DeviceError, match="num_workers=0"):
+            SDMStream(FAMILY, FAMILY.grid(4), device=device)
+    assert SDMStream(FAMILY, FAMILY.grid(4), 1, device="cpu").sample(0).sdm.shape == (1, 1, 4, 4, 4)

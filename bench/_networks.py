@@ -1,0 +1,27 @@
+"""A network of SDMNN's size, for timing alone: parameters to a map."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from torch import Tensor, nn
+
+CHANNELS = (256, 128, 64, 32, 16)
+
+
+class Decoder(nn.Module):
+    """Parameters (B,P) to maps (B,1,n,n,n): a linear layer to n / 16 voxels, then four times: up, two convolutions."""
+
+    def __init__(self, width: int, resolution: int) -> None:
+        super().__init__()
+        self.coarse = resolution // 16
+        self.first = nn.Linear(width, CHANNELS[0] * self.coarse**3)
+        layers: list[nn.Module] = []
+        for wide, narrow in pairwise(CHANNELS):
+            layers += [nn.ConvTranspose3d(wide, narrow, 2, 2), nn.ReLU()]
+            for _ in range(2):
+                layers += [nn.Conv3d(narrow, narrow, 3, padding=1), nn.ReLU()]
+        self.up = nn.Sequential(*layers, nn.Conv3d(CHANNELS[-1], 1, 1))
+
+    def forward(self, theta: Tensor) -> Tensor:
+        return self.up(self.first(theta).reshape(-1, CHANNELS[0], *(self.coarse,) * 3))
