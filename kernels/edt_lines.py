@@ -32,6 +32,10 @@ def first_won(site: int, height: float, later: int, later_height: float, weight:
     need = (wp.float64(later_height) - wp.float64(height)) / wp.float64(weight)
     h = wp.float64(half)
     gap = wp.float64(later - site)
+    if half == 0.0:
+        # The three pieces are one line.
+        centre = wp.float64(0.5) * (need / gap + wp.float64(later + site))
+        return int(wp.ceil(wp.clamp(centre, wp.float64(-2.0), wp.float64(40000.0))))
     middle = wp.float64(0.5) * (need / gap + wp.float64(later + site))
     before = int(wp.ceil(wp.clamp(middle - h, wp.float64(-2.0), wp.float64(40000.0))))
     if before < site:
