@@ -29,8 +29,8 @@ from sdm.distance_transform import euclidean_distance_transform
 SHAPES = {"4 x 112x112x80": (4, 112, 112, 80), "1 x 256^3": (1, 256, 256, 256)}
 QUICK = {"2 x 40x48x33": (2, 40, 48, 33)}
 SPACING = (0.625, 0.625, 1.25)
-# SciPy measures in float64 from the nearest voxel's indices; this transform rounds five times in float32.
-LIMIT = 4 * 2.0**-24
+# SciPy measures in float64 from the nearest voxel's indices; this transform rounds a few times in float32.
+LIMIT = 6 * 2.0**-24
 PEERS = {"CuPy": "cupyx.scipy.ndimage", "cuCIM": "cucim.core.operations.morphology"}
 Transform = Callable[[Tensor, bool], Any]
 

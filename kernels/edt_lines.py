@@ -19,7 +19,7 @@ _LOW = wp.constant((1 << 16) - 1)
 def cost(x: int, site: int, height: float, weight: float, half: float):
     """Squared distance at x through the voxel at `site`."""
     away = wp.max(float(wp.abs(x - site)) - half, 0.0)
-    return height + weight * away * away
+    return height + weight * (away * away)
 
 
 @wp.func

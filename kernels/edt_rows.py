@@ -47,7 +47,7 @@ def first_at_or_after(bits: wp.uint32, lane: int) -> int:
 def step_cost(steps: int, weight: float, half: float):
     """Squared distance along one axis between voxels that are `steps` > 0 apart."""
     away = float(steps) - half
-    return weight * away * away
+    return weight * (away * away)
 
 
 @wp.kernel

@@ -11,8 +11,9 @@ from scipy.ndimage import distance_transform_edt
 
 from sdm.distance_transform import euclidean_distance_transform
 
-# Squares, their sum and their products are rounded: 3 roundings before the root, 2 after it.
-ROUNDINGS = 4 * 2.0**-24
+# Weights, their products and two sums are rounded before the root, which halves that; the root, the largest spacing
+# and their product after it.
+ROUNDINGS = 6 * 2.0**-24
 SPACINGS = st.one_of(
     st.just((1.0, 1.0, 1.0)),
     st.tuples(*[st.floats(1 / 64, 64.0, width=32)] * 3),
