@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.geometry import closest_point, triangle_distance2
+from sdm.kernels.geometry import nearest_part, part_distance2
 from sdm.kernels.tree import Tree, box_distance2, first_triangle
 
 wp.set_module_options({"enable_backward": False})
@@ -17,33 +17,34 @@ NodeStack = wp.types.vector(length=32, dtype=wp.int32)
 DistanceStack = wp.types.vector(length=32, dtype=wp.float32)
 
 
-@wp.func
-def slot_distance2(tree: Tree, slot: int, p: wp.vec3):
-    """Squared distance, in float32, of p from the triangle in a slot."""
-    return triangle_distance2(
-        p, tree.corners[4 * slot], tree.corners[4 * slot + 1], tree.corners[4 * slot + 2], tree.corners[4 * slot + 3]
-    )
-
-
 # Float32 tells two triangles apart if their distances differ by more than this share of the coordinates.
 CLOSE = wp.constant(6.0e-7)
 
 
 @wp.func
-def exact_distance2(tree: Tree, slot: int, p: wp.vec3):
-    """Squared distance, in float64, of p from the triangle in a slot."""
-    return closest_point(
+def slot_part(tree: Tree, slot: int, p: wp.vec3):
+    """`nearest_part` for the triangle in a slot."""
+    return nearest_part(
+        p, tree.corners[4 * slot], tree.corners[4 * slot + 1], tree.corners[4 * slot + 2], tree.corners[4 * slot + 3]
+    )
+
+
+@wp.func
+def exact_distance2(tree: Tree, slot: int, part: int, p: wp.vec3):
+    """`part_distance2` for the triangle in a slot."""
+    return part_distance2(
+        part,
         wp.vec3d(p),
         wp.vec3d(tree.corners[4 * slot]),
         wp.vec3d(tree.corners[4 * slot + 1]),
         wp.vec3d(tree.corners[4 * slot + 2]),
-    ).distance2
+    )
 
 
 @wp.func
-def within(distance2: wp.float64, room: float):
-    """The square, in float32, of a distance and some room."""
-    d = wp.sqrt(float(distance2)) + room
+def moved_square(d2: float, by: float):
+    """The square of a distance that is `by` longer, or as short as zero."""
+    d = wp.max(wp.sqrt(d2) + by, 0.0)
     return d * d
 
 
@@ -56,10 +57,14 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
     """
     base = mesh * (2 << tree.depth)
     leaves = 1 << tree.depth
-    best = guess
     room = CLOSE * wp.max(1.0, wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
-    exact2 = exact_distance2(tree, guess, p)
-    best2 = within(exact2, room)
+    best = guess
+    best2, best_part = slot_part(tree, guess, p)
+    # What is further than this is out; what is nearer than that is better; float64 judges what lies between.
+    out2 = moved_square(best2, room)
+    better2 = moved_square(best2, -room)
+    # The best triangle's distance in float64, once that was needed.
+    exact2 = wp.float64(-1.0)
     nodes = NodeStack()
     distances = DistanceStack()
     waiting = int(0)
@@ -70,13 +75,21 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
             end = first_triangle(tree, leaf + 1)
             for t in range(first_triangle(tree, leaf), end):
                 slot = mesh * tree.count + t
-                d2 = slot_distance2(tree, slot, p)
-                if d2 < best2 and slot != best:
-                    e2 = exact_distance2(tree, slot, p)
-                    if e2 < exact2:
-                        exact2 = e2
-                        best2 = within(e2, room)
+                d2, part = slot_part(tree, slot, p)
+                if d2 < out2 and slot != best:
+                    wins = d2 < better2
+                    e2 = wp.float64(-1.0)
+                    if not wins:
+                        if exact2 < wp.float64(0.0):
+                            exact2 = exact_distance2(tree, best, best_part, p)
+                        e2 = exact_distance2(tree, slot, part, p)
+                        wins = e2 < exact2
+                    if wins:
                         best = slot
+                        best_part = part
+                        exact2 = e2
+                        out2 = moved_square(d2, room)
+                        better2 = moved_square(d2, -room)
             node = int(0)
         else:
             near = 2 * node
@@ -89,13 +102,13 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
                 swap = near2
                 near2 = far2
                 far2 = swap
-            if far2 < best2:
+            if far2 < out2:
                 nodes[waiting] = far
                 distances[waiting] = far2
                 waiting = waiting + 1
-            node = wp.where(near2 < best2, near, 0)
+            node = wp.where(near2 < out2, near, 0)
         while node == 0 and waiting > 0:
             waiting = waiting - 1
-            if distances[waiting] < best2:
+            if distances[waiting] < out2:
                 node = nodes[waiting]
     return best

@@ -28,10 +28,11 @@ def segment_distance2(q: wp.vec3, e: wp.vec3):
 
 
 @wp.func
-def triangle_distance2(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
-    """Squared distance of p from the triangle (a,b,c) with unit normal n (zero if the triangle has no area).
+def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
+    """Squared distance of p from the triangle (a,b,c), and what of it is nearest: plane (0), ab (1), bc (2) or ca (3).
 
-    The normal comes from float64, so that the height over a sliver is as accurate as over any triangle.
+    n is the unit normal, zero if the triangle has no area. It comes from float64, so that the height over a sliver is
+    as accurate as over any triangle.
     """
     pa = p - a
     pb = p - b
@@ -42,10 +43,23 @@ def triangle_distance2(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec
     inside_ab = wp.dot(wp.cross(n, ab), pa) >= 0.0
     inside_bc = wp.dot(wp.cross(n, bc), pb) >= 0.0
     inside_ca = wp.dot(wp.cross(n, ca), pc) >= 0.0
+    d2 = float(0.0)
+    part = int(0)
     if inside_ab and inside_bc and inside_ca and wp.dot(n, n) > 0.5:
         h = wp.dot(n, pa)
-        return h * h
-    return wp.min(segment_distance2(pa, ab), wp.min(segment_distance2(pb, bc), segment_distance2(pc, ca)))
+        d2 = h * h
+    else:
+        d2 = segment_distance2(pa, ab)
+        part = int(1)
+        other2 = segment_distance2(pb, bc)
+        if other2 < d2:
+            d2 = other2
+            part = int(2)
+        other2 = segment_distance2(pc, ca)
+        if other2 < d2:
+            d2 = other2
+            part = int(3)
+    return d2, part
 
 
 @wp.func
@@ -78,6 +92,26 @@ def segment_parameter(q: wp.vec3d, e: wp.vec3d):
     if length2 > wp.float64(0.0):
         return wp.clamp(wp.dot(q, e) / length2, wp.float64(0.0), wp.float64(1.0))
     return wp.float64(0.0)
+
+
+@wp.func
+def part_distance2(part: int, p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Squared distance of p from the plane or an edge of a triangle (see `nearest_part`), in float64."""
+    if part == 0:
+        n = wp.cross(b - a, c - a)
+        h = wp.dot(n, p - a)
+        return h * h / wp.dot(n, n)
+    start = a
+    edge = b - a
+    if part == 2:
+        start = b
+        edge = c - b
+    if part == 3:
+        start = c
+        edge = a - c
+    r = p - start
+    r = r - segment_parameter(r, edge) * edge
+    return wp.dot(r, r)
 
 
 @wp.func

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 import sdm.hierarchy  # noqa: F401 (starts Warp quietly)
-from sdm.kernels.geometry import closest_point, solid_angle, triangle_distance2, unit_normal
+from sdm.kernels.geometry import closest_point, nearest_part, solid_angle, unit_normal
 from tests import oracle
 
 
@@ -27,7 +27,8 @@ def _measure(
     c = wp.vec3d(corner[3 * i + 2])
     p = wp.vec3d(points[i])
     n = wp.vec3(unit_normal(a, b, c))
-    fast[i] = triangle_distance2(points[i], corner[3 * i], corner[3 * i + 1], corner[3 * i + 2], n)
+    distance2, _part = nearest_part(points[i], corner[3 * i], corner[3 * i + 1], corner[3 * i + 2], n)
+    fast[i] = distance2
     hit = closest_point(p, a, b, c)
     exact[i] = hit.distance2
     weights[i] = hit.barycentric
