@@ -6,8 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm import losses as losses
+    from sdm import metrics as metrics
     from sdm import shapes as shapes
     from sdm.dataset import SDMDataset
+    from sdm.distance_transform import euclidean_distance_transform
     from sdm.engine import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
     from sdm.field import SDM
@@ -33,6 +36,7 @@ _HOMES = {
     "SDMError": "errors",
     "SDMStream": "stream",
     "TriangleMesh": "mesh",
+    "euclidean_distance_transform": "distance_transform",
     "inspect_mesh": "inspect",
     "load": "io",
     "load_mesh": "io",
@@ -55,6 +59,7 @@ __all__ = [
     "SDMError",
     "SDMStream",
     "TriangleMesh",
+    "euclidean_distance_transform",
     "inspect_mesh",
     "load",
     "load_mesh",
@@ -66,8 +71,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "shapes":
-        return import_module("sdm.shapes")
+    if name in ("losses", "metrics", "shapes"):
+        return import_module(f"sdm.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'sdm' has no attribute {name!r}")
     value = getattr(import_module(f"sdm.{_HOMES[name]}"), name)
