@@ -26,7 +26,7 @@ test-all: $(VENV)/.installed-dev ## Run every test
 lint: $(VENV)/.installed-dev ## Check style, types and import rules
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports --no-cache
 
 format: $(VENV)/.installed-dev ## Put the code into the house format
