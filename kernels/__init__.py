@@ -1,7 +1,7 @@
 """Warp kernels for exact signed distances to triangle meshes.
 
 Nothing here knows torch or `sdm`: the functions take and fill `wp.array`s that the caller owns, and launch on
-Warp's current stream. Read in this order: `geometry` (one triangle), `tree` (the bounding volume hierarchy),
+Warp's current stream. Read in this order: `geometry` (one triangle), `curve` and `tree` (the hierarchy of boxes),
 `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary` (what open meshes add),
 `solid_angle` (any soup), `points` (scattered queries), `scan` and `search` (the plain dense query), `frames`, `cull`,
 `cells` and `bricks` (the fast one), `dense` (which of them runs).

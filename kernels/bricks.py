@@ -29,7 +29,7 @@ wp.set_module_options({"enable_backward": False})
 
 BRICK = wp.constant(4)
 # Places for the list of a brick. A longer one is not worth it: the brick's voxels are then searched one by one.
-SCRATCH = 2048
+SCRATCH = 4096
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)

@@ -24,6 +24,9 @@ SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
 MOST_CELLS = 1 << 17
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 3000, "cpu": 600}
+# So do shorter ones where there are too few bricks to keep a GPU busy until the longest is done.
+FEW_VOXELS = 1 << 19
+LONGEST_LIST_OF_FEW = 500
 
 
 def expected_list(triangles: int, shape: Sequence[int]) -> float:
@@ -32,6 +35,14 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
     From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
     """
     return 5 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+
+
+def search_is_faster(meshes: int, triangles: int, shape: Sequence[int], gpu: bool) -> bool:
+    """Whether the plain path is expected to be the faster one."""
+    length = expected_list(triangles, shape)
+    if gpu and meshes * (shape[1] * shape[2]) ** 1.5 < FEW_VOXELS and length > LONGEST_LIST_OF_FEW:
+        return True
+    return length > LONGEST_LIST["cuda" if gpu else "cpu"]
 
 
 def query_slab(
@@ -63,8 +74,7 @@ def query_slab(
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
-        long = expected_list(tree.count, shape) > LONGEST_LIST["cuda" if gpu else "cpu"]
-        method = "search" if long else "cells"
+        method = "search" if search_is_faster(meshes, tree.count, shape, gpu) else "cells"
     if method == "search":
         search_slab(tree, slab, values, ambiguous, launch)
         return

@@ -9,9 +9,10 @@ import warp as wp
 from sdm.kernels.boundary import Boundary, boundary_winding
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.crossings import count_crossings
+from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.solid_angle import soup_winding
-from sdm.kernels.tree import CURVE_BITS, FRAME_SIZE, SCALE, UNSCALE, Tree, curve_code
+from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
 
