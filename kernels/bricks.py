@@ -14,7 +14,7 @@ from sdm.kernels.cells import CHUNK, NEXT_BRICK, ROOM, Lists, cell_start, make_c
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cull import Cell, agree, away, no_witness, remember, triangle_is_behind
 from sdm.kernels.frames import exact_distance, exact_place, frame_distance2, load_frame, see
-from sdm.kernels.grid import Slab, voxel
+from sdm.kernels.grid import Output, Slab, voxel, write_distance
 from sdm.kernels.lanes import (
     ballot,
     fetch_add,
@@ -38,22 +38,6 @@ _SCRATCH = wp.constant(SCRATCH)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
-
-
-@wp.struct
-class Output:
-    """Where distances go: the values hold winding numbers before."""
-
-    values: wp.array4d(dtype=wp.float32)
-    ambiguous: wp.array(dtype=wp.int32)
-
-
-@wp.func
-def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: wp.float64):
-    """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
-    winding = out.values[mesh, i, j, k]
-    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -float(distance), float(distance))
-    return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
 
 
 @wp.func

@@ -7,9 +7,9 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bricks import SCRATCH, Output, measure_bricks
+from sdm.kernels.bricks import SCRATCH, measure_bricks
 from sdm.kernels.cells import CELL, CHUNK, COUNTS, STACK, Lists, list_cells
-from sdm.kernels.grid import Slab
+from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.launch import threads
 from sdm.kernels.points import Winding
@@ -75,8 +75,11 @@ def query_slab(
     gpu = values.device.is_cuda
     if method == "auto":
         method = "search" if search_is_faster(meshes, tree.count, shape, gpu) else "cells"
+    out = Output()
+    out.values = values
+    out.ambiguous = ambiguous
     if method == "search":
-        search_slab(tree, slab, values, ambiguous, launch)
+        search_slab(tree, slab, out, launch)
         return
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
@@ -94,9 +97,6 @@ def query_slab(
     stacks = empty(workers * STACK, wp.int32)
     scratch = empty(workers * SCRATCH, wp.int32)
     places = empty(workers * SCRATCH, wp.vec3)
-    out = Output()
-    out.values = values
-    out.ambiguous = ambiguous
     for first in range(0, total, share):
         lists.first = first
         lists.count = min(share, total - first)

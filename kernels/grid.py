@@ -1,4 +1,4 @@
-"""Voxel centres of a slab of a grid, rounded to float32: the points at which distances are measured."""
+"""A slab of a grid: its voxel centres, rounded to float32, at which distances are measured, and their values."""
 
 from __future__ import annotations
 
@@ -52,3 +52,19 @@ def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
     while index < count and scale * wp.float64(along(slab, axis, index)) < x:
         index = index + 1
     return index
+
+
+@wp.struct
+class Output:
+    """Where distances go: the values hold winding numbers before."""
+
+    values: wp.array4d(dtype=wp.float32)
+    ambiguous: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: wp.float64):
+    """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
+    winding = out.values[mesh, i, j, k]
+    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -float(distance), float(distance))
+    return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)

@@ -79,28 +79,27 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
         values[mesh, x, j, k] = float(total)
 
 
+@wp.func
+def numbered_voxel(tree: Tree, slab: Slab, number: int):
+    """The mesh and the indices of a voxel of a batch, counted with k fastest, and its centre (scaled)."""
+    k = number % slab.shape[2]
+    j = (number / slab.shape[2]) % slab.shape[1]
+    row = number / (slab.shape[1] * slab.shape[2])
+    mesh = row / slab.shape[0]
+    i = row % slab.shape[0]
+    return mesh, i, j, k, tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+
+
 @wp.kernel
 def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtype=wp.float32)):
     """One ray for every voxel: for turned grids, whose columns are not along x."""
-    at = begin + wp.tid()
-    k = at % slab.shape[2]
-    j = (at / slab.shape[2]) % slab.shape[1]
-    row = at / (slab.shape[1] * slab.shape[2])
-    mesh = row / slab.shape[0]
-    i = row % slab.shape[0]
-    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
     values[mesh, i, j, k] = float(count_crossings(tree, mesh, p))
 
 
 @wp.kernel
 def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
-    at = begin + wp.tid()
-    k = at % slab.shape[2]
-    j = (at / slab.shape[2]) % slab.shape[1]
-    row = at / (slab.shape[1] * slab.shape[2])
-    mesh = row / slab.shape[0]
-    i = row % slab.shape[0]
-    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
     share = float(0.0)
     if winding.kind == _SOUP:
         share = float(soup_winding(tree, winding.moments, mesh, p))

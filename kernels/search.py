@@ -8,7 +8,7 @@ import warp as wp
 
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.geometry import closest_point
-from sdm.kernels.grid import Slab, voxel
+from sdm.kernels.grid import Output, Slab, voxel, write_distance
 from sdm.kernels.lanes import fetch_add
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
@@ -30,8 +30,7 @@ def _measure(
     tree: Tree,
     slab: Slab,
     length: int,
-    values: wp.array4d(dtype=wp.float32),
-    ambiguous: wp.array(dtype=wp.int32),
+    out: Output,
 ):
     thread = begin + wp.tid()
     tiles_j = (slab.shape[1] + TILE - 1) / TILE
@@ -62,18 +61,14 @@ def _measure(
                 wp.vec3d(tree.corners[4 * guess + 1]),
                 wp.vec3d(tree.corners[4 * guess + 2]),
             )
-            distance = float(wp.sqrt(hit.distance2) * unscale)
-            winding = values[mesh, i, j, k]
-            if wp.abs(winding - 0.5) < 0.25:
-                unclear = unclear + 1
-            values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
+            unclear = unclear + write_distance(out, mesh, i, j, k, wp.sqrt(hit.distance2) * unscale)
     if unclear > 0:
-        fetch_add(ambiguous, mesh, unclear)
+        fetch_add(out.ambiguous, mesh, unclear)
 
 
-def search_slab(tree: Tree, slab: Slab, values: wp.array, ambiguous: wp.array, launch: Any) -> None:
-    """Replace winding numbers by signed distances; `ambiguous` (meshes,) int32 counts the unclear ones."""
-    meshes, nx, ny, nz = values.shape
-    tile, run = int(TILE), 1 if values.device.is_cuda else CPU_RUN
+def search_slab(tree: Tree, slab: Slab, out: Output, launch: Any) -> None:
+    """Replace winding numbers by signed distances, and count the unclear ones."""
+    meshes, nx, ny, nz = out.values.shape
+    tile, run = int(TILE), 1 if out.values.device.is_cuda else CPU_RUN
     threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
-    launch(_measure, threads, [tree, slab, run, values, ambiguous], values.device)
+    launch(_measure, threads, [tree, slab, run, out], out.values.device)

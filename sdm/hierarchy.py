@@ -33,7 +33,6 @@ _ELEMENT = {
     "high": wp.vec3,
     "frame": wp.float64,
 }
-TENSORS = len(_FIELDS) + 4  # and the triangles' frames, the boundary's ends, their lattice, and the moments
 
 
 @contextmanager

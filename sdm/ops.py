@@ -18,9 +18,10 @@ import warp as wp
 from torch import Tensor
 
 from sdm.hierarchy import as_warp, build, on_current_stream, one_of, scratch_on, unpack
-from sdm.kernels import dense, points
+from sdm.kernels import dense
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
+from sdm.kernels.points import query_points, query_winding, sort_points
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -47,11 +48,11 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
-            points.sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch)
+            sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch)
         room = None
         if hits:
             room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
-        points.query_points(hierarchy, winding, where, by, as_warp(values, wp.float32), room, launch)
+        query_points(hierarchy, winding, where, by, as_warp(values, wp.float32), room, launch)
     return [values, *found]
 
 
@@ -153,13 +154,8 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
     with on_current_stream(at, at, *hierarchy):
         tree, winding, _ = unpack(hierarchy, kind, 1)
-        _points().query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
+        query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
     return values
-
-
-def _points() -> Any:
-    # The operators' argument names shadow the module of the same name.
-    return points
 
 
 @winding_number.register_fake
