@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Training = Callable[[], int | None]
 else:
     # A union has at least two members, so that a hidden one goes with a training that is alone.
-    Training = Union[  # noqa: UP007
+    Training = Union[
         (
             *(Annotated[Any, tyro.conf.subcommand(name=name, constructor=_later(name))] for name in TRAININGS),
             Annotated[None, tyro.conf.Suppress],

@@ -1,0 +1,1 @@
+"""Surrogates of the cochlea family: from four parameters to a signed distance map, without a mesh."""
