@@ -12,7 +12,7 @@ def clamped_l1_loss(prediction: Tensor, target: Tensor, *, delta: float = 0.1) -
     """mean |clamp(p, delta) - clamp(y, delta)|, clamp(x, delta) = min(delta, max(-delta, x)).
 
     J. Park et al., "DeepSDF: Learning continuous signed distance functions for shape representation", CVPR 2019,
-    equation (4). A prediction beyond delta on either side has no gradient: start networks near zero.
+    with delta = 0.1. A prediction beyond delta on either side has no gradient: start networks near zero.
 
     Args:
         prediction: Signed distances of any shape.

@@ -13,8 +13,8 @@ def dice_loss(
 ) -> Tensor:
     """1 - (2 sum(p g) + smooth) / (sum(p) + sum(g) + smooth), the mean over samples and channels.
 
-    With `squared` the denominator is sum(p^2) + sum(g^2): F. Milletari et al., "V-Net", 3DV 2016. Ma's published code
-    takes that over the whole batch at once: `squared=True, per_sample=False`.
+    With `squared` the denominator is sum(p^2) + sum(g^2): F. Milletari et al., "V-Net", 3DV 2016. Without
+    `per_sample` the sums run over the whole batch, so that a nearly empty patch cannot dominate.
 
     Where target and prediction are empty the loss is 0, and where only the target is, nearly 1.
 

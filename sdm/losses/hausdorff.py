@@ -22,7 +22,7 @@ def hausdorff_distance_loss(
     """mean((p - g)^2 * (d_s^power + d_g^power)), s = [p > threshold].
 
     D. Karimi, S. Salcudean, "Reducing the Hausdorff distance in medical image segmentation with convolutional neural
-    networks", IEEE TMI 2020, equation (8). d is the distance from the mask's boundary on both sides of it: of a voxel
+    networks", IEEE TMI 2020. d is the distance from the mask's boundary on both sides of it: of a voxel
     outside from the nearest voxel inside, and of one inside from the nearest outside. Ma's published code transforms
     the foreground alone (`foreground_only`): a false positive then costs by the prediction's own depth there, not by
     how far it is from the target.

@@ -13,15 +13,15 @@ def sdf_product_loss(
 ) -> Tensor:
     """-(<y,p> + smooth) / (<y,p> + <p,p> + <y,y> + smooth) + l1_weight * mean |y - p|.
 
-    Y. Xue et al., "Shape-aware organ segmentation by predicting signed distance maps", AAAI 2020, equations (4) to
-    (6). There the product is taken at each voxel (`per_voxel`, averaged here); Ma's published code sums over the whole
-    batch first, which is the default. The quotient is between -1/3, where both agree, and 1, where they are opposite.
-    Where both are zero, `smooth` makes it -1 rather than undefined; the gradient there is 0.
+    Y. Xue et al., "Shape-aware organ segmentation by predicting signed distance maps", AAAI 2020; the AAAI row of
+    Ma et al., MIDL 2020, whose code weighs the whole by 10 beside Dice of `probability_from_sdf`. The quotient is of
+    sums over the batch or, with `per_voxel`, taken at each voxel and averaged. It is between -1/3, where both agree,
+    and 1, where they are opposite. Where both are zero, `smooth` makes it -1 rather than undefined; the gradient there is 0.
 
     Args:
         prediction: (B,1,x,y,z) signed distances, usually through tanh.
         target: (B,1,x,y,z) signed distances in -1..1, see `normalized_signed_distance`.
-        per_voxel: See above.
+        per_voxel: See above; the gradient of a voxel then does not depend on the others.
         l1_weight: Weight of the mean absolute difference.
         smooth: Keeps the quotient defined.
 

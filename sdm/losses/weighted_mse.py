@@ -11,8 +11,9 @@ from sdm.losses.pair import pair
 def inverse_weighted_mse_loss(prediction: Tensor, target: Tensor, *, epsilon: float = 1e-3) -> Tensor:
     """mean((p - y)^2 / (|y| + epsilon)).
 
-    K. Juhl et al., "Guiding 3D U-nets with signed distance fields for creating 3D models from images", MIDL 2019; the
-    published code has epsilon = 0.001, so a voxel on the surface weighs 1001 times one at the clipping distance.
+    K. Juhl et al., "Guiding 3D U-nets with signed distance fields for creating 3D models from images", MIDL 2019.
+    Formula and epsilon = 0.001 are those of the authors' later public code; so a voxel on the surface weighs 1001
+    times one at the clipping distance.
 
     Args:
         prediction: (B,1,x,y,z) signed distances.
@@ -33,7 +34,7 @@ def clipped_sdf(distance: Tensor, limit: float = 5.0) -> Tensor:
 
     Args:
         distance: Signed distances of any shape. Infinite ones are clipped like any other.
-        limit: Clipping distance in the distances' unit; Juhl's is 5 voxels.
+        limit: Clipping distance in the distances' unit; Juhl's is 5.
     """
     if limit <= 0:
         raise SDMError(f"the clipping distance must be positive, not {limit}")

@@ -1,0 +1,1 @@
+"""Segmentation networks guided by distance maps: methods, data, training, prediction, scores."""
