@@ -16,7 +16,8 @@ def sdf_product_loss(
     Y. Xue et al., "Shape-aware organ segmentation by predicting signed distance maps", AAAI 2020; the AAAI row of
     Ma et al., MIDL 2020, whose code weighs the whole by 10 beside Dice of `probability_from_sdf`. The quotient is of
     sums over the batch or, with `per_voxel`, taken at each voxel and averaged. It is between -1/3, where both agree,
-    and 1, where they are opposite. Where both are zero, `smooth` makes it -1 rather than undefined; the gradient there is 0.
+    and 1, where they are opposite. Where both are zero, `smooth` makes it -1 rather than undefined; the gradient there
+    is 0.
 
     Args:
         prediction: (B,1,x,y,z) signed distances, usually through tanh.

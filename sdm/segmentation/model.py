@@ -1,0 +1,78 @@
+"""A network with the outputs that a method needs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from sdm.losses import probability_from_sdf
+from sdm.segmentation.methods import Method
+from sdm.segmentation.unet import UNetDecoder, UNetEncoder
+from sdm.segmentation.vnet import VNetDecoder, VNetEncoder
+
+Architecture = Literal["vnet", "unet"]
+NETWORKS = {"vnet": (VNetEncoder, VNetDecoder, 16), "unet": (UNetEncoder, UNetDecoder, 8)}
+
+
+class SegmentationModel(nn.Module):
+    """From images (B,1,x,y,z) to the main output and, for some methods, a distance map.
+
+    The reconstruction branch is a decoder of its own from the coarsest level, without skips, so that the map has to
+    be found in the code that both share. In Ma's published code the branch shares the decoder, which is a head.
+
+    Args:
+        method: What to put out.
+        architecture: "vnet" or "unet".
+        filters: Channels of the finest level; the paper's if not given (16 and 64).
+        dropout: Of the coarsest level; the paper's if not given (0.5 and 0.05).
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        architecture: Architecture = "vnet",
+        *,
+        filters: int | None = None,
+        dropout: float | None = None,
+    ) -> None:
+        super().__init__()
+        encoder, decoder, self.multiple = NETWORKS[architecture]
+        width = {} if filters is None else {"filters": filters}
+        self.method = method
+        self.encoder = encoder(**width, **({} if dropout is None else {"dropout": dropout}))
+        self.decoder = decoder(**width)
+        self.branch = decoder(**width, skips=False) if method.auxiliary == "branch" else None
+        self.main = nn.Conv3d(self.decoder.channels, 1, 1)
+        self.auxiliary = nn.Conv3d(self.decoder.channels, 1, 1) if method.auxiliary else None
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Main and auxiliary output (B,1,x,y,z), float32.
+
+        The main one is a logit or a signed distance, as the method says. The auxiliary one is in 0..1 for the map of
+        the foreground, in -1..1 for a signed one.
+        """
+        features = self.encoder(image)
+        value = self.decoder(features)
+        main = self.main(value).float()
+        if self.method.output == "tanh":
+            main = main.tanh()
+        if self.auxiliary is None:
+            return main, None
+        other = self.auxiliary(value if self.branch is None else self.branch(features)).float()
+        return main, other.sigmoid() if self.method.map == "foreground" else other.tanh()
+
+    def field(self, image: Tensor) -> Tensor:
+        """(B,1,x,y,z) float32 that is negative where the foreground is predicted.
+
+        A signed distance (in the target's scale) of a method that regresses one, else one half minus the probability:
+        a quantity that windows and scans may average, and that is cut at zero.
+        """
+        main = self(image)[0]
+        return 0.5 - main.sigmoid() if self.method.output == "logit" else main
+
+
+def probability(main: Tensor, method: Method) -> Tensor:
+    """The foreground's probability for losses: the logit's, or a steep step of the signed distance."""
+    return torch.sigmoid(main) if method.output == "logit" else probability_from_sdf(main)
