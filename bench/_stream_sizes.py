@@ -7,27 +7,39 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
+import torch.distributed as dist
 
-from bench._timing import once
 from sdm import Grid
 from sdm.shapes import Cochlea
 from sdm.stream import Batch, SDMStream
 
-# Steps of one measurement, and how often streamed and cached steps take turns.
-STEPS, TURNS = 60, 5
+# Calls that are not counted, and the fewest that are.
+WARM, FEWEST = 5, 3
 
 
 class Bench:
-    """Sizes of the benchmark on a device."""
+    """Sizes of the benchmark on a device, and the clock.
 
-    def __init__(self, device: str) -> None:
+    Args:
+        device: Where the stream computes.
+        deadline: `time.monotonic()` at which the whole benchmark has to be through; None for never.
+    """
+
+    def __init__(self, device: str, deadline: float | None = None) -> None:
         self.device = device
         self.gpu = device.startswith("cuda")
+        self._deadline = deadline
         self.family = Cochlea(20_000 if self.gpu else 1_000)
         self.resolution = 64 if self.gpu else 16
         self.grid: Grid = self.family.grid(self.resolution)
         self.batch = 16 if self.gpu else 2
-        self.steps, self.turns = (STEPS, TURNS) if self.gpu else (3, 1)
+        # Seconds of one measurement, and how often it is repeated.
+        self.seconds, self.turns = (1.5, 5) if self.gpu else (0.2, 2)
+
+    @property
+    def left(self) -> float:
+        """Seconds until the deadline."""
+        return float("inf") if self._deadline is None else self._deadline - time.monotonic()
 
     def stream(self, batch: int, **options: Any) -> SDMStream:
         return SDMStream(self.family, self.grid, batch, device=self.device, **options)
@@ -36,18 +48,32 @@ class Bench:
         if self.gpu:
             torch.cuda.synchronize()
 
-    def rate(self, batches: Iterator[Batch], size: int, steps: int) -> float:
-        """Samples a second, after a few that do not count."""
-        for _ in range(min(5, steps)):
-            next(batches)
+    def rate(self, batches: Iterator[Batch], size: int) -> float:
+        """Samples a second."""
+        return size * self.speed(lambda: next(batches))
+
+    def calls(self, call: Callable[[], object], *, shared: bool = False) -> int:
+        """How many calls one measurement takes; `shared`: rank 0 decides, or ranks would wait for each other."""
+        for _ in range(WARM):
+            call()
         self.wait()
         start = time.perf_counter()
-        for _ in range(steps):
-            next(batches)
+        for _ in range(FEWEST):
+            call()
         self.wait()
-        return steps * size / (time.perf_counter() - start)
+        count = max(FEWEST, round(self.seconds * FEWEST / (time.perf_counter() - start)))
+        if shared:
+            said = torch.tensor(count, device=self.device)
+            dist.broadcast(said, 0)
+            count = int(said)
+        return count
 
-    def speed(self, call: Callable[[], None]) -> float:
-        """Calls a second."""
-        ms, _ = once(lambda: [call() for _ in range(self.steps)], self.device)
-        return 1e3 * self.steps / ms
+    def speed(self, call: Callable[[], object], count: int | None = None) -> float:
+        """Calls a second, by the clock on the wall, the device waited for at both ends."""
+        count = self.calls(call) if count is None else count
+        self.wait()
+        start = time.perf_counter()
+        for _ in range(count):
+            call()
+        self.wait()
+        return count / (time.perf_counter() - start)
