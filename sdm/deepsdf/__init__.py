@@ -1,1 +1,47 @@
-"""DeepSDF: signed distance functions of a class of shapes by an auto-decoder, trained on exact samples."""
+"""DeepSDF: signed distance functions of a class of shapes by an auto-decoder, trained on exact samples.
+
+J. Park, P. Florence, J. Straub, R. Newcombe, S. Lovegrove, "DeepSDF: Learning continuous signed distance functions
+for shape representation", CVPR 2019. Negative inside; lengths inside a model are radii of each shape's unit sphere.
+"""
+
+from sdm.deepsdf.code_file import ShapeCode, load_code, save_code
+from sdm.deepsdf.decoders import LocalDecoder, PublishedDecoder
+from sdm.deepsdf.encode import encode_meshes, encode_scan
+from sdm.deepsdf.estimate import Estimate, estimate_codes
+from sdm.deepsdf.label_surface import label_surface
+from sdm.deepsdf.model import DeepSDF
+from sdm.deepsdf.render import interpolation_strip, render, save_picture, sphere_trace
+from sdm.deepsdf.scan import Scan, half_of
+from sdm.deepsdf.scores import ShapeScores, chamfer_distance, score_shape
+from sdm.deepsdf.settings import Settings, local, published
+from sdm.deepsdf.surface import decode_mesh, decode_near_surface
+from sdm.deepsdf.training import train
+
+__all__ = [
+    "DeepSDF",
+    "Estimate",
+    "LocalDecoder",
+    "PublishedDecoder",
+    "Scan",
+    "Settings",
+    "ShapeCode",
+    "ShapeScores",
+    "chamfer_distance",
+    "decode_mesh",
+    "decode_near_surface",
+    "encode_meshes",
+    "encode_scan",
+    "estimate_codes",
+    "half_of",
+    "interpolation_strip",
+    "label_surface",
+    "load_code",
+    "local",
+    "published",
+    "render",
+    "save_code",
+    "save_picture",
+    "score_shape",
+    "sphere_trace",
+    "train",
+]

@@ -1,0 +1,123 @@
+"""The shapes of the DeepSDF studies: cochleas by parameters, left atria from labels.
+
+    python -m bench.deepsdf_shapes --data ../shared/data --out FILE.npz
+
+packs the labels of the left-atrium data (h5 files of `la/train` and `la/val`, bits of `la/labels`) into one small file,
+for machines that have only that. It holds data of others under their terms (see the data's README): do not publish it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from sdm.deepsdf import label_surface
+from sdm.errors import FormatError
+from sdm.mesh import TriangleMesh
+from sdm.shapes import Cochlea
+
+# Of the 2018 challenge's volumes as they are processed here.
+SPACING_MM = 0.625
+TRAINING, TEST = ("train", "labels"), ("val",)
+# Far from the seeds of trainings: test cochleas are others.
+COCHLEA_SEED, TEST_SEED = 500, 77_000
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Meshes of a class in mm, to train on and to test on, by name."""
+
+    training: list[TriangleMesh]
+    test: list[TriangleMesh]
+
+
+def cochleas(count: int, test: int, *, triangles: int = 6_000, device: str = "cpu") -> Shapes:
+    """Random cochleas, uniform in the family's box."""
+    family = Cochlea(triangles)
+
+    def some(number: int, seed: int) -> list[TriangleMesh]:
+        theta = family.sample(number, seed=seed, device=device)
+        vertices, faces = family.vertices(theta), family.faces_on(device)
+        return [TriangleMesh(v, faces, f"cochlea-{seed}-{i}", check=False) for i, v in enumerate(vertices)]
+
+    return Shapes(some(count, COCHLEA_SEED), some(test, TEST_SEED))
+
+
+def atria(source: Path, count: int | None = None, test: int | None = None) -> Shapes:
+    """Smooth surfaces of left atria: the 72 labels of `train` and `labels`, and the 8 of `val`.
+
+    Args:
+        source: The data folder, or the file that this command packs.
+        count: How many to train on; all if not given.
+        test: How many to test on.
+    """
+    packed = source.is_file()
+    with np.load(source) if packed else _Folder(source) as file:
+        names = sorted(file.files)
+
+        def some(groups: tuple[str, ...], most: int | None) -> list[TriangleMesh]:
+            chosen = [n for n in names if n.split("/")[0] in groups and n.endswith("/bits")][:most]
+            return [_mesh(n.split("/")[1], file[n], file[n.replace("bits", "shape")]) for n in chosen]
+
+        found = Shapes(some(TRAINING, count), some(TEST, test))
+    if not found.training or not found.test:
+        raise FormatError(f"{source} holds no left atria; give the data folder, or a file packed from it")
+    return found
+
+
+def _mesh(name: str, bits: np.ndarray, shape: np.ndarray) -> TriangleMesh:
+    x, y, z = (int(n) for n in shape)
+    mask = np.unpackbits(bits, count=x * y * z).reshape(x, y, z)
+    mesh = label_surface(torch.from_numpy(mask), SPACING_MM)
+    return TriangleMesh(mesh.vertices, mesh.faces, name, check=False)
+
+
+class _Folder:
+    """The data folder, read as if it were the packed file."""
+
+    def __init__(self, folder: Path) -> None:
+        found = [p for group in (*TRAINING, *TEST) for p in sorted((folder / "la" / group).glob("*"))]
+        self._paths = {f"{p.parent.name}/{p.stem}": p for p in found if p.suffix in (".h5", ".npz")}
+        self.files = [f"{name}/{part}" for name in self._paths for part in ("bits", "shape")]
+
+    def __enter__(self) -> _Folder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def __getitem__(self, key: str) -> np.ndarray:
+        name, part = key.rsplit("/", 1)
+        path = self._paths[name]
+        if path.suffix == ".npz":
+            with np.load(path) as file:
+                return file[part]
+        import h5py
+
+        with h5py.File(path, "r") as file:
+            label = np.asarray(file["label"]) != 0
+        return np.packbits(label) if part == "bits" else np.array(label.shape)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    with _Folder(options.data) as folder:
+        content = {name: folder[name] for name in folder.files}
+    if not content:
+        raise SystemExit(f"{options.data} holds no folder la with labels")
+    part = options.out.with_suffix(".part.npz")
+    np.savez_compressed(part, **content)
+    part.replace(options.out)
+    print(f"{options.out}: {len(content) // 2} labels, {options.out.stat().st_size / 2**20:.1f} MiB")
+
+
+if __name__ == "__main__":
+    main()

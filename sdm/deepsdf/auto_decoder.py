@@ -1,0 +1,52 @@
+"""The network and the codes of the training shapes, learned together."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from sdm.deepsdf.decoders import make_decoder
+from sdm.deepsdf.settings import Settings
+from sdm.losses import clamped_l1_loss
+
+
+class AutoDecoder(nn.Module):
+    """One code for each shape, and the decoder that they share.
+
+    Args:
+        settings: What it is.
+        count: Number of shapes.
+    """
+
+    def __init__(self, settings: Settings, count: int) -> None:
+        super().__init__()
+        self.settings = settings
+        self.decoder = make_decoder(settings)
+        generator = torch.Generator().manual_seed(settings.seed)
+        start = settings.code_deviation * torch.randn(count, settings.code_size, generator=generator)
+        self.codes = nn.Parameter(start)
+
+    def forward(self, shapes: Tensor, points: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+        """The data's loss and the codes' mean squared length: scalars, for shapes (B,), (B,N,3) and (B,N)."""
+        codes = bounded(self.codes[shapes], self.settings.code_bound)
+        # A sum over numbers and a mean over shapes: what the codes cost does not depend on the number of points.
+        return data_loss(self.decoder(codes, points), values, self.settings), codes.square().sum(1).mean()
+
+    @torch.no_grad()
+    def bounded_codes(self) -> Tensor:
+        """The codes (S,D) as the decoder sees them."""
+        return bounded(self.codes, self.settings.code_bound)
+
+
+def bounded(codes: Tensor, bound: float | None) -> Tensor:
+    """Codes (B,D) no longer than `bound`."""
+    if bound is None:
+        return codes
+    return codes * (bound / codes.norm(dim=1, keepdim=True).clamp(min=bound))
+
+
+def data_loss(prediction: Tensor, values: Tensor, settings: Settings) -> Tensor:
+    """The paper's clamped L1, or an L1 that fades as 1 / (1 + |value| / clamp), so that far values count a little."""
+    if settings.variant == "published":
+        return clamped_l1_loss(prediction, values, delta=settings.clamp)
+    return ((prediction - values).abs() / (1 + values.abs() / settings.clamp)).mean()

@@ -1,0 +1,51 @@
+"""Which shapes a training step sees: a pure function of seed and step, whatever the number of ranks."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sdm.errors import SDMError
+
+
+class Batches:
+    """Every epoch goes through all shapes in a new order, whole batches only.
+
+    Args:
+        count: Number of shapes.
+        size: Shapes of a batch over all ranks; fewer where there are not that many.
+        seed: Of the order.
+        rank: This process.
+        world: Processes. Each takes every `world`-th shape of the batch.
+
+    Raises:
+        SDMError: Fewer shapes than processes.
+    """
+
+    def __init__(self, count: int, size: int, seed: int, rank: int = 0, world: int = 1) -> None:
+        self._size = min(size, count) // world * world
+        if self._size == 0:
+            raise SDMError(f"a batch of {min(size, count)} shapes cannot be shared by {world} processes; use fewer")
+        self._count, self._seed, self._rank, self._world = count, seed, rank, world
+
+    @property
+    def per_epoch(self) -> int:
+        """Steps of an epoch."""
+        return self._count // self._size
+
+    def __getitem__(self, step: int) -> Tensor:
+        """The shapes (B,) int64 of this process in a step, on the host."""
+        epoch, place = divmod(step, self.per_epoch)
+        order = torch.randperm(self._count, generator=torch.Generator().manual_seed(mixed(self._seed, epoch)))
+        return order[place * self._size : (place + 1) * self._size][self._rank :: self._world]
+
+
+def mixed(*numbers: int) -> int:
+    """One seed of 63 bits from several whole numbers."""
+    state = 0x9E3779B97F4A7C15
+    for number in numbers:
+        # The finaliser of SplitMix64, so that neighbouring numbers have nothing in common.
+        state = (state ^ (number & (2**64 - 1))) * 0xBF58476D1CE4E5B9 % 2**64
+        state = (state ^ state >> 27) * 0x94D049BB133111EB % 2**64
+        state ^= state >> 31
+    return state >> 1

@@ -1,0 +1,54 @@
+"""DeepSDF's files: a model that users load, and what a training needs besides to go on."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sdm.errors import FormatError
+from sdm.io.atomic import replacing
+
+KIND = "sdm-deepsdf"
+VERSION = 1
+MODEL, OPTIMIZER = "model.pt", "optimizer.pt"
+
+
+def write(content: dict[str, Any], path: Path) -> None:
+    """Write one file, atomically, with its kind and version."""
+    with replacing(path) as part:
+        torch.save({"kind": KIND, "version": VERSION, **content}, part)
+
+
+def write_both(model: dict[str, Any], optimizer: dict[str, Any], folder: Path) -> None:
+    """Write a checkpoint: a folder with a model and its optimizer's state, replaced as one."""
+    with replacing(folder) as part:
+        part.mkdir()
+        write(model, part / MODEL)
+        write(optimizer, part / OPTIMIZER)
+
+
+def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Read a file that `write` wrote; no code in it is run.
+
+    Raises:
+        FormatError: It is not there, is something else, is damaged, or is of another version.
+    """
+    if path.is_dir():
+        path = path / MODEL
+    try:
+        content = torch.load(path, map_location=device, weights_only=True)
+    except FileNotFoundError:
+        raise FormatError(f"{path} is not there; train a model first, or give another file") from None
+    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
+        raise FormatError(f"{path} is no DeepSDF model, or it is damaged; train it again") from error
+    if not isinstance(content, dict) or content.get("kind") != KIND:
+        raise FormatError(f"{path} is no DeepSDF model; give a file that sdm train deepsdf wrote")
+    if content.get("version") != VERSION:
+        raise FormatError(
+            f"{path} is a DeepSDF model of version {content.get('version')}, and this program reads version {VERSION}; "
+            "train it again, or use the sdm that wrote it"
+        )
+    return content

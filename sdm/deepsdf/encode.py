@@ -1,0 +1,88 @@
+"""From meshes and scans to codes, in the users' own coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from sdm.deepsdf.code_file import ShapeCode
+from sdm.deepsdf.estimate import estimate_codes
+from sdm.deepsdf.model import DeepSDF
+from sdm.deepsdf.scan import Scan
+from sdm.errors import SDMError
+from sdm.mesh import TriangleMesh
+from sdm.sampling import Samples, ShapeSet, UnitSphere
+
+# Samples of a step, as published.
+POINTS = 8000
+
+
+def encode_meshes(
+    model: DeepSDF,
+    meshes: Sequence[TriangleMesh],
+    *,
+    steps: int = 800,
+    points: int = POINTS,
+    seed: int = 0,
+    spheres: Sequence[UnitSphere] | None = None,
+    **options: Any,
+) -> list[ShapeCode]:
+    """The codes of whole shapes, all at once, from exact samples that are fresh in each step.
+
+    Args:
+        model: A trained model.
+        meshes: Closed meshes.
+        steps: Of the search.
+        points: Samples of each shape and step.
+        seed: Of the samples.
+        spheres: The meshes' normalisations; their own unit spheres if not given.
+        options: Those of `estimate_codes`.
+
+    Raises:
+        MeshError: No meshes, or one that is not closed.
+    """
+    shapes = ShapeSet(meshes, model.device, spheres=spheres)
+    every = torch.arange(len(shapes), device=model.device)
+
+    def draw(step: int) -> Samples:
+        return shapes.sample(every, points, seed=seed, step=step)
+
+    found = estimate_codes(model, draw, steps=steps, **options)
+    return [ShapeCode(code, sphere) for code, sphere in zip(found.codes, shapes.spheres, strict=True)]
+
+
+def encode_scan(
+    model: DeepSDF,
+    points: Any,
+    normals: Any = None,
+    *,
+    sphere: UnitSphere | None = None,
+    steps: int = 800,
+    seed: int = 0,
+    **options: Any,
+) -> ShapeCode:
+    """The code of a shape of which only some points of the surface are known: completion.
+
+    Args:
+        model: A trained model.
+        points: (N,3) in the sphere's unit, at least 100.
+        normals: (N,3) outward, if they are known: then which side is inside is known too.
+        sphere: The whole shape's unit sphere. If not given, that around the points, which is right for scans of all
+            sides only.
+        steps: Of the search.
+        seed: Of the points that each step takes.
+        options: Those of `estimate_codes`.
+
+    Raises:
+        SDMError: Fewer than 100 points, a point that is not finite, or normals that do not fit.
+    """
+    at = model.check_points(points)
+    if at.ndim != 2:
+        raise SDMError(f"the scan has the shape {tuple(at.shape)}; (N, 3) is needed")
+    # Said here too, since a sphere around no points has no radius.
+    Scan(at, normals)
+    sphere = sphere or UnitSphere.of(at)
+    scan = Scan(sphere.to_unit(at), normals, count=POINTS // 2, seed=seed)
+    return ShapeCode(estimate_codes(model, scan, steps=steps, **options).codes[0], sphere)

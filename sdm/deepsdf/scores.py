@@ -1,0 +1,88 @@
+"""How close a surface is to the true one: the paper's Chamfer distance, distances in the mesh's unit, and overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from sdm.engine import MeshIndex
+from sdm.grid import Grid
+from sdm.mesh import TriangleMesh
+from sdm.metrics import dice
+from sdm.sampling import UnitSphere, surface_points
+
+# As J. Park et al., CVPR 2019, section 6.
+POINTS = 30_000
+# Rows of a matrix of distances at a time on a GPU.
+ROWS = 2048
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeScores:
+    """Scores of one shape.
+
+    Args:
+        chamfer: The paper's: 1000 times the sum of both mean squared distances between 30,000 random points of each
+            surface, in unit-sphere radii. Between two draws from the same surface it is not 0 but `chamfer_floor`.
+        chamfer_floor: The same between two draws from the true surface: what a perfect answer would score.
+        chamfer_surface: As `chamfer`, but exactly to the other surface rather than to points of it: 0 if perfect.
+        mean: Mean distance between the surfaces, both ways, in the mesh's unit (mm for anatomy).
+        percentile95: 95 % of the points of either surface are within this of the other, in the mesh's unit.
+        dice: Overlap of the insides on a grid of 128^3 voxels around the truth.
+    """
+
+    chamfer: float
+    chamfer_floor: float
+    chamfer_surface: float
+    mean: float
+    percentile95: float
+    dice: float
+
+
+def chamfer_distance(a: Tensor, b: Tensor) -> float:
+    """1000 times the sum of the mean squared distances from points a (N,3) to b (M,3) and back."""
+    return 1000 * (_mean_squared(a, b) + _mean_squared(b, a))
+
+
+def score_shape(
+    mesh: TriangleMesh, truth: TriangleMesh, *, sphere: UnitSphere | None = None, points: int = POINTS, seed: int = 0
+) -> ShapeScores:
+    """Compare a surface with the true one; both in one unit and on one device.
+
+    Args:
+        mesh: What was found.
+        truth: What is right.
+        sphere: The truth's normalisation, in whose radii Chamfer distances are; its own if not given.
+        points: Random points of each surface.
+        seed: Of these points.
+    """
+    sphere = sphere or UnitSphere.of(truth)
+    own, index = MeshIndex(mesh, mesh.device), MeshIndex(truth, mesh.device)
+    found = surface_points(mesh, points, seed=seed)[0]
+    right, again = (surface_points(index.mesh, points, seed=seed + n)[0] for n in (1, 2))
+    there, back = index.signed_distance(found).abs().double(), own.signed_distance(right).abs().double()
+    squares = float(there.square().mean() + back.square().mean()) / sphere.radius**2
+    grid = Grid.around(truth, resolution=128)
+    insides = [i.signed_distance_map(grid).values < 0 for i in (own, index)]
+    unit = [sphere.to_unit(p) for p in (found, right, again)]
+    return ShapeScores(
+        chamfer=chamfer_distance(unit[0], unit[1]),
+        chamfer_floor=chamfer_distance(unit[1], unit[2]),
+        chamfer_surface=1000 * squares,
+        mean=float(there.mean() + back.mean()) / 2,
+        percentile95=float(torch.cat([there, back]).quantile(0.95)),
+        dice=dice(*insides),
+    )
+
+
+def _mean_squared(a: Tensor, b: Tensor) -> float:
+    if a.is_cuda:
+        nearest = torch.cat(
+            [torch.cdist(part, b, compute_mode="donot_use_mm_for_euclid_dist").amin(1) for part in a.split(ROWS)]
+        )
+        return float(nearest.double().square().mean())
+    from scipy.spatial import KDTree
+
+    return float((KDTree(b.double().numpy()).query(a.double().numpy())[0] ** 2).mean())

@@ -1,0 +1,211 @@
+"""Training of an auto-decoder: on one device or under torchrun, by steps or by the clock, and on after a kill."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from sdm.deepsdf import checkpoint
+from sdm.deepsdf.auto_decoder import AutoDecoder
+from sdm.deepsdf.batches import Batches, mixed
+from sdm.deepsdf.progress import code_weight, rate_factor, share_done
+from sdm.deepsdf.settings import Settings
+from sdm.device import choose_device
+from sdm.errors import FormatError, SDMError
+from sdm.sampling import SampleSource, UnitSphere
+
+CHECKPOINT, HISTORY_EVERY = "checkpoint", 10
+# How many steps the device may be behind before the loss is read and the clock is looked at.
+LOOK_EVERY = 10
+
+
+def train(
+    source: SampleSource,
+    settings: Settings,
+    folder: str | Path,
+    *,
+    names: Sequence[str],
+    spheres: Sequence[UnitSphere],
+    budget_s: float | None = None,
+    device: str | torch.device | None = None,
+    resume: bool = False,
+    checkpoint_every_s: float = 60.0,
+    compile_network: bool | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
+) -> Path:
+    """Train, and write `model.pt` into a folder.
+
+    Args:
+        source: Samples of each shape; on the same device.
+        settings: What to train and how.
+        folder: For the checkpoint and the model; made if it is not there.
+        names: The shapes' names.
+        spheres: Their normalisations.
+        budget_s: Seconds of training at most, over all restarts. The schedule fits itself to what ends first.
+        device: Where to train; by default a GPU if there is one.
+        resume: Go on from the folder's checkpoint if there is one.
+        checkpoint_every_s: Seconds between checkpoints.
+        compile_network: By torch.compile; by default on GPUs.
+        progress: Called now and then with the step, the number of steps, and the loss.
+
+    Returns:
+        The model's file.
+
+    Raises:
+        FormatError: The checkpoint is of other settings or shapes.
+        SDMError: The loss is not finite any more.
+
+    Under an initialised process group the shapes of a batch are shared by the ranks, and rank 0 writes.
+    """
+    run = _Run(source, settings, Path(folder), list(names), list(spheres), device)
+    if resume:
+        run.restore()
+    run.prepare(run.device.type == "cuda" if compile_network is None else compile_network)
+    with _exact_random(settings, run.device):
+        run.go(budget_s, checkpoint_every_s, progress)
+    return run.finish()
+
+
+class _Run:
+    def __init__(
+        self,
+        source: SampleSource,
+        settings: Settings,
+        folder: Path,
+        names: list[str],
+        spheres: list[UnitSphere],
+        device: str | torch.device | None,
+    ) -> None:
+        if not len(source) == len(names) == len(spheres):
+            raise SDMError(f"{len(source)} shapes, {len(names)} names and {len(spheres)} spheres do not fit together")
+        self.source, self.settings, self.folder = source, settings, folder
+        self.names, self.spheres = names, spheres
+        self.device = choose_device(device)
+        shared = torch.distributed.is_available() and torch.distributed.is_initialized()
+        self.rank = torch.distributed.get_rank() if shared else 0
+        self.world = torch.distributed.get_world_size() if shared else 1
+        self.batches = Batches(len(source), settings.shapes, settings.seed, self.rank, self.world)
+        self.steps = settings.epochs * self.batches.per_epoch
+        self.model = AutoDecoder(settings, len(source)).to(self.device)
+        groups = [
+            {"params": self.model.decoder.parameters(), "base": settings.decoder_rate},
+            {"params": [self.model.codes], "base": settings.code_rate},
+        ]
+        self.optimizer = torch.optim.Adam(groups, lr=settings.decoder_rate)
+        self.step, self.seconds = 0, 0.0
+        self.history: list[tuple[int, float, float]] = []
+        self.network: Any = self.model
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def prepare(self, compile_network: bool) -> None:
+        network: nn.Module = self.model
+        if self.world > 1:
+            ids = [self.device.index] if self.device.type == "cuda" else None
+            network = DistributedDataParallel(network, device_ids=ids)
+        self.network = torch.compile(network) if compile_network else network
+
+    def restore(self) -> None:
+        folder = self.folder / CHECKPOINT
+        if not folder.exists():
+            return
+        saved = checkpoint.read(folder / checkpoint.MODEL, self.device)
+        if saved["settings"] != self.settings.as_dict() or saved["names"] != self.names:
+            raise FormatError(
+                f"{folder} was begun with other settings or shapes; go on with those, or train in another folder"
+            )
+        more = checkpoint.read(folder / checkpoint.OPTIMIZER, self.device)
+        self.model.load_state_dict(saved["state"])
+        self.optimizer.load_state_dict(more["state"])
+        self.step, self.seconds, self.history = saved["step"], saved["seconds"], saved["history"]
+
+    def go(self, budget_s: float | None, every_s: float, progress: Callable[[int, int, float], None] | None) -> None:
+        before, saved_at = time.monotonic() - self.seconds, self.seconds
+        done = self._done(budget_s)
+        while done < 1:
+            loss = self._one_step(done)
+            self.step += 1
+            if self.step % LOOK_EVERY and self.step < self.steps:
+                continue
+            value = float(loss)
+            if value != value:
+                raise SDMError(f"the loss is not finite after {self.step} steps; lower the learning rates")
+            self.seconds = time.monotonic() - before
+            done = self._done(budget_s)
+            self.history.append((self.step, round(self.seconds, 3), value))
+            if progress is not None and self.rank == 0:
+                progress(self.step, self.steps, value)
+            if self.seconds - saved_at >= every_s and done < 1:
+                self._save()
+                saved_at = self.seconds
+
+    def finish(self) -> Path:
+        path = self.folder / checkpoint.MODEL
+        self._save()
+        if self.rank == 0:
+            checkpoint.write(self._content(), path)
+        return path
+
+    def _done(self, budget_s: float | None) -> float:
+        done = share_done(self.step, self.steps, self.seconds, budget_s)
+        if self.world == 1:
+            return done
+        # Clocks differ, rates must not.
+        shared = torch.tensor([done], dtype=torch.float64, device=self.device)
+        torch.distributed.broadcast(shared, 0)
+        return float(shared)
+
+    def _one_step(self, done: float) -> Tensor:
+        for group in self.optimizer.param_groups:
+            group["lr"] = group["base"] * rate_factor(self.settings, done)
+        shapes = self.batches[self.step].to(self.device)
+        points, values = self.source.sample(shapes, self.settings.points, seed=self.settings.seed, step=self.step)
+        # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
+        torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
+        self.model.train()
+        with _autocast(self.settings, self.device):
+            loss, length = self.network(shapes, points, values)
+        self.optimizer.zero_grad(set_to_none=True)
+        (loss + code_weight(self.settings, done) * length).backward()
+        self.optimizer.step()
+        return loss.detach()
+
+    def _content(self) -> dict[str, Any]:
+        return {
+            "settings": self.settings.as_dict(),
+            "names": self.names,
+            "spheres": [[*s.centre, s.radius] for s in self.spheres],
+            "state": {name: value.detach().cpu() for name, value in self.model.state_dict().items()},
+            "step": self.step,
+            "seconds": self.seconds,
+            "history": self.history[:: max(1, len(self.history) // 1000)],
+        }
+
+    def _save(self) -> None:
+        if self.rank == 0:
+            content = {"state": self.optimizer.state_dict(), "step": self.step}
+            checkpoint.write_both(self._content(), content, self.folder / CHECKPOINT)
+
+
+def _autocast(settings: Settings, device: torch.device) -> Any:
+    if settings.precision == "bf16" and device.type == "cuda":
+        return torch.autocast("cuda", torch.bfloat16)
+    return nullcontext()
+
+
+@contextmanager
+def _exact_random(settings: Settings, device: torch.device) -> Iterator[None]:
+    """Leave torch's generators and its matrix precision as they were."""
+    precision = torch.get_float32_matmul_precision()
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        try:
+            torch.set_float32_matmul_precision("highest" if settings.precision == "float32" else "high")
+            yield
+        finally:
+            torch.set_float32_matmul_precision(precision)
