@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -34,6 +36,7 @@ class UNetEncoder(nn.Module):
         self.dropout = nn.Dropout3d(dropout)
 
     def forward(self, image: Tensor) -> list[Tensor]:
+        """Features of every level, finest first."""
         features = [self.levels[0](image)]
         for level in self.levels[1:]:
             features.append(level(functional.max_pool3d(features[-1], 2)))
@@ -56,11 +59,11 @@ class UNetDecoder(nn.Module):
         self.channels = filters
         self.ups = nn.ModuleList(nn.ConvTranspose3d(c, c, 2, stride=2) for c in channels[:-1])
         self.levels = nn.ModuleList(
-            convolutions([before + after if skips else before, after, after])
-            for before, after in zip(channels[:-1], channels[1:], strict=True)
+            convolutions([before + after if skips else before, after, after]) for before, after in pairwise(channels)
         )
 
     def forward(self, features: list[Tensor]) -> Tensor:
+        """Features of the finest level."""
         value = features[-1]
         for up, level, skip in zip(self.ups, self.levels, features[-2::-1], strict=True):
             value = up(value)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -26,13 +28,14 @@ class VNetEncoder(nn.Module):
     def __init__(self, filters: int = 16, *, dropout: float = 0.5, inputs: int = 1) -> None:
         super().__init__()
         self.channels = [filters * 2**level for level in range(len(DEPTHS))]
-        self.downs = nn.ModuleList(halve(a, b) for a, b in zip(self.channels[:-1], self.channels[1:], strict=True))
+        self.downs = nn.ModuleList(halve(a, b) for a, b in pairwise(self.channels))
         self.levels = nn.ModuleList(
             convolutions([inputs if level == 0 else c] + [c] * DEPTHS[level]) for level, c in enumerate(self.channels)
         )
         self.dropout = nn.Dropout3d(dropout)
 
     def forward(self, image: Tensor) -> list[Tensor]:
+        """Features of every level, finest first."""
         features = [self.levels[0](image)]
         for down, level in zip(self.downs, self.levels[1:], strict=True):
             features.append(level(down(features[-1])))
@@ -54,11 +57,12 @@ class VNetDecoder(nn.Module):
         channels = [filters * 2**level for level in range(len(DEPTHS))][::-1]
         self.skips = skips
         self.channels = filters
-        self.ups = nn.ModuleList(double(a, b) for a, b in zip(channels[:-1], channels[1:], strict=True))
+        self.ups = nn.ModuleList(double(a, b) for a, b in pairwise(channels))
         depths = DEPTHS[-2::-1]
         self.levels = nn.ModuleList(convolutions([c] * (d + 1)) for c, d in zip(channels[1:], depths, strict=True))
 
     def forward(self, features: list[Tensor]) -> Tensor:
+        """Features of the finest level."""
         value = features[-1]
         for up, level, skip in zip(self.ups, self.levels, features[-2::-1], strict=True):
             value = up(value)

@@ -1,0 +1,55 @@
+"""Cases that would spoil a training are refused before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from sdm.errors import SDMError
+from sdm.segmentation.case import Case
+
+# How far the voxel sizes of two cases may be apart: more is another scanner protocol, or a mistake.
+TOLERANCE = 0.05
+MOST_NAMED = 5
+
+
+def check_cases(cases: Sequence[Case], *, spacing: tuple[float, float, float] | None = None) -> None:
+    """Look at every case.
+
+    Args:
+        cases: Images with labels.
+        spacing: The voxel size that all must have, in mm; that of most cases if not given.
+
+    Raises:
+        SDMError: Some cannot be used; each is named with its reason.
+    """
+    sizes = [tuple(round(s, 3) for s in case.spacing) for case in cases]
+    wanted = max(sizes, key=sizes.count) if spacing is None and sizes else spacing or (1.0, 1.0, 1.0)
+    bad = [f"{case.name} {why}" for case in cases if (why := _reason(case, wanted)) is not None]
+    if bad:
+        more = f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else ""
+        raise SDMError(
+            f"{len(bad)} of {len(cases)} cases cannot be used: {'; '.join(bad[:MOST_NAMED])}{more}; "
+            "mend them or take them out"
+        )
+
+
+def _reason(case: Case, spacing: Sequence[float]) -> str | None:
+    label = case.label
+    if case.image.ndim != 3:
+        return f"has an image of shape {tuple(case.image.shape)}, not (x,y,z)"
+    if not torch.isfinite(case.image).all():
+        return "has values that are not finite"
+    if label is None:
+        return "has no label"
+    if label.shape != case.image.shape:
+        return f"has an image of shape {tuple(case.image.shape)} and a label of shape {tuple(label.shape)}"
+    if not label.any():
+        return "has no foreground"
+    if label.all():
+        return "has no background"
+    if any(abs(s - w) > TOLERANCE * w for s, w in zip(case.spacing, spacing, strict=True)):
+        sizes = [" x ".join(f"{s:.4g}" for s in size) for size in (case.spacing, spacing)]
+        return f"has voxels of {sizes[0]} mm where {sizes[1]} mm are expected"
+    return None

@@ -1,0 +1,78 @@
+"""A folder of cases, in one of the layouts that are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sdm.errors import FormatError
+from sdm.segmentation.case import Case
+from sdm.segmentation.hdf5 import hdf5_files, read_hdf5
+from sdm.segmentation.nifti import ENDINGS, nifti_files, read_nifti, stem_of
+
+LAYOUTS = "HDF5 files with image and label, or NIfTI files in imagesTr and labelsTr"
+# nnU-Net numbers an image's channels; there is one here.
+CHANNEL = "_0000"
+# Sub-folder of HDF5 files, and nnU-Net's pair of folders, for each part of the data.
+PARTS = {"train": ("train", "imagesTr", "labelsTr"), "val": ("val", "imagesTs", "labelsTs")}
+
+
+def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) -> list[Case]:
+    """The cases of a folder, by name.
+
+    Args:
+        folder: HDF5 files (see `read_hdf5`), or nnU-Net's `imagesTr/NAME_0000.nii.gz` with `labelsTr/NAME.nii.gz`.
+        part: "train" or "val": the sub-folder of that name, or `imagesTr`/`imagesTs` with their labels. If there are
+            no such sub-folders, "train" is the folder itself. None: whatever images there are.
+        labels: Whether every image must have a label.
+
+    Raises:
+        FormatError: There are no cases, or one of them has no label or cannot be read; it is named.
+    """
+    if not folder.is_dir():
+        raise FormatError(f"{folder} is not a folder of cases: give one with {LAYOUTS}")
+    plain, images, masks = PARTS[part or "train"]
+    for place in (folder / plain,) if part == "val" else (folder / plain, folder):
+        if files := hdf5_files(place):
+            cases = [read_hdf5(path) for path in files]
+            return _with_labels(cases) if labels else cases
+    if (folder / images).is_dir():
+        return _pairs(folder / images, folder / masks, labels)
+    if part is None and (files := nifti_files(folder)):
+        return [read_nifti(path, name=stem_of(path).removesuffix(CHANNEL)) for path in files]
+    raise FormatError(f"{folder} holds no cases{'' if part is None else f' to {part}'}: give a folder with {LAYOUTS}")
+
+
+def has_part(folder: Path, part: str) -> bool:
+    """Whether a folder has cases of a part of its own."""
+    plain, images, _ = PARTS[part]
+    return bool(hdf5_files(folder / plain) or nifti_files(folder / images))
+
+
+def label_files(folder: Path) -> dict[str, Path]:
+    """NIfTI labels by case."""
+    return {stem_of(path): path for path in nifti_files(folder)}
+
+
+def _pairs(images: Path, masks: Path, wanted: bool) -> list[Case]:
+    labels = label_files(masks)
+    cases = []
+    for path in nifti_files(images):
+        name = stem_of(path)
+        if not name.endswith(CHANNEL):
+            if name[-5:-4] == "_" and name[-4:].isdigit():
+                raise FormatError(f"{path} is a second channel: images of one channel ({CHANNEL}) are supported")
+            raise FormatError(f"{path} is not named as in nnU-Net: call it {name}{CHANNEL}{ENDINGS[0]}")
+        name = name.removesuffix(CHANNEL)
+        if name not in labels and wanted:
+            raise FormatError(f"{path} has no label: {masks / (name + ENDINGS[0])} is not there")
+        cases.append(read_nifti(path, labels.get(name), name))
+    if not cases:
+        raise FormatError(f"{images} holds no images: give a folder with {LAYOUTS}")
+    return cases
+
+
+def _with_labels(cases: list[Case]) -> list[Case]:
+    for case in cases:
+        if case.label is None:
+            raise FormatError(f"{case.source} has no data set called label")
+    return cases

@@ -1,0 +1,53 @@
+"""Cases in HDF5: one file each, data sets `image` and `label`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from sdm.errors import FormatError
+from sdm.io.sentence import one_line
+from sdm.segmentation.case import Case
+
+ENDINGS = (".h5", ".hdf5")
+
+
+def hdf5_files(folder: Path) -> list[Path]:
+    """The folder's HDF5 files, by name."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in ENDINGS) if folder.is_dir() else []
+
+
+def read_hdf5(path: Path) -> Case:
+    """One case: `image` (x,y,z) of any number type, `label` (x,y,z) if there is one.
+
+    The left-atrium data of Yu et al. (UA-MT) has this layout and does not tell the size of a voxel; an attribute
+    `spacing` of the file, three lengths in mm, does.
+
+    Raises:
+        FormatError: The file cannot be read or has no `image`.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise FormatError(f"{path} needs h5py: pip install 'warp-sdm[segmentation]'") from None
+    try:
+        with h5py.File(path, "r") as file:
+            if "image" not in file:
+                raise FormatError(f"{path} has no data set called image: found {', '.join(file) or 'nothing'}")
+            image = np.asarray(file["image"])
+            label = np.asarray(file["label"]) if "label" in file else None
+            spacing = np.asarray(file.attrs.get("spacing", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(-1)
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {one_line(error)}") from error
+    if spacing.shape != (3,):
+        raise FormatError(f"{path} has a spacing of {len(spacing)} numbers: three lengths in mm are needed")
+    return Case(
+        name=path.stem,
+        image=torch.from_numpy(image.astype(np.float32)),
+        label=None if label is None else torch.from_numpy(label != 0),
+        spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
+        affine=np.diag([*spacing, 1.0]),
+        source=path,
+    )
