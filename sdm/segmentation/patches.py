@@ -1,0 +1,120 @@
+"""Batches of patches, cut, turned and scaled on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from sdm.errors import SDMError
+from sdm.losses import clipped_sdf
+from sdm.segmentation.augment import NOISE, Augment, Draw, draw
+from sdm.segmentation.case import Case, standardized
+from sdm.segmentation.methods import Map
+from sdm.segmentation.targets import CLIP_VOXELS, distance_map
+
+Triple = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A batch on the device: image and map (B,1,x,y,z) float32, label (B,1,x,y,z) bool."""
+
+    image: Tensor
+    label: Tensor
+    map: Tensor | None
+
+
+class Patches:
+    """All cases on the device, each with its distance map, and batches cut from them.
+
+    The map is that of the whole case, made once. As published (`per_patch`) it is made anew of each patch's label, with
+    voxels of size 1, so that its scale is another for every patch.
+
+    Args:
+        cases: With labels, all of one voxel size.
+        kind: The map that the method wants, if any.
+        size: Voxels of a patch along each axis. Smaller cases are padded by background.
+        device: Where the cases are kept and the batches are made.
+        per_patch: See above.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        kind: Map | None,
+        size: Triple,
+        device: torch.device | str,
+        *,
+        per_patch: bool = False,
+    ) -> None:
+        self.kind, self.size, self.device, self.per_patch = kind, size, torch.device(device), per_patch
+        self.spacing = cases[0].spacing
+        self._cases = [self._stack(case) for case in cases]
+
+    def _stack(self, case: Case) -> Tensor:
+        if case.label is None:
+            raise SDMError(f"{case.name} has no label")
+        image = standardized(case.image.to(self.device))
+        label = case.label.to(self.device)
+        room = [max(0, n - m) for n, m in zip(self.size, image.shape, strict=True)]
+        pad = [x for r in reversed(room) for x in (r // 2, r - r // 2)]
+        image = functional.pad(image, pad, value=float(image.min()))
+        label = functional.pad(label, pad)
+        channels = [image, label.float()]
+        if self.kind is not None and not self.per_patch:
+            # A patch that is scaled scales its distances, so they are clipped afterwards.
+            whole = "signed" if self.kind == "clipped" else self.kind
+            channels.append(distance_map(label[None, None], whole, self.spacing)[0, 0])
+        return torch.stack(channels)
+
+    def __len__(self) -> int:
+        return len(self._cases)
+
+    def batch(self, count: int, *, seed: int, step: int, augment: Augment = "affine") -> Patch:
+        """A batch of `count` patches: a pure function of (seed, step), whatever came before."""
+        draws = [draw(seed, step, row, len(self), augment) for row in range(count)]
+        volumes = torch.cat([self._cut(d) for d in draws])
+        image, label = volumes[:, :1], volumes[:, 1:2] > 0.5
+        if augment == "affine":
+            image = self._intensities(image, draws)
+        return Patch(image, label, self._map(volumes, label, draws))
+
+    def _map(self, volumes: Tensor, label: Tensor, draws: Sequence[Draw]) -> Tensor | None:
+        if self.kind is None:
+            return None
+        if self.per_patch:
+            return distance_map(label, self.kind, published=True)
+        values = volumes[:, 2:3]
+        if self.kind in ("signed", "clipped"):
+            # One voxel of the patch is `scale` voxels of the case.
+            values = values / values.new_tensor([d.scale for d in draws]).view(-1, 1, 1, 1, 1)
+        return clipped_sdf(values, CLIP_VOXELS * max(self.spacing)) if self.kind == "clipped" else values
+
+    def _cut(self, d: Draw) -> Tensor:
+        volume = self._cases[d.case]
+        shape = torch.tensor(volume.shape[1:], dtype=torch.float64)
+        size = torch.tensor(self.size, dtype=torch.float64)
+        # Whole voxels, so that a patch that is not turned is a copy.
+        corner = torch.floor(d.place * (shape - size + 1))
+        centre = corner + (size - 1) / 2
+        spacing = torch.tensor(self.spacing, dtype=torch.float64)
+        # From offsets in voxels of the patch to those of the case; turns are rigid in mm, not in voxels.
+        matrix = d.scale * d.turn * spacing[None] / spacing[:, None]
+        normal = (2 / (shape - 1).clamp(min=1))[:, None] * matrix * ((size - 1) / 2)[None]
+        offset = 2 * centre / (shape - 1).clamp(min=1) - 1
+        # affine_grid counts the axes from the last.
+        theta = torch.cat([normal.flip(0, 1), offset.flip(0)[:, None]], 1).to(self.device, torch.float32)
+        points = functional.affine_grid(theta[None], [1, 1, *self.size], align_corners=True)
+        return functional.grid_sample(volume[None], points, padding_mode="border", align_corners=True)
+
+    def _intensities(self, image: Tensor, draws: Sequence[Draw]) -> Tensor:
+        random = torch.Generator(self.device).manual_seed(draws[0].noise)
+        noise = torch.randn(image.shape, generator=random, device=self.device)
+        gain, shift = (
+            image.new_tensor([getattr(d, name) for d in draws]).view(-1, 1, 1, 1, 1) for name in ("gain", "shift")
+        )
+        return image * gain + shift + NOISE * noise

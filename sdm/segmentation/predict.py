@@ -1,0 +1,76 @@
+"""From an image to a label and its signed distance map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import ndimage
+from torch import Tensor
+
+from sdm.distance_transform import euclidean_distance_transform
+from sdm.segmentation.case import standardized
+from sdm.segmentation.model import SegmentationModel
+from sdm.segmentation.sliding import sliding_window
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Label (x,y,z) bool; field (x,y,z) float32, negative inside, from which it was cut: see `SegmentationModel`."""
+
+    label: Tensor
+    field: Tensor
+
+
+def predict(
+    model: SegmentationModel,
+    image: Tensor,
+    window: Sequence[int],
+    *,
+    stride: Sequence[int] | None = None,
+    largest: bool = True,
+    batch: int = 4,
+) -> Prediction:
+    """Segment an image by windows, where the network is.
+
+    Args:
+        model: A trained network; it is put into evaluation mode.
+        image: (x,y,z) as read; it is standardised here.
+        window: Voxels of a window, those of the training's patches.
+        stride: See `sliding_window`.
+        largest: Keep only the largest connected component (by faces, edges and corners): for single organs.
+        batch: Windows at a time.
+    """
+    model.eval()
+    device = next(model.parameters()).device
+
+    def field(windows: Tensor) -> Tensor:
+        if windows.is_cuda:
+            windows = windows.to(memory_format=torch.channels_last_3d)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            return model.field(windows)
+
+    with torch.inference_mode():
+        values = sliding_window(field, standardized(image.to(device)), window, stride=stride, batch=batch)
+    label = values < 0
+    return Prediction(largest_component(label) if largest else label, values)
+
+
+def largest_component(label: Tensor) -> Tensor:
+    """The largest 26-connected component of a mask (x,y,z), on its device; empty if it is."""
+    parts, count = ndimage.label(label.cpu().numpy(), structure=np.ones((3, 3, 3)))  # type: ignore[misc]
+    if count <= 1:
+        return label
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return torch.from_numpy(parts == sizes.argmax()).to(label.device)
+
+
+def label_distance_map(label: Tensor, spacing: Sequence[float]) -> Tensor:
+    """Exact signed distance map of a label (x,y,z) in the spacing's unit: negative inside, 0 on the voxels' faces.
+
+    Infinite everywhere if the label is empty.
+    """
+    return euclidean_distance_transform(label, spacing, signed=True, surface="faces")

@@ -1,0 +1,77 @@
+"""What a training is: enough to do it again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from sdm.errors import SDMError
+from sdm.segmentation.augment import Augment
+from sdm.segmentation.methods import METHODS
+from sdm.segmentation.model import NETWORKS, Architecture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """One training; the same for every method of a table but for the method's name.
+
+    Args:
+        method: One of `METHODS`.
+        architecture: "vnet" or "unet".
+        patch: Voxels of a patch, multiples of 16 (vnet) or 8 (unet).
+        batch: Patches a step.
+        steps: Steps of the optimiser.
+        optimizer: "adam" (AdamW) or "sgd" (Nesterov momentum 0.9). Its learning rate rises over the first 5 % of the
+            steps and falls to zero along a cosine.
+        learning_rate: Highest.
+        weight_decay: Decoupled with adam, L2 with sgd.
+        augment: "none", "published" or "affine": see `augment.draw`.
+        targets: Distance maps of the whole "case", or of the "patch" as published.
+        filters: Of the network's finest level; None: the paper's.
+        dropout: Of the coarsest level; None: the paper's.
+        seed: Of weights, patches and dropout.
+    """
+
+    method: str = "baseline"
+    architecture: Architecture = "vnet"
+    patch: tuple[int, int, int] = (112, 112, 80)
+    batch: int = 4
+    steps: int = 2000
+    optimizer: Literal["adam", "sgd"] = "adam"
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-4
+    augment: Augment = "affine"
+    targets: Literal["case", "patch"] = "case"
+    filters: int | None = None
+    dropout: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise SDMError(f"there is no method called {self.method!r}; choose one of {', '.join(METHODS)}")
+        if self.architecture not in NETWORKS:
+            raise SDMError(f"there is no network called {self.architecture!r}; choose one of {', '.join(NETWORKS)}")
+        multiple = NETWORKS[self.architecture][2]
+        if len(self.patch) != 3 or any(n < multiple or n % multiple for n in self.patch):
+            raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
+        if self.batch < 1 or self.steps < 1:
+            raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
+        if not self.learning_rate > 0:
+            raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
+
+    def learning_rate_at(self, step: int) -> float:
+        """The learning rate of a step."""
+        warm = max(1, self.steps // 20)
+        if step < warm:
+            return self.learning_rate * (step + 1) / warm
+        return self.learning_rate * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
+
+    def record(self) -> dict[str, Any]:
+        """As plain numbers and words."""
+        return {**asdict(self), "patch": list(self.patch)}
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> Settings:
+        """The settings that `record` wrote."""
+        return cls(**{**record, "patch": tuple(record["patch"])})

@@ -1,0 +1,186 @@
+"""The training loop: resumes where it was, stops when its time is over."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from sdm.errors import FormatError, SDMError
+from sdm.segmentation.methods import METHODS
+from sdm.segmentation.model import SegmentationModel
+from sdm.segmentation.objective import Step, objective
+from sdm.segmentation.patches import Patches
+from sdm.segmentation.settings import Settings
+
+LARGEST_GRADIENT = 1.0
+SAVE_EVERY_S = 120.0
+# Losses that a log keeps.
+POINTS = 20
+
+
+@dataclass
+class Training:
+    """A training, finished or not.
+
+    Args:
+        model: The network.
+        step: Steps done.
+        seconds: Spent in them, over all sessions.
+        losses: (step, loss) now and then.
+    """
+
+    model: SegmentationModel
+    step: int = 0
+    seconds: float = 0.0
+    losses: list[tuple[int, float]] = field(default_factory=list)
+
+
+def train(
+    patches: Patches,
+    settings: Settings,
+    *,
+    checkpoint: Path | None = None,
+    deadline: float | None = None,
+    compiled: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Training:
+    """Train a network, on the patches' device; bfloat16 on a GPU.
+
+    Args:
+        patches: Of the training cases, with the map of the settings' method.
+        settings: What to do.
+        checkpoint: File that keeps an unfinished training; if it is there, and of the same settings, it is continued.
+            It is removed by none but the caller.
+        deadline: Value of `time.monotonic()` at which to stop, finished or not.
+        compiled: Whether to compile the network: worth it for some hundred steps on a GPU.
+        progress: Called with steps done and in all.
+
+    Returns:
+        The training; finished if its `step` is the settings' `steps`.
+
+    Raises:
+        FormatError: The checkpoint is of another training.
+        SDMError: The loss is not finite any more.
+    """
+    device = patches.device
+    method = METHODS[settings.method]
+    with _own_random_numbers(device):
+        torch.manual_seed(settings.seed)
+        model = SegmentationModel(method, settings.architecture, filters=settings.filters, dropout=settings.dropout).to(
+            device
+        )
+        if device.type == "cuda":
+            model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        optimizer = _optimizer(model, settings)
+        training = Training(model)
+        if checkpoint is not None and checkpoint.is_file():
+            _restore(checkpoint, training, optimizer, settings, device)
+        network = torch.compile(model, dynamic=False) if compiled else model
+        model.train()
+        begin, saved = time.monotonic(), time.monotonic()
+        before = training.seconds
+        while training.step < settings.steps and (deadline is None or time.monotonic() < deadline):
+            _step(training, network, optimizer, patches, settings)
+            progress(training.step, settings.steps)
+            training.seconds = before + time.monotonic() - begin
+            if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY_S:
+                _save(checkpoint, training, optimizer, settings, device)
+                saved = time.monotonic()
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        training.seconds = before + time.monotonic() - begin
+        if checkpoint is not None and training.step < settings.steps:
+            _save(checkpoint, training, optimizer, settings, device)
+    model.eval()
+    return training
+
+
+def _step(
+    training: Training,
+    network: Callable[..., Any],
+    optimizer: torch.optim.Optimizer,
+    patches: Patches,
+    settings: Settings,
+) -> None:
+    step = training.step
+    patch = patches.batch(settings.batch, seed=settings.seed, step=step, augment=settings.augment)
+    for group in optimizer.param_groups:
+        group["lr"] = settings.learning_rate_at(step)
+    image = patch.image
+    if image.is_cuda:
+        image = image.to(memory_format=torch.channels_last_3d)
+    with torch.autocast(image.device.type, torch.bfloat16, enabled=image.is_cuda):
+        main, auxiliary = network(image)
+    done = step / settings.steps
+    state = Step(training.model.method, main, patch.label, patch.map, done, patches.spacing)
+    loss = objective(state, auxiliary)
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    nn.utils.clip_grad_norm_(training.model.parameters(), LARGEST_GRADIENT)
+    optimizer.step()
+    training.step += 1
+    if training.step % max(1, settings.steps // POINTS) == 0 or training.step == settings.steps:
+        value = float(loss)
+        if value != value or abs(value) == float("inf"):
+            raise SDMError(f"the loss of {settings.method} is {value} at step {training.step}: lower the learning rate")
+        training.losses.append((training.step, round(value, 6)))
+
+
+def _optimizer(model: nn.Module, settings: Settings) -> torch.optim.Optimizer:
+    rate, decay = settings.learning_rate, settings.weight_decay
+    if settings.optimizer == "sgd":
+        return torch.optim.SGD(model.parameters(), rate, momentum=0.9, weight_decay=decay, nesterov=True)
+    return torch.optim.AdamW(model.parameters(), rate, weight_decay=decay)
+
+
+@contextmanager
+def _own_random_numbers(device: torch.device) -> Iterator[None]:
+    """Dropout and weights draw from torch's global generators: leave them as they were."""
+    where = [device] if device.type == "cuda" else []
+    with torch.random.fork_rng(devices=where):
+        yield
+
+
+def _save(
+    path: Path, training: Training, optimizer: torch.optim.Optimizer, settings: Settings, device: torch.device
+) -> None:
+    state = {
+        "settings": settings.record(),
+        "step": training.step,
+        "seconds": training.seconds,
+        "losses": [list(point) for point in training.losses],
+        "model": training.model.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "random": torch.get_rng_state(),
+        "random_device": torch.cuda.get_rng_state(device) if device.type == "cuda" else None,
+    }
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    torch.save(state, part)
+    part.replace(path)
+
+
+def _restore(
+    path: Path, training: Training, optimizer: torch.optim.Optimizer, settings: Settings, device: torch.device
+) -> None:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        known = state["settings"]
+    except (OSError, RuntimeError, KeyError, EOFError) as error:
+        raise FormatError(f"{path} is not a checkpoint of a training: remove it to begin anew") from error
+    if known != settings.record():
+        raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")
+    training.model.load_state_dict(state["model"])
+    optimizer.load_state_dict(state["optimizer"])
+    training.step, training.seconds = state["step"], state["seconds"]
+    training.losses = [(int(a), float(b)) for a, b in state["losses"]]
+    torch.set_rng_state(state["random"])
+    if device.type == "cuda" and state["random_device"] is not None:
+        torch.cuda.set_rng_state(state["random_device"], device)
