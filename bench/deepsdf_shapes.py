@@ -12,6 +12,7 @@ import argparse
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -85,7 +86,7 @@ class _Folder:
         self._paths = {f"{p.parent.name}/{p.stem}": p for p in found if p.suffix in (".h5", ".npz")}
         self.files = [f"{name}/{part}" for name in self._paths for part in ("bits", "shape")]
 
-    def __enter__(self) -> _Folder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -12,6 +12,7 @@ import tyro
 # Name -> "module:function". The function's typed arguments become options, its docstring the help, as for a command.
 # Its module is imported for the help, so it imports torch and the like inside the function.
 TRAININGS = {
+    "deepsdf": "sdm.cli.train_deepsdf:deepsdf",
     "sdmnn": "sdm.cli.train_sdmnn:sdmnn",
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -39,7 +40,7 @@ class PublishedDecoder(nn.Module):
         """Signed distances (B,N) for codes (B,D) and points (B,N,3) of the unit sphere's box."""
         x = points
         for number, layer in enumerate(self.hidden):
-            weight, bias = layer.weight, layer.bias
+            weight, bias = cast("tuple[Tensor, Tensor]", (layer.weight, layer.bias))
             if number in (0, SKIP):
                 own = weight.shape[1] - self.code_size - 3
                 of_code = linear(codes, weight[:, own:-3], bias)[:, None]
