@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm import fit as fit
     from sdm import losses as losses
     from sdm import metrics as metrics
     from sdm import shapes as shapes
@@ -71,7 +72,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("losses", "metrics", "shapes"):
+    if name in ("fit", "losses", "metrics", "shapes"):
         return import_module(f"sdm.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'sdm' has no attribute {name!r}")

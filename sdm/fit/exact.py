@@ -1,0 +1,91 @@
+"""The exact backend: the mesh engine's signed distances, and their derivatives without finite differences.
+
+With y the closest point on the surface and n the outward direction from it, d SDM(x) / d theta = -n . dy / d theta:
+y slides along the surface to first order, so only the motion of the point of the mesh that y is now counts. That point
+is w1 v1 + w2 v2 + w3 v3 on its triangle, so its motion is that of the corners, weighted.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sdm.device import choose_device
+from sdm.engine import MeshIndex
+from sdm.fit.backend import Distances
+from sdm.fit.jacobian import vertices_with_jacobian
+from sdm.mesh import TriangleMesh
+from sdm.shapes import Cochlea, Family
+
+# Nearer to the surface than this [mm], the direction is that of the face: a difference of equal numbers has none.
+ON_SURFACE = 1e-5
+TRIANGLES = 5_000
+
+
+class ExactBackend:
+    """Exact distances to the meshes of a family.
+
+    Args:
+        family: Its vertices must be known to torch's forward-mode differentiation, as `Cochlea`'s are; by default
+            `Cochlea(5_000)`.
+        device: Where to compute; by default a GPU if there is one.
+
+    The closest triangles are found in float32; the distances to them and their derivatives are float64.
+    """
+
+    name = "exact"
+    slack = 1e-4
+
+    def __init__(self, family: Family | None = None, device: str | torch.device | None = None) -> None:
+        self.device = choose_device(device)
+        self.family = Cochlea(TRIANGLES) if family is None else family
+        self.parameters = self.family.parameters
+        self.faces = self.family.faces_on(self.device)
+        self.evaluations = 0
+        self._theta: Tensor | None = None
+        low, high = self._box()
+        self.centre = (low + high) / 2
+
+    def distances(self, theta: Tensor, points: Tensor) -> Tensor:
+        """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
+        self._move_to(theta)
+        return self._index.signed_distance(points.float()).double()
+
+    def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
+        """Signed distances with their derivatives by theta and point, all float64."""
+        self._move_to(theta)
+        values, closest = self._index.signed_distance(points.float(), return_closest=True)
+        weights = closest.barycentric.double()
+        weights = weights / weights.sum(1, keepdim=True)
+        corners = self.faces[closest.faces].long()
+        triangles = self._vertices[corners]
+        foot = torch.einsum("nk,nkc->nc", weights, triangles)
+        away = points - foot
+        length = away.norm(dim=1)
+        sign = torch.where(values < 0, -1.0, 1.0).double()
+        normal = torch.linalg.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        normal = torch.nn.functional.normalize(normal, dim=1)
+        direction = away * (sign / length.clamp_min(1e-30))[:, None]
+        direction = torch.where((length < ON_SURFACE)[:, None], normal, direction)
+        by_theta = -torch.einsum("nk,nc,nkcp->np", weights, direction, self._jacobian[corners])
+        return Distances(sign * length, by_theta, direction)
+
+    def surface(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """Vertices (V,3) [mm] and their derivatives (V,3,P) by theta, float64."""
+        self._move_to(theta)
+        return self._vertices, self._jacobian
+
+    def _move_to(self, theta: Tensor) -> None:
+        theta = theta.detach().to(self.device, torch.float64)
+        if self._theta is not None and torch.equal(theta, self._theta):
+            return
+        self._vertices, self._jacobian = vertices_with_jacobian(self.family, theta)
+        mesh = TriangleMesh(self._vertices.float(), self.faces, self.family.name, check=False)
+        self._index = MeshIndex(mesh, self.device)
+        self._theta = theta.clone()
+        self.evaluations += 1
+
+    def _box(self) -> tuple[Tensor, Tensor]:
+        middle = torch.tensor([(p.low + p.high) / 2 for p in self.parameters], dtype=torch.float64, device=self.device)
+        vertices, _ = vertices_with_jacobian(self.family, middle)
+        return vertices.min(0).values, vertices.max(0).values

@@ -1,0 +1,57 @@
+"""Derivatives of a family's vertices by its parameters, all at once, by forward-mode differentiation."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from sdm.errors import MeshError
+from sdm.shapes import Cochlea, Family
+from sdm.shapes.cochlea_reference import reference_vertices
+
+
+def vertices_with_jacobian(family: Family, theta: Tensor) -> tuple[Tensor, Tensor]:
+    """Vertices (V,3) and d vertices / d theta (V,3,P), float64, on theta's device.
+
+    Args:
+        family: A `Cochlea`, or a family whose `vertices` is plain torch code.
+        theta: (P,) float64.
+
+    Raises:
+        MeshError: The family's vertices come from an operator without forward-mode derivatives.
+    """
+    theta = theta.double()
+    if isinstance(family, Cochlea):
+        tables = family._on(theta.device, "tables", lambda: family._tables)
+
+        def vertices(at: Tensor) -> Tensor:
+            return reference_vertices(at[None], tables)[0]
+    else:
+
+        def vertices(at: Tensor) -> Tensor:
+            return family.vertices(at[None])[0].double()
+
+    try:
+        return with_jacobian(vertices, theta)
+    except (NotImplementedError, RuntimeError) as error:
+        raise MeshError(
+            f"the vertices of {family.name} have no forward-mode derivatives: write its vertices() in plain torch"
+        ) from error
+
+
+def with_jacobian(function: Callable[[Tensor], Tensor], at: Tensor) -> tuple[Tensor, Tensor]:
+    """`function(at)` of any shape S for `at` (P,), and its derivatives (*S,P), by forward mode."""
+
+    def twice(x: Tensor) -> tuple[Tensor, Tensor]:
+        value = function(x)
+        return value, value
+
+    with warnings.catch_warnings():
+        # Torch's own forward mode uses it.
+        warnings.filterwarnings("ignore", message=".*torch.jit.script. is deprecated", category=DeprecationWarning)
+        warnings.filterwarnings("ignore", message=".*torch.jit.script. is not supported", category=DeprecationWarning)
+        jacobian, value = torch.func.jacfwd(twice, has_aux=True)(at)
+    return value, jacobian

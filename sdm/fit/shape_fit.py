@@ -1,0 +1,198 @@
+"""The fit: from an image to a shape, its pose and how sure of them one may be."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sdm.errors import GridError, SDMError
+from sdm.fit.appearance import MODELS, Appearance
+from sdm.fit.backend import Backend
+from sdm.fit.diagnosis import diagnose
+from sdm.fit.exact import ExactBackend
+from sdm.fit.initial import candidates, coarser, middle_of
+from sdm.fit.pose import State, rotation_from_vector
+from sdm.fit.posterior import Posterior
+from sdm.fit.prior import Prior
+from sdm.fit.render import Renderer
+from sdm.fit.result import FitResult
+from sdm.fit.solver import Outcome, Point, minimise
+from sdm.grid import Grid
+
+LARGEST_IMAGE = 1 << 23
+SMALLEST_AXIS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FitOptions:
+    """How to fit.
+
+    Args:
+        model: "partial-volume": voxels mix, as in a scanner; "labels": each voxel is inside or outside (Wang et al.).
+        components: Gaussians inside and outside.
+        blur: Standard deviation of the scanner's point spread function [mm].
+        length: The reference length l_ref of the logistic [mm]; by default a quarter of `fine`, or for "labels" a
+            quarter of the voxel.
+        fine: Largest distance between the sample points of a voxel [mm]; "labels" has one point for each voxel.
+        pose: The expected pose (rotation matrix, translation of the shape's centre [mm]); by default unturned, in the
+            middle of the image.
+        turn: How much the rotation may differ from that, standard deviation about each axis [rad].
+        shift: How much the translation may differ, standard deviation along each axis [mm].
+        starts: Best of the plain shapes to start from.
+        most_steps: Most steps of a stage.
+        tolerance: Converged once the next step is shorter than so many posterior standard deviations.
+    """
+
+    model: str = "partial-volume"
+    components: tuple[int, int] = (1, 1)
+    blur: float = 0.2
+    length: float | None = None
+    fine: float = 0.1
+    pose: tuple[Tensor, Tensor] | None = None
+    turn: float = 0.5
+    shift: float = 5.0
+    starts: int = 3
+    most_steps: int = 60
+    tolerance: float = 1e-3
+
+
+def fit_shape(
+    image: Any,
+    grid: Grid,
+    backend: Backend | None = None,
+    *,
+    finish: Backend | None = None,
+    options: FitOptions | None = None,
+    report: Callable[[str, int, Point], None] | None = None,
+) -> FitResult:
+    """Fit a shape family's parameters and a rigid pose to an image.
+
+    Args:
+        image: (nx,ny,nz) intensities of any unit, cropped to the shape and a few millimetres around.
+        grid: Where its voxels are [mm].
+        backend: Signed distances of the family; `ExactBackend()` if not given.
+        finish: A second backend that takes over at the end: with a surrogate first and `ExactBackend` here the
+            estimate is that of the exact backend alone, for less time (hybrid).
+        options: How to fit.
+        report: Called with the stage's name, the number of each step and where it led.
+
+    Returns:
+        The maximum of the posterior density and its Laplace approximation. `result.trusted` says whether to believe
+        it, `result.require()` raises if not.
+
+    Raises:
+        GridError: The image does not fit its grid, or is too small or too large.
+        SDMError: The image has values that are not finite, or only one value.
+
+    Method: Wang et al., Medical Image Analysis 2022: a logistic of the signed distance is the prior probability of
+    inside, appearance is estimated by expectation-maximisation, shape and pose by Gauss-Newton steps. Ours are the
+    partial volume model, SE(3) increments, and the start by cross-correlation.
+    """
+    begin = time.perf_counter()
+    options = FitOptions() if options is None else options
+    backend = ExactBackend() if backend is None else backend
+    if options.model not in MODELS:
+        raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
+    values = _as_image(image, grid, backend.device)
+    before = _counts(backend, finish)
+    prior = Prior.of(backend.parameters, _expected(grid, options, backend), options.turn, options.shift)
+    steps: dict[str, int] = {}
+
+    def stage(name: str, using: Backend, start: State, appearance: Appearance) -> Outcome:
+        told = None if report is None else (lambda number, point: report(name, number, point))
+        found = minimise(
+            _renderer(grid, using, options), values, start, appearance, prior,
+            most_steps=options.most_steps, tolerance=options.tolerance, report=told,
+        )  # fmt: skip
+        steps[name] = found.steps
+        return found
+
+    start = _begin(values, grid, backend, prior, options)
+    steps["start"] = start.steps
+    found = stage("fine", backend, start.point.state, start.point.appearance)
+    if finish is not None:
+        found = stage("finish", finish, found.point.state, found.point.appearance)
+    at = found.point
+    diagnosis = diagnose(values, grid, at, prior, found.converged, [p.name for p in backend.parameters])
+    posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
+    after = _counts(backend, finish)
+    return FitResult(
+        parameters=backend.parameters,
+        posterior=posterior,
+        appearance=at.appearance,
+        share=at.share,
+        objective=at.objective,
+        diagnosis=diagnosis,
+        evaluations={name: after[name] - before[name] for name in after},
+        steps=steps,
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def _begin(values: Tensor, grid: Grid, backend: Backend, prior: Prior, options: FitOptions) -> Outcome:
+    """The best of a few fits to a coarse image."""
+    small, wide = coarser(values, grid)
+    found = candidates(backend, small, wide, prior.pose, _turns(options.turn, values.device))
+    # The voxel's own box does most of the blurring.
+    renderer = Renderer(wide, backend, blur=options.blur, length=0.1, fine=max(wide.spacing) / 2)
+    best: Outcome | None = None
+    for candidate in found[: max(1, options.starts)]:
+        share = renderer(candidate.state, derivatives=False).share
+        appearance = MODELS[options.model].start(small.flatten(), share.flatten(), options.components)
+        outcome = minimise(
+            renderer, small, candidate.state, appearance, prior, most_steps=options.most_steps, tolerance=0.3
+        )
+        if best is None or outcome.point.objective < best.point.objective:
+            best = outcome
+    assert best is not None  # noqa: S101 - there is always a candidate
+    return best
+
+
+def _turns(turn: float, device: torch.device) -> list[Tensor]:
+    """Rotations to begin with: none, and one either way about each axis."""
+    steps = [torch.zeros(3)] + [s * turn * torch.eye(3)[axis] for axis in range(3) for s in (-0.8, 0.8)]
+    return [rotation_from_vector(v.double().to(device)) for v in steps]
+
+
+def _renderer(grid: Grid, backend: Backend, options: FitOptions) -> Renderer:
+    if options.model == "labels":
+        length = options.length or min(grid.spacing) / 4
+        return Renderer(grid, backend, blur=0.0, length=length, fine=max(grid.spacing))
+    return Renderer(grid, backend, blur=options.blur, length=options.length or options.fine / 4, fine=options.fine)
+
+
+def _expected(grid: Grid, options: FitOptions, backend: Backend) -> State:
+    rotation, translation = options.pose if options.pose is not None else (torch.eye(3), middle_of(grid))
+    middle = torch.tensor([(p.low + p.high) / 2 for p in backend.parameters], dtype=torch.float64)
+    return State(
+        middle.to(backend.device),
+        rotation.to(backend.device, torch.float64),
+        translation.to(backend.device, torch.float64),
+        backend.centre,
+    )
+
+
+def _counts(*backends: Backend | None) -> dict[str, int]:
+    return {b.name: b.evaluations for b in backends if b is not None}
+
+
+def _as_image(image: Any, grid: Grid, device: torch.device) -> Tensor:
+    values = torch.as_tensor(np.asarray(image) if not isinstance(image, Tensor) else image)
+    if tuple(values.shape) != grid.shape:
+        raise GridError(f"an image of shape {tuple(values.shape)} does not fit a grid of shape {grid.shape}")
+    if min(grid.shape) < SMALLEST_AXIS:
+        raise GridError(f"an image of shape {grid.shape} is too small to fit: {SMALLEST_AXIS} voxels along each axis")
+    if values.numel() > LARGEST_IMAGE:
+        raise GridError(f"an image of shape {grid.shape} is too large to fit: crop it to the shape and 2 mm around")
+    values = values.to(device, torch.float64)
+    if not bool(torch.isfinite(values).all()):
+        raise SDMError("the image has values that are not finite: mend or crop it")
+    if float(values.max()) == float(values.min()):
+        raise SDMError("the image has one value everywhere: there is nothing to fit")
+    return values
