@@ -16,8 +16,8 @@ from sdm.errors import MeshError, SDMError
 from sdm.kernels import shapes_warped
 from sdm.mesh import TriangleMesh
 from sdm.shapes.family import Family, Group, Parameter, as_theta
+from sdm.shapes.triage import reason_to_reject
 from sdm.shapes.vertex_op import vertex_op
-from sdm.topology import boundary_edges
 
 SUFFIXES = (".ply", ".stl", ".obj", ".off")
 # Half a wave of the warp spans a mesh of half-length 1, so it bends a shape as a whole.
@@ -45,8 +45,9 @@ class MeshFolder(Family):
         shift: Largest shift along each axis, as a share of the mesh's half-length (half its box's longest edge).
         warp: How far a smooth, low-order warp may bend: a bound on the Lipschitz constant of its displacement, from 0
             to 0.95. Below 1 the map of space is a diffeomorphism whose Jacobian determinant is at least
-            (1 - warp)^3, so it never folds a surface through itself.
-        open_meshes: "reject" files whose mesh has a boundary, whose inside would not be defined, or "keep" them.
+            (1 - warp)^3, so it never folds a surface through itself. Corners are moved and triangles stay flat: where
+            two sheets are closer than their triangles are long, a strong warp can still make them meet.
+        open_meshes: "reject" meshes with holes or turned faces, whose inside would not be defined, or "keep" them.
         skip_bad: Go on without the files that cannot be used. `rejected` lists them with the reason either way.
 
     Attributes:
@@ -82,7 +83,7 @@ class MeshFolder(Family):
         self.parameters = _parameters(rotation, scale, shift, warp)
         if open_meshes not in ("reject", "keep"):
             raise MeshError(f"open_meshes is {open_meshes!r}; use 'reject' or 'keep'")
-        self.meshes, self.rejected = _read(source, open_meshes == "reject")
+        self.meshes, self.rejected = _read(source, open_meshes == "keep")
         if self.rejected and not skip_bad:
             name, reason = self.rejected[0]
             others = f" (and {len(self.rejected) - 1} more)" if len(self.rejected) > 1 else ""
@@ -156,7 +157,7 @@ def _parameters(rotation: float | None, scale: tuple[float, float], shift: float
 
 
 def _read(
-    source: str | Path | Sequence[TriangleMesh], closed: bool
+    source: str | Path | Sequence[TriangleMesh], keep_open: bool
 ) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
     from sdm.inspect import orient_outward
     from sdm.io import load_mesh
@@ -172,14 +173,14 @@ def _read(
     for item in items:
         name = item.name
         try:
-            mesh = load_mesh(item) if isinstance(item, Path) else item.to("cpu")
-            if closed and len(boundary_edges(mesh.vertices, mesh.faces)):
-                raise MeshError("it has holes, so its inside is not defined (open_meshes='keep' takes it all the same)")
-            if not float((mesh.vertices.amax(0) - mesh.vertices.amin(0)).max()) > 0:
-                raise MeshError("it has size zero")
-            meshes.append(orient_outward(mesh))
+            mesh = orient_outward(load_mesh(item) if isinstance(item, Path) else item.to("cpu"))
+            why = reason_to_reject(mesh, keep_open=keep_open)
         except (SDMError, OSError) as error:
-            rejected.append((name, str(error)))
+            why = str(error)
+        if why is None:
+            meshes.append(mesh)
+        else:
+            rejected.append((name, why))
     return tuple(meshes), tuple(rejected)
 
 

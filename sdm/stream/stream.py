@@ -31,7 +31,8 @@ class SDMStream(IterableDataset[Batch]):
         grid: Where to measure, for example `family.grid(64)`.
         batch_size: Samples of a batch on each rank.
         seed: Any whole number of 64 bits.
-        rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun.
+        rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun, asked
+            again by each `iter`, so that the process group may be made after the stream.
         world_size: Number of processes that share the stream.
         sampler: "uniform", "sobol", "grid:5" (the tensor grid, again and again), "mixture:0.5" (half static, half
             online), or a `Sampler`.
@@ -83,15 +84,11 @@ class SDMStream(IterableDataset[Batch]):
             raise SDMError(f"the batch size is {batch_size}; give at least 1")
         if ahead < 1:
             raise SDMError(f"{ahead} batches ahead were asked for; give at least 1")
-        self.rank, self.world_size = rank_and_size(rank, world_size)
         self.batch_size, self._ahead = int(batch_size), int(ahead)
-        if start < 0 or (stop is not None and (stop < start or (stop - start) % self.global_batch_size)):
-            raise SDMError(
-                f"the stream runs from sample {start} to {stop}; give a start of at least 0, and a stop that is a "
-                f"multiple of the {self.global_batch_size} samples of a global batch after it"
-            )
+        self._start, self.stop = int(start), stop
+        self._find_rank = rank is None and world_size is None
+        self._take_rank(rank, world_size)
         self._maker = Maker(family, grid, seed=seed, sampler=sampler, device=device, dtype=dtype, truncate=truncate)
-        self.stop = stop
         self._position = int(start)
         # Whether the position is already that of this worker's own next batch.
         self._own = False
@@ -125,6 +122,9 @@ class SDMStream(IterableDataset[Batch]):
     def __iter__(self) -> Iterator[Batch]:
         worker = get_worker_info()
         self._refuse_fork()
+        if self._find_rank and worker is None:
+            # A worker of a DataLoader is not in the process group; it has been given its rank with the stream.
+            self._take_rank(None, None)
         workers, first = (1, 0) if worker is None else (worker.num_workers, worker.id)
         # Worker w of a DataLoader makes every n-th step, which is the order in which it asks its n workers.
         stride = workers * self.global_batch_size
@@ -138,6 +138,15 @@ class SDMStream(IterableDataset[Batch]):
         else:
             batches = one_by_one(self._make, steps)
         return self._count(batches, stride)
+
+    def _take_rank(self, rank: int | None, world_size: int | None) -> None:
+        self.rank, self.world_size = rank_and_size(rank, world_size)
+        start, stop = self._start, self.stop
+        if start < 0 or (stop is not None and (stop < start or (stop - start) % self.global_batch_size)):
+            raise SDMError(
+                f"the stream runs from sample {start} to {stop}; give a start of at least 0, and a stop that is a "
+                f"multiple of the {self.global_batch_size} samples of a global batch after it"
+            )
 
     def _count(self, batches: Iterator[tuple[int, Batch]], stride: int) -> Iterator[Batch]:
         for step, batch in batches:

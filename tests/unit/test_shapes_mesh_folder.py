@@ -9,7 +9,7 @@ import trimesh
 
 import sdm
 from sdm.errors import MeshError
-from sdm.shapes import Cuboid, Ellipsoid, MeshFolder
+from sdm.shapes import Cochlea, Cuboid, Ellipsoid, MeshFolder
 
 
 def solid(family, scale: float = 1.0) -> sdm.TriangleMesh:
@@ -49,6 +49,67 @@ def test_a_bad_file_is_named_with_its_reason(folder):
     assert [name for name, _ in family.rejected] == ["broken.stl", "open.ply"]
     assert "holes" in family.rejected[1][1]
     assert len(MeshFolder(meshes(), open_meshes="keep").meshes) == 2
+
+
+def joined(*parts: sdm.TriangleMesh) -> sdm.TriangleMesh:
+    first = [0, *np.cumsum([len(m.vertices) for m in parts])]
+    faces = [m.faces + int(n) for m, n in zip(parts, first, strict=False)]
+    return sdm.TriangleMesh(torch.cat([m.vertices for m in parts]), torch.cat(faces), "joined")
+
+
+def moved(mesh: sdm.TriangleMesh, shift: float, scale: float = 1.0) -> sdm.TriangleMesh:
+    return sdm.TriangleMesh(scale * (mesh.vertices - 3) + 3 + shift, mesh.faces, mesh.name)
+
+
+def with_a_turned_face(mesh: sdm.TriangleMesh) -> sdm.TriangleMesh:
+    faces = mesh.faces.clone()
+    faces[0] = faces[0].flip(0)
+    return sdm.TriangleMesh(mesh.vertices, faces)
+
+
+def sheet(mesh: sdm.TriangleMesh) -> sdm.TriangleMesh:
+    return sdm.TriangleMesh(mesh.vertices, torch.cat([mesh.faces[:1], mesh.faces[:1].flip(1)]))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda m: sdm.TriangleMesh(m.vertices, m.faces[1:]), "holes (3 edges of one face only)"),
+        (with_a_turned_face, "disagree which side is out along 3 edges"),
+        (lambda m: joined(m, moved(m, 9.0).flipped(), moved(m, 20.0)), "1 of its 3 components are inside out"),
+        (sheet, "encloses no volume"),
+        (lambda m: moved(m, 0.0, 0.0), "size zero"),
+    ],
+    ids=["hole", "turned", "inside out", "sheet", "point"],
+)
+def test_triage_says_what_is_wrong(change, reason):
+    good = meshes()[0]
+    family = MeshFolder([good, change(good)], skip_bad=True)
+    assert len(family.meshes) == 1
+    ((_, said),) = family.rejected
+    assert reason in said
+
+
+def test_cavities_and_whole_inside_out_meshes_are_fine():
+    good = meshes()[0]
+    hollow = joined(good, moved(good, 0.0, 0.5).flipped())
+    family = MeshFolder([hollow, hollow.flipped(), good.flipped()])
+    assert family.rejected == ()
+    for mesh in family.meshes:
+        assert trimesh.Trimesh(*mesh.numpy(), process=False).volume > 0
+
+
+def test_warped_meshes_do_not_meet_themselves():
+    cgal = pytest.importorskip("igl.copyleft.cgal", reason="libigl, which finds self-intersections, is not installed")
+    family = MeshFolder([Cochlea(2_000).mesh([3.6, 0.4, 0.14, -0.2]), *meshes()], warp=0.95)
+    corners = torch.randint(0, 2, (6, 26), generator=torch.Generator().manual_seed(3)).float()
+    corners[:, 0] = torch.tensor([0.1, 0.1, 0.5, 0.5, 0.9, 0.9])
+    theta = torch.cat([family.from_unit(corners), family.sample(12, seed=8, device="cpu")])
+    for group in family.groups(theta):
+        faces = group.faces.numpy().astype(np.int64)
+        for vertices in group.vertices:
+            found = cgal.remesh_self_intersections(vertices.double().numpy(), faces, detect_only=True)
+            assert len(found[2]) == 0
 
 
 def test_an_empty_folder(tmp_path):

@@ -88,6 +88,22 @@ def test_ranks_come_from_the_launcher(family, monkeypatch):
     assert take(stream(family, rank=0, world_size=1), 1)[0].index.tolist() == [0, 1, 2, 3]
 
 
+def test_a_stream_made_before_the_process_group_finds_its_rank(family, monkeypatch):
+    source = pickle.loads(pickle.dumps(stream(family)))
+    assert (source.rank, source.world_size) == (0, 1)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 1)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    assert take(source, 1)[0].index.tolist() == [4, 5, 6, 7]
+    assert source.position == 8
+    assert take(stream(family, rank=0, world_size=1), 1)[0].index.tolist() == [0, 1, 2, 3]
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: False)
+    short = stream(family, stop=12)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    with pytest.raises(SDMError, match="multiple of the 8"):
+        next(iter(short))
+
+
 def test_goes_on_where_it_was(family):
     first = stream(family)
     before = take(first, 2)

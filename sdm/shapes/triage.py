@@ -1,0 +1,40 @@
+"""Which of a user's meshes can be training data, and why not."""
+
+from __future__ import annotations
+
+from sdm.inspect import inspect_mesh
+from sdm.mesh import TriangleMesh
+
+
+def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | None:
+    """Why the inside of a mesh is not what its maker meant, as a sentence; None for a mesh that is fine.
+
+    Args:
+        mesh: A mesh as `orient_outward` returns it, on the host.
+        keep_open: Take meshes with holes or turned faces, whose inside follows the generalised winding number.
+
+    A mesh that meets itself is fine: inside is where the winding number is more than one half. Repeated and zero-area
+    faces change no distance.
+    """
+    report = inspect_mesh(mesh)
+    size = max(high - low for low, high in zip(*report.bounds, strict=True))
+    if not size > 0:
+        return "it has size zero"
+    if report.inside_out_components:
+        return (
+            f"{report.inside_out_components} of its {report.components} components are inside out; turn their faces in "
+            "a mesh editor"
+        )
+    if report.closed:
+        return "it is closed but encloses no volume, so nothing is inside" if report.volume == 0 else None
+    if keep_open:
+        return None
+    if report.boundary_edges:
+        return (
+            f"it has holes ({report.boundary_edges:,} edges of one face only), so its inside is not defined; close "
+            "them, or take it all the same by open_meshes='keep'"
+        )
+    return (
+        f"its faces disagree which side is out along {report.disagreeing_edges:,} edges; make them consistent, or take "
+        "it all the same by open_meshes='keep'"
+    )
