@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -21,7 +22,7 @@ from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
 from sdm.sampling import SampleSource, UnitSphere
 
-CHECKPOINT, HISTORY_EVERY = "checkpoint", 10
+CHECKPOINT = "checkpoint"
 # How many steps the device may be behind before the loss is read and the clock is looked at.
 LOOK_EVERY = 10
 
@@ -64,29 +65,32 @@ def train(
 
     Under an initialised process group the shapes of a batch are shared by the ranks, and rank 0 writes.
     """
-    run = _Run(source, settings, Path(folder), list(names), list(spheres), device)
+    run = Trainer(source, settings, folder, names=names, spheres=spheres, device=device)
     if resume:
         run.restore()
     run.prepare(run.device.type == "cuda" if compile_network is None else compile_network)
-    with _exact_random(settings, run.device):
+    with own_random(settings, run.device):
         run.go(budget_s, checkpoint_every_s, progress)
     return run.finish()
 
 
-class _Run:
+class Trainer:
+    """One training, step by step: what `train` runs, and what benchmarks time. The arguments are those of `train`."""
+
     def __init__(
         self,
         source: SampleSource,
         settings: Settings,
-        folder: Path,
-        names: list[str],
-        spheres: list[UnitSphere],
-        device: str | torch.device | None,
+        folder: str | Path,
+        *,
+        names: Sequence[str],
+        spheres: Sequence[UnitSphere],
+        device: str | torch.device | None = None,
     ) -> None:
         if not len(source) == len(names) == len(spheres):
             raise SDMError(f"{len(source)} shapes, {len(names)} names and {len(spheres)} spheres do not fit together")
-        self.source, self.settings, self.folder = source, settings, folder
-        self.names, self.spheres = names, spheres
+        self.source, self.settings, self.folder = source, settings, Path(folder)
+        self.names, self.spheres = list(names), list(spheres)
         self.device = choose_device(device)
         shared = torch.distributed.is_available() and torch.distributed.is_initialized()
         self.rank = torch.distributed.get_rank() if shared else 0
@@ -101,17 +105,18 @@ class _Run:
         self.optimizer = torch.optim.Adam(groups, lr=settings.decoder_rate)
         self.step, self.seconds = 0, 0.0
         self.history: list[tuple[int, float, float]] = []
-        self.network: Any = self.model
-        folder.mkdir(parents=True, exist_ok=True)
+        self._network: Any = self.model
 
     def prepare(self, compile_network: bool) -> None:
+        """Share the network among the ranks, and compile it."""
         network: nn.Module = self.model
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
             network = DistributedDataParallel(network, device_ids=ids)
-        self.network = torch.compile(network) if compile_network else network
+        self._network = torch.compile(network) if compile_network else network
 
     def restore(self) -> None:
+        """Go back to the folder's checkpoint, if there is one."""
         folder = self.folder / CHECKPOINT
         if not folder.exists():
             return
@@ -126,31 +131,53 @@ class _Run:
         self.step, self.seconds, self.history = saved["step"], saved["seconds"], saved["history"]
 
     def go(self, budget_s: float | None, every_s: float, progress: Callable[[int, int, float], None] | None) -> None:
+        """Train to the end of the steps or of the budget."""
         before, saved_at = time.monotonic() - self.seconds, self.seconds
         done = self._done(budget_s)
         while done < 1:
-            loss = self._one_step(done)
+            loss = self.update(*self.draw(self.step), done)
             self.step += 1
             if self.step % LOOK_EVERY and self.step < self.steps:
                 continue
             value = float(loss)
-            if value != value:
+            if not math.isfinite(value):
                 raise SDMError(f"the loss is not finite after {self.step} steps; lower the learning rates")
             self.seconds = time.monotonic() - before
             done = self._done(budget_s)
             self.history.append((self.step, round(self.seconds, 3), value))
             if progress is not None and self.rank == 0:
                 progress(self.step, self.steps, value)
-            if self.seconds - saved_at >= every_s and done < 1:
+            if done < 1 and self.seconds - saved_at >= every_s:
                 self._save()
                 saved_at = self.seconds
 
     def finish(self) -> Path:
-        path = self.folder / checkpoint.MODEL
+        """Write the checkpoint and the model."""
         self._save()
+        path = self.folder / checkpoint.MODEL
         if self.rank == 0:
             checkpoint.write(self._content(), path)
         return path
+
+    def draw(self, step: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Shapes (B,), points (B,N,3) and values (B,N) of a step."""
+        shapes = self.batches[step].to(self.device)
+        points, values = self.source.sample(shapes, self.settings.points, seed=self.settings.seed, step=step)
+        return shapes, points, values
+
+    def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:
+        """One step of Adam when a share `done` of the training is over; gives the loss of the data."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = group["base"] * rate_factor(self.settings, done)
+        # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
+        torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
+        self.model.train()
+        with _autocast(self.settings, self.device):
+            loss, length = self._network(shapes, points, values)
+        self.optimizer.zero_grad(set_to_none=True)
+        (loss + code_weight(self.settings, done) * length).backward()
+        self.optimizer.step()
+        return loss.detach()
 
     def _done(self, budget_s: float | None) -> float:
         done = share_done(self.step, self.steps, self.seconds, budget_s)
@@ -160,21 +187,6 @@ class _Run:
         shared = torch.tensor([done], dtype=torch.float64, device=self.device)
         torch.distributed.broadcast(shared, 0)
         return float(shared)
-
-    def _one_step(self, done: float) -> Tensor:
-        for group in self.optimizer.param_groups:
-            group["lr"] = group["base"] * rate_factor(self.settings, done)
-        shapes = self.batches[self.step].to(self.device)
-        points, values = self.source.sample(shapes, self.settings.points, seed=self.settings.seed, step=self.step)
-        # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
-        torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
-        self.model.train()
-        with _autocast(self.settings, self.device):
-            loss, length = self.network(shapes, points, values)
-        self.optimizer.zero_grad(set_to_none=True)
-        (loss + code_weight(self.settings, done) * length).backward()
-        self.optimizer.step()
-        return loss.detach()
 
     def _content(self) -> dict[str, Any]:
         return {
@@ -189,6 +201,7 @@ class _Run:
 
     def _save(self) -> None:
         if self.rank == 0:
+            self.folder.mkdir(parents=True, exist_ok=True)
             content = {"state": self.optimizer.state_dict(), "step": self.step}
             checkpoint.write_both(self._content(), content, self.folder / CHECKPOINT)
 
@@ -200,7 +213,7 @@ def _autocast(settings: Settings, device: torch.device) -> Any:
 
 
 @contextmanager
-def _exact_random(settings: Settings, device: torch.device) -> Iterator[None]:
+def own_random(settings: Settings, device: torch.device) -> Iterator[None]:
     """Leave torch's generators and its matrix precision as they were."""
     precision = torch.get_float32_matmul_precision()
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):

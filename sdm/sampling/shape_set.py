@@ -75,7 +75,9 @@ class ShapeSet:
             raise MeshError(f"{self._first_open()} is not closed, so its inside is not defined; close its holes first")
         self._corners = scene.vertices[scene.faces.long()]
         areas = triangle_areas(self._corners).cumsum(0)
-        bounds = torch.cat([areas.new_zeros(1), areas])[torch.tensor(self._first_face, device=self.device)]
+        ends = torch.tensor(self._first_face, device=self.device)
+        bounds = torch.cat([areas.new_zeros(1), areas])[ends]
+        self._last_face = ends[1:] - 1
         self._areas, self._area_low, self._area_size = areas, bounds[:-1], bounds.diff()
 
     def __len__(self) -> int:
@@ -106,8 +108,7 @@ class ShapeSet:
         near = self.distribution.near_count(points)
         along = (torch.arange(near, device=self.device) + random[:, :near, 0].double()) / max(near, 1)
         place = self._area_low[shapes, None] + along * self._area_size[shapes, None]
-        last = torch.tensor(self._first_face, device=self.device)[shapes + 1, None] - 1
-        face = torch.minimum(torch.searchsorted(self._areas, place, right=True), last)
+        face = torch.minimum(torch.searchsorted(self._areas, place, right=True), self._last_face[shapes, None])
         at = in_triangle(self._corners[face], random[:, :near, 1:3])
         at = at + self.distribution.offsets(random[:, :near, 3:7])
         centre = self._places[shapes, None]
