@@ -1,0 +1,88 @@
+"""`sdm fit`: a cochlea's shape and pose from a CT image."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from sdm.fit import FitResult
+
+
+def fit(
+    image: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(required)")],
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    mesh: Path | None = None,
+    picture: Path | None = None,
+    blur: float = 0.2,
+    model: Literal["partial-volume", "labels"] = "partial-volume",
+    components: tuple[int, int] = (1, 1),
+    fine: float = 0.1,
+    turn: float = 0.5,
+    backend: Literal["exact", "surrogate", "hybrid"] = "exact",
+    triangles: int = 5_000,
+    device: str = "auto",
+) -> None:
+    """Fit the cochlea family to a CT image: shape parameters and pose with 90 % intervals.
+
+    The image is cropped to one cochlea and a few millimetres around, in millimetres, turned roughly as the family is
+    (the axis of the spiral along z). If the steps do not converge, or there is no cochlea in the image, the command
+    says so, writes the report with "trusted": false, and exits with code 2.
+
+    Args:
+        image: A NIfTI or NRRD image, in Hounsfield units or any other.
+        out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
+        mesh: Also write the fitted surface here, PLY, in the image's coordinates.
+        picture: Also draw the image with the fitted outline here (.png, .pdf, .svg).
+        blur: Standard deviation of the scanner's point spread function, mm.
+        model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
+        components: Gaussians for the intensities inside and outside, for example 1 2.
+        fine: Largest distance between the sample points of a voxel, mm.
+        turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
+        backend: exact distances; the surrogate's; or hybrid, the surrogate first and exact to finish.
+        triangles: Triangles of the exact backend's meshes.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    import sdm
+    from sdm.fit import FitOptions, fit_shape
+    from sdm.fit.backends import make_backends
+    from sdm.io.atomic import try_to_write
+
+    for target in (out, mesh, picture):
+        if target is not None:
+            try_to_write(target)
+    scan = sdm.load(image)
+    first, finish = make_backends(backend, triangles=triangles, device=device)
+    options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
+    result = fit_shape(scan.values, scan.grid, first, finish=finish, options=options)
+    result.save(out)
+    result.require()
+    if mesh is not None or picture is not None:
+        from sdm.fit.drawing import draw_fit, write_surface
+
+        surface = (finish or first), result
+        if mesh is not None:
+            write_surface(*surface, mesh)
+        if picture is not None:
+            draw_fit(scan.values, scan.grid, *surface, picture)
+    _print(result)
+
+
+def _print(result: FitResult) -> None:
+    ends = result.posterior.intervals(0.9).tolist()
+    for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=False):
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
+    place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
+    print(f"centre {place} mm")
+    diagnosis = result.diagnosis
+    print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
+    built = ", ".join(f"{count} {name}" for name, count in result.evaluations.items())
+    print(f"shapes built: {built}; {result.seconds:.1f} s")
+    for sentence in diagnosis.warnings:
+        print(f"sdm: {sentence}", file=sys.stderr)
