@@ -14,6 +14,7 @@ import tyro
 TRAININGS = {
     "deepsdf": "sdm.cli.train_deepsdf:deepsdf",
     "sdmnn": "sdm.cli.train_sdmnn:sdmnn",
+    "segmentation": "sdm.cli.train_segmentation:segmentation",
 }
 
 

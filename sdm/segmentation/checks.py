@@ -49,6 +49,21 @@ def _reason(case: Case, spacing: Sequence[float]) -> str | None:
         return "has no foreground"
     if label.all():
         return "has no background"
+    return _wrong_spacing(case, spacing)
+
+
+def check_spacing(case: Case, spacing: Sequence[float]) -> None:
+    """Whether an image has the voxel size in mm that a network was trained on.
+
+    Raises:
+        SDMError: It has not.
+    """
+    why = _wrong_spacing(case, spacing)
+    if why is not None:
+        raise SDMError(f"{case.source} {why}: resample it")
+
+
+def _wrong_spacing(case: Case, spacing: Sequence[float]) -> str | None:
     if any(abs(s - w) > TOLERANCE * w for s, w in zip(case.spacing, spacing, strict=True)):
         sizes = [" x ".join(f"{s:.4g}" for s in size) for size in (case.spacing, spacing)]
         return f"has voxels of {sizes[0]} mm where {sizes[1]} mm are expected"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from sdm.errors import FormatError
 from sdm.segmentation.case import Case
+from sdm.segmentation.hdf5 import ENDINGS as HDF5
 from sdm.segmentation.hdf5 import hdf5_files, read_hdf5
 from sdm.segmentation.nifti import ENDINGS, nifti_files, read_nifti, stem_of
 
@@ -46,6 +48,40 @@ def has_part(folder: Path, part: str) -> bool:
     """Whether a folder has cases of a part of its own."""
     plain, images, _ = PARTS[part]
     return bool(hdf5_files(folder / plain) or nifti_files(folder / images))
+
+
+def read_image(path: Path) -> Case:
+    """One HDF5 or NIfTI file, without a label of its own if NIfTI.
+
+    Raises:
+        FormatError: It is neither, or cannot be read.
+    """
+    if path.suffix.lower() in HDF5:
+        return read_hdf5(path)
+    if path.name.endswith(ENDINGS):
+        return read_nifti(path, name=stem_of(path).removesuffix(CHANNEL))
+    raise FormatError(f"{path} is neither NIfTI (.nii, .nii.gz) nor HDF5 (.h5)")
+
+
+def read_images(places: Sequence[Path]) -> list[Case]:
+    """The images of files and folders, in this order; names are told apart.
+
+    Raises:
+        FormatError: A file is not there or cannot be read, a folder holds none, or two have one name.
+    """
+    cases: list[Case] = []
+    for place in places:
+        if place.is_dir():
+            cases += read_cases(place, labels=False)
+        elif place.is_file():
+            cases.append(read_image(place))
+        else:
+            raise FormatError(f"{place} is not there")
+    names = [case.name for case in cases]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise FormatError(f"two images are called {min(twice)}, and so would be their labels: segment them apart")
+    return cases
 
 
 def label_files(folder: Path) -> dict[str, Path]:

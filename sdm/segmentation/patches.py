@@ -51,7 +51,8 @@ class Patches:
         *,
         per_patch: bool = False,
     ) -> None:
-        self.kind, self.size, self.device, self.per_patch = kind, size, torch.device(device), per_patch
+        self.kind: Map | None = kind
+        self.size, self.device, self.per_patch = size, torch.device(device), per_patch
         self.spacing = cases[0].spacing
         self._cases = [self._stack(case) for case in cases]
 
@@ -67,7 +68,7 @@ class Patches:
         channels = [image, label.float()]
         if self.kind is not None and not self.per_patch:
             # A patch that is scaled scales its distances, so they are clipped afterwards.
-            whole = "signed" if self.kind == "clipped" else self.kind
+            whole: Map = "signed" if self.kind == "clipped" else self.kind
             channels.append(distance_map(label[None, None], whole, self.spacing)[0, 0])
         return torch.stack(channels)
 

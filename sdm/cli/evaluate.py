@@ -1,0 +1,52 @@
+"""`sdm evaluate`: segmentations against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def evaluate(
+    predictions: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PREDICTIONS")],
+    truths: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TRUTHS")],
+    /,
+    *,
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
+    device: str = "auto",
+) -> int | None:
+    """Score predicted labels against true ones: overlap in percent, distances between the surfaces in mm.
+
+    Dice, Jaccard, Dice near the contour (5 voxels), 95 percent Hausdorff distance, average and root mean square
+    symmetric surface distance. An empty prediction is a failure: overlap 0, distances infinite; it is left out of the
+    means of distances, and counted there.
+
+    Args:
+        predictions: A NIfTI label, or a folder of them; files that end in _sdm are not looked at.
+        truths: The true label, or a folder with labels of the same names (NIfTI, or HDF5 with a data set label).
+        json: File for the scores of every case.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    from json import dumps
+
+    from sdm.device import choose_device
+    from sdm.io.atomic import replacing
+    from sdm.segmentation import scores_of, table
+    from sdm.segmentation.pairs import label_pairs
+    from sdm.segmentation.scores import COLUMNS
+
+    where = choose_device(device)
+    scores = {
+        name: scores_of(prediction.to(where), truth.to(where), spacing)
+        for name, prediction, truth, spacing in label_pairs(predictions, truths)
+    }
+    rows = {name: [case] for name, case in scores.items()}
+    print(table({**rows, f"mean of {len(rows)}": list(scores.values())} if len(rows) > 1 else rows, list(COLUMNS)))
+    if json is not None:
+        with replacing(json) as part:
+            part.write_text(dumps(scores, indent=1) + "\n")
+    failed = [name for name, case in scores.items() if case["failed"]]
+    if failed:
+        print(f"failed, for one of the two labels is empty: {', '.join(failed)}")
+    return None

@@ -1,0 +1,57 @@
+"""Predicted labels with their true ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from torch import Tensor
+
+from sdm.errors import FormatError
+from sdm.segmentation.case import Case
+from sdm.segmentation.folder import read_image
+from sdm.segmentation.hdf5 import ENDINGS as HDF5
+from sdm.segmentation.hdf5 import hdf5_files
+from sdm.segmentation.nifti import ENDINGS as NIFTI
+from sdm.segmentation.nifti import nifti_files, stem_of
+
+DISTANCES = "_sdm"
+TOLERANCE = 1e-3
+
+
+def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, Tensor, tuple[float, float, float]]]:
+    """Name, predicted label, true label (x,y,z) bool, and the voxel size in mm of the prediction.
+
+    Raises:
+        FormatError: A prediction has no truth, or one of another shape or place.
+    """
+    found = _labels(predictions)
+    found = {name: path for name, path in found.items() if not name.endswith(DISTANCES)}
+    if not found:
+        raise FormatError(f"{predictions} holds no labels to evaluate")
+    known = _labels(truths)
+    if truths.is_file() and predictions.is_file():
+        known = dict.fromkeys(found, truths)
+    missing = [name for name in found if name not in known]
+    if missing:
+        raise FormatError(f"{truths} has no label for {', '.join(missing[:5])}")
+    for name, path in found.items():
+        prediction, truth = read_image(path), read_image(known[name])
+        first, second = _mask(prediction), _mask(truth)
+        if first.shape != second.shape:
+            raise FormatError(f"{path} has the shape {tuple(first.shape)}, but {known[name]} {tuple(second.shape)}")
+        # HDF5 need not tell where it lies.
+        told = known[name].name.endswith(NIFTI)
+        if told and not np.allclose(prediction.affine, truth.affine, atol=TOLERANCE * max(prediction.spacing)):
+            raise FormatError(f"{path} and {known[name]} lie at different places in space: resample one onto the other")
+        yield name, first, second, prediction.spacing
+
+
+def _labels(place: Path) -> dict[str, Path]:
+    files = [place] if place.is_file() else nifti_files(place) or hdf5_files(place)
+    return {stem_of(p) if p.name.endswith(NIFTI) else p.stem: p for p in files}
+
+
+def _mask(case: Case) -> Tensor:
+    return case.image != 0 if case.source.suffix.lower() not in HDF5 or case.label is None else case.label

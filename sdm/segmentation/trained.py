@@ -1,0 +1,60 @@
+"""A trained network in a file."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from sdm.errors import FormatError
+from sdm.io.atomic import replacing
+from sdm.segmentation.methods import METHODS
+from sdm.segmentation.model import SegmentationModel
+from sdm.segmentation.settings import Settings
+
+FORMAT = "sdm segmentation 1"
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A network, how it was trained, and the voxel size in mm of what it was trained on."""
+
+    model: SegmentationModel
+    settings: Settings
+    spacing: tuple[float, float, float]
+
+
+def save_model(trained: TrainedModel, path: Path) -> None:
+    """Write the network, whole or not at all."""
+    state = {
+        "format": FORMAT,
+        "settings": trained.settings.record(),
+        "spacing": list(trained.spacing),
+        "weights": {name: value.cpu().contiguous() for name, value in trained.model.state_dict().items()},
+    }
+    with replacing(path) as part:
+        torch.save(state, part)
+
+
+def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
+    """Read a network, ready to predict. The file is data alone: nothing in it is run.
+
+    Raises:
+        FormatError: There is no such file, or it is not one of `save_model`.
+    """
+    if not path.is_file():
+        raise FormatError(f"{path} is not there: give the model.pt that sdm train segmentation wrote")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        kind = state["format"]
+    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise FormatError(f"{path} is not a trained segmentation network") from error
+    if kind != FORMAT:
+        raise FormatError(f"{path} is a file of the kind {kind!r}, not {FORMAT!r}")
+    settings = Settings.of_record(state["settings"])
+    model = SegmentationModel(METHODS[settings.method], settings.architecture, filters=settings.filters)
+    model.load_state_dict(state["weights"])
+    x, y, z = state["spacing"]
+    return TrainedModel(model.to(device).eval(), settings, (x, y, z))

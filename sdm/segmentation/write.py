@@ -1,0 +1,46 @@
+"""A prediction as NIfTI, with the geometry of its image."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import nibabel as nib
+import numpy as np
+from torch import Tensor
+
+from sdm.field import SDM
+from sdm.grid import Grid
+from sdm.io.atomic import replacing
+from sdm.segmentation.case import Case
+from sdm.segmentation.nifti import ENDINGS
+from sdm.segmentation.predict import label_distance_map
+
+SCANNER = 1
+
+
+def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Path | None]:
+    """Write `NAME.nii.gz` (uint8, 1 inside) and `NAME_sdm.nii.gz` (float32, mm, negative inside, 0 on voxel faces).
+
+    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file.
+
+    Returns:
+        The two files, None for one that was not written.
+
+    Raises:
+        GridError: The affine is sheared, so that distances along the axes are not those in space.
+        FormatError: The folder cannot be written.
+    """
+    grid = Grid.from_affine(case.affine, label.shape)
+    target = folder / f"{case.name}{ENDINGS[0]}"
+    image = nib.Nifti1Image(label.cpu().numpy().astype(np.uint8), case.affine)
+    image.header.set_xyzt_units("mm", "unknown")
+    image.set_sform(case.affine, SCANNER)
+    image.set_qform(case.affine, SCANNER)
+    with replacing(target) as part:
+        part.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
+    if not label.any() or label.all():
+        return target, None
+    distances = folder / f"{case.name}_sdm{ENDINGS[0]}"
+    SDM(label_distance_map(label, grid.spacing).cpu(), grid, 0).save(distances)
+    return target, distances
