@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -11,11 +11,90 @@ import tyro
 def sdmnn(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    model: Literal["sdmnn-plus", "sdmnn"] = "sdmnn-plus",
+    recipe: Literal["paper", "static", "online"] = "online",
+    loss: Literal["surface", "mse"] = "surface",
+    budget_s: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="(default: none)")] = None,
+    steps: int = 100_000,
+    batch_size: int = 64,
+    fresh: int = 8,
+    store: int = 16_384,
+    fill_share: float = 0.25,
+    warm_share: float = 0.2,
+    rate: float = 1e-3,
+    surface: float = 4.0,
+    eikonal: float = 0.01,
+    sobolev: float = 0.05,
+    seed: int = 0,
+    checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: in OUT)")] = None,
+    device: str = "auto",
 ) -> int | None:
     """Train a surrogate of the cochlea family: from four shape parameters to a signed distance map.
 
+    Writes OUT/MODEL-RECIPE.safetensors with its description, curves, and a checkpoint from which the same command
+    goes on if it is cut off. Maps are made as they are needed, by the exact engine.
+
     Args:
-        out: Folder for checkpoints and the weights.
+        out: Folder to write to; made if it is not there.
+        model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is smaller, quicker and more accurate.
+        recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random ones alone.
+        loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
+        budget_s: Seconds for all of it; the learning rate follows the clock.
+        steps: Steps for all of it, if that is sooner.
+        batch_size: Maps of a step.
+        fresh: New maps in each step; the others of a batch are drawn from the latest.
+        store: How many of the latest maps are kept, 0.4 MB each on the device.
+        fill_share: Share of the seconds in which the store is filled first.
+        warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
+        rate: Largest learning rate.
+        surface: How many times more an error at the surface counts.
+        eikonal: Weight of the slope's distance from 1.
+        sobolev: Weight of the error of the derivatives by the parameters.
+        seed: Whole number that the training depends on.
+        checkpoint: File of the checkpoint, up to 100 MB.
+        device: auto, cpu, cuda or cuda:N.
     """
-    print(out)
+    from dataclasses import asdict
+
+    from sdm.device import choose_device
+    from sdm.errors import FormatError
+    from sdm.surrogate.store import save_weights
+    from sdm.surrogate.training import Settings, Trainer
+
+    plain = loss == "mse"
+    settings = Settings(
+        model=model,
+        recipe=recipe,
+        loss=loss,
+        steps=steps,
+        budget_s=budget_s,
+        batch_size=batch_size,
+        fresh=fresh,
+        store=store,
+        fill_share=fill_share,
+        warm_share=warm_share,
+        rate=rate,
+        surface=surface,
+        eikonal=0.0 if plain else eikonal,
+        sobolev=0.0 if plain else sobolev,
+        seed=seed,
+    )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"the folder {out} cannot be made: {error.strerror}") from error
+    name = f"{model}-{recipe}"
+    trainer = Trainer(
+        settings,
+        device=choose_device(device),
+        checkpoint=out / f"{name}.checkpoint" if checkpoint is None else checkpoint,
+        curves=out / name,
+        report=lambda line: print(line, flush=True),
+    )
+    trained = trainer.run()
+    target = out / f"{name}.safetensors"
+    save_weights(
+        trained, target, training={**asdict(settings), "step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
+    )
+    print(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
     return None

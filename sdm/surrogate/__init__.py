@@ -1,1 +1,25 @@
-"""Surrogates of the cochlea family: from four parameters to a signed distance map, without a mesh."""
+"""Surrogates of the cochlea family: from four parameters to a signed distance map, without a mesh. See README.md."""
+
+from sdm.surrogate.accuracy import Accuracy, measure
+from sdm.surrogate.box import GRID
+from sdm.surrogate.models import MODELS, build
+from sdm.surrogate.plus import SDMNNPlus
+from sdm.surrogate.pod import PODChebyshev
+from sdm.surrogate.sdmnn import SDMNN
+from sdm.surrogate.store import load_weights, save_weights
+from sdm.surrogate.training import Settings, Trainer
+
+__all__ = [
+    "GRID",
+    "MODELS",
+    "SDMNN",
+    "Accuracy",
+    "PODChebyshev",
+    "SDMNNPlus",
+    "Settings",
+    "Trainer",
+    "build",
+    "load_weights",
+    "measure",
+    "save_weights",
+]

@@ -1,0 +1,245 @@
+"""Training of the neural surrogates: on the stream, in pieces that can be resumed, within a budget."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from sdm.device import choose_device
+from sdm.errors import FormatError, SDMError
+from sdm.io.atomic import replacing
+from sdm.shapes import Cochlea
+from sdm.stream import SDMStream
+from sdm.surrogate.box import GRID
+from sdm.surrogate.curves import Curves
+from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
+from sdm.surrogate.models import build
+from sdm.surrogate.plus import SDMNNPlus
+from sdm.surrogate.replay import Replay
+from sdm.surrogate.schedule import Clock, learning_rate
+from sdm.surrogate.validation import validation_batches, validation_theta
+from sdm.surrogate.warm_start import warm_start
+
+# Which samples a recipe streams; the paper's is the mixture of 625 static maps and random ones.
+RECIPES = {"paper": "mixture:0.5", "static": "grid:5", "online": "uniform"}
+STATIC = 625
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a training depends on, besides the device.
+
+    Args:
+        model: "sdmnn" or "sdmnn-plus".
+        recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone) or "online".
+        loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
+        steps: Optimiser steps of the whole training.
+        budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
+        batch_size: Maps of a step.
+        fresh: New maps made by the engine in each step; the others are drawn from the store of the latest.
+        store: Maps kept on the device, 0.4 MB each.
+        fill_share: Share of the budget in which the store is filled before the first step.
+        warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.
+        rate: Largest learning rate.
+        surface: How many times more an error at the surface counts.
+        eikonal: Weight of | |grad f| - 1 |.
+        sobolev: Weight of the root of the squared error of d(map)/d(theta).
+        sobolev_every: Steps between its uses, on 4 fresh shapes each.
+        ema: Decay of the running mean of the weights, which is what is kept.
+        seed: Of the stream and all else that is random.
+    """
+
+    model: str = "sdmnn-plus"
+    recipe: str = "paper"
+    loss: str = "surface"
+    steps: int = 100_000
+    budget_s: float | None = None
+    batch_size: int = 64
+    fresh: int = 8
+    store: int = 16_384
+    fill_share: float = 0.25
+    warm_share: float = 0.2
+    rate: float = 1e-3
+    surface: float = 4.0
+    eikonal: float = 0.01
+    sobolev: float = 0.0
+    sobolev_every: int = 8
+    ema: float = 0.998
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.model not in ("sdmnn", "sdmnn-plus"):
+            raise SDMError(f"{self.model!r} is not trained step by step; use sdmnn or sdmnn-plus")
+        if self.recipe not in RECIPES:
+            raise SDMError(f"there is no recipe {self.recipe!r}; use {', '.join(RECIPES)}")
+        if self.loss not in ("mse", "surface"):
+            raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
+        if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
+            raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
+
+
+class Trainer:
+    """A training that can be cut off after any step and goes on from its checkpoint.
+
+    Args:
+        settings: What to train, how.
+        device: By default a GPU if there is one.
+        checkpoint: File to go on from if it is there, and to write to; None for none.
+        curves: Folder for curve.jsonl, and TensorBoard's events if it is installed.
+        validation: How many shapes of the fixed validation set are looked at on the way.
+        report: Is told in one line now and then how it goes.
+
+    Raises:
+        DeviceError: The device is not there.
+        FormatError: The checkpoint is of another training.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        device: torch.device | str | None = None,
+        checkpoint: Path | None = None,
+        curves: Path | None = None,
+        validation: int = 32,
+        report: Callable[[str], None] = print,
+    ) -> None:
+        self.settings, self.checkpoint, self._report = settings, checkpoint, report
+        self.device = choose_device(device)
+        self.family = Cochlea()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            self.model = build(settings.model).to(self.device)
+        self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
+        self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
+        self.step, spent = 0, 0.0
+        stream = SDMStream(
+            self.family,
+            GRID,
+            max(1, settings.fresh),
+            settings.seed,
+            0,
+            1,
+            sampler=RECIPES[settings.recipe],
+            device=self.device,
+        )
+        if checkpoint is not None and checkpoint.exists():
+            spent = self._load(checkpoint, stream)
+        self.clock = Clock(settings.steps, settings.budget_s, spent)
+        static = settings.recipe == "static"
+        self.replay = Replay(stream, STATIC if static else settings.store, settings.seed)
+        self._fresh = 0 if static else settings.fresh
+        self._curves = Curves(curves)
+        theta = validation_theta(self.family)[:validation]
+        self._validation = [(b.theta, b.sdm.half()) for b in validation_batches(theta, self.device)]
+        if self.device.type == "cuda":
+            self.model.to(memory_format=torch.channels_last_3d)
+            torch.backends.cudnn.benchmark = True
+        self._fast: Any = torch.compile(self.model) if self.device.type == "cuda" else self.model
+
+    def run(self) -> nn.Module:
+        """Train to the end and return the running mean of the model, on the device, in evaluation mode."""
+        settings = self.settings
+        budget = settings.budget_s or float("inf")
+        self.replay.fill(settings.fill_share * budget)
+        self._report(f"{self.replay.count:,} maps stored after {self.clock.seconds:.1f} s")
+        if self.step == 0 and isinstance(self.model, SDMNNPlus):
+            seconds = settings.warm_share * budget
+            warm_start(self.model, self.replay, seconds=seconds, seed=settings.seed, report=self._report)
+            self.ema.module.load_state_dict(self.model.state_dict())
+        look = 0.0
+        while (share := self.clock.share(self.step)) < 1:
+            loss = self._train(share)
+            self.step += 1
+            if self.clock.seconds > look:
+                look = self.clock.seconds + max(5.0, 0.05 * (settings.budget_s or 0))
+                self._look(float(loss.detach()), share)
+        self._look(float("nan"), 1.0)
+        return self.ema.module.eval()
+
+    def _train(self, share: float) -> Tensor:
+        settings = self.settings
+        for group in self._optimizer.param_groups:
+            group["lr"] = settings.rate * group["share"] * learning_rate(share)
+        if self._fresh:
+            self.replay.renew()
+        theta, exact = self.replay.draw(settings.batch_size, self.step)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+            predicted = self._fast(theta)
+        if settings.loss == "mse":
+            loss = nn.functional.mse_loss(predicted, exact)
+        else:
+            loss = surface_weighted(predicted, exact, settings.surface)
+            if settings.eikonal:
+                loss = loss + settings.eikonal * eikonal(predicted, exact)
+        if settings.sobolev and self.step % settings.sobolev_every == 0:
+            generator = torch.Generator().manual_seed(settings.seed * 999_983 + self.step)
+            loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self._optimizer.step()
+        self.ema.update_parameters(self.model)
+        return loss
+
+    @torch.no_grad()
+    def _look(self, loss: float, share: float) -> None:
+        """Errors on a part of the validation set: say them, write them, and write the checkpoint."""
+        self.ema.eval()
+        errors, near = [], []
+        for theta, exact in self._validation:
+            error = (self.ema(theta) - exact.float()).abs()
+            errors.append(error.mean())
+            near.append(error[exact.abs() < 0.5].mean())
+        mae, shell = float(torch.stack(errors).mean()), float(torch.stack(near).mean())
+        record = {"step": self.step, "seconds": round(self.clock.seconds, 1), "loss": loss, "mae": mae, "near": shell}
+        self._curves.add(record)
+        self._report(
+            f"step {self.step:,}, {self.clock.seconds:.0f} s, {100 * share:.0f} %: loss {loss:.4f}, "
+            f"validation {mae:.4f} mm, within 0.5 mm of the surface {shell:.4f} mm"
+        )
+        if self.checkpoint is not None:
+            self._save(self.checkpoint)
+
+    def _save(self, target: Path) -> None:
+        state = {
+            "settings": json.dumps(_identity(self.settings)),
+            "model": self.model.state_dict(),
+            "ema": self.ema.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "step": self.step,
+            "seconds": self.clock.seconds,
+            "stream": self.replay.stream.state_dict(),
+        }
+        with replacing(target) as part:
+            torch.save(state, part)
+
+    def _load(self, source: Path, stream: SDMStream) -> float:
+        state = torch.load(source, map_location=self.device, weights_only=True)
+        if json.loads(state["settings"]) != json.loads(json.dumps(_identity(self.settings))):
+            raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
+        self.model.load_state_dict(state["model"])
+        self.ema.load_state_dict(state["ema"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        stream.load_state_dict(state["stream"])
+        self.step = state["step"]
+        return float(state["seconds"])
+
+
+def _identity(settings: Settings) -> dict[str, Any]:
+    """The settings that cannot change half-way: all but how long it takes."""
+    return {k: v for k, v in asdict(settings).items() if k not in ("steps", "budget_s")}
+
+
+def _groups(model: nn.Module) -> list[dict[str, Any]]:
+    """Parameters with their share of the learning rate: what a decomposition has set moves slowly."""
+    slow = [p for name, p in model.named_parameters() if name in ("modes", "mean", "place")]
+    quick = [p for name, p in model.named_parameters() if name not in ("modes", "mean", "place")]
+    return [{"params": quick, "share": 1.0}] + ([{"params": slow, "share": 0.1}] if slow else [])
