@@ -33,6 +33,9 @@ def generate(
     resume: bool = False,
     verify: bool = False,
     skip_bad: bool = False,
+    open_meshes: Annotated[
+        Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
+    ] = None,
     triangles: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the family's own)")
     ] = None,
@@ -68,6 +71,8 @@ def generate(
         resume: Finish a dataset that was cut off.
         verify: Look for damaged shards of a dataset, and make them again.
         skip_bad: Go on without the files of the folder that cannot be used; they are listed either way.
+        open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
+            is kept follows the generalised winding number.
         triangles: About how many triangles a shape of a family has.
         rotation: Largest random rotation of the folder's meshes.
         scale: Least and greatest random factor of the folder's meshes.
@@ -80,7 +85,14 @@ def generate(
     from sdm.cli.meter import Meter
     from sdm.errors import SDMError
 
-    options = {"triangles": triangles, "rotation": rotation, "scale": scale, "shift": shift, "warp": warp}
+    options = {
+        "open_meshes": open_meshes,
+        "triangles": triangles,
+        "rotation": rotation,
+        "scale": scale,
+        "shift": shift,
+        "warp": warp,
+    }
     if verify:
         return _verify(source, options, out, device, ray)
     asked: dict[str, Any] = {

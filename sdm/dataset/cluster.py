@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable
 from typing import Any
@@ -50,7 +51,7 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
     own = not ray.is_initialized()
     if own:
         try:
-            ray.init(address=address, log_to_driver=False, logging_level="error")
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
     try:

@@ -78,6 +78,25 @@ def test_bad_files_are_listed_and_never_skipped_silently(tmp_path, folder, capsy
     assert [name for name, _ in SDMDataset(out).manifest["rejected"]] == ["broken.ply", "text.obj"]
 
 
+def test_meshes_with_holes_are_kept_if_one_says_so(tmp_path, folder, capsys):
+    import trimesh
+
+    whole = trimesh.creation.icosphere(2)
+    trimesh.Trimesh(whole.vertices, whole.faces[5:], process=False).export(folder / "zopen.ply")
+    out = tmp_path / "d.zarr"
+    assert run(folder, *SMALL, "-o", out) == 2
+    assert "zopen.ply is not used: it has holes" in capsys.readouterr().err
+    assert run(folder, *SMALL, "--open-meshes", "keep", "-o", out) == 0
+    assert SDMDataset(out).manifest["source"]["open_meshes"] == "keep"
+    assert SDMDataset(out).theta[:, 0].max() > 2
+    shard = out / "sdm/c/0/0/0/0"
+    content = shard.read_bytes()
+    shard.unlink()
+    # The family is made again from the manifest, holes and all.
+    assert run("--verify", "-o", out, "--device", "cpu") == 0
+    assert shard.read_bytes() == content
+
+
 def test_resume_and_verify_need_no_more_than_the_name(tmp_path, folder, monkeypatch, capsys):
     whole, out = tmp_path / "whole.zarr", tmp_path / "d.zarr"
     assert run(folder, *SMALL, "-o", whole) == 0
