@@ -24,7 +24,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean and standard deviation (of the sample) over the cases that have a finite value, and how many have not."""
+    """Mean and sample standard deviation over the cases with a finite value (NaN for one), and how many have none."""
 
     mean: float
     deviation: float
@@ -34,7 +34,8 @@ class Cell:
         if math.isnan(self.mean):
             return "-"
         failed = f" [{self.failed} failed]" if self.failed else ""
-        return f"{self.mean:.2f} ({self.deviation:.2f}){failed}"
+        deviation = "" if math.isnan(self.deviation) else f" ({self.deviation:.2f})"
+        return f"{self.mean:.2f}{deviation}{failed}"
 
 
 def scores_of(prediction: Tensor, truth: Tensor, spacing_mm: Sequence[float]) -> dict[str, float | bool]:
@@ -55,7 +56,7 @@ def cell(cases: Sequence[Mapping[str, float | bool]], column: str) -> Cell:
     failed = len(values) - len(finite)
     if not finite:
         return Cell(math.nan, math.nan, failed)
-    deviation = statistics.stdev(finite) if len(finite) > 1 else 0.0
+    deviation = statistics.stdev(finite) if len(finite) > 1 else math.nan
     return Cell(statistics.fmean(finite), deviation, failed)
 
 

@@ -128,7 +128,7 @@ def _step(
     optimizer.step()
     training.step += 1
     if training.step % max(1, settings.steps // POINTS) == 0 or training.step == settings.steps:
-        value = float(loss)
+        value = float(loss.detach())
         if value != value or abs(value) == float("inf"):
             raise SDMError(f"the loss of {settings.method} is {value} at step {training.step}: lower the learning rate")
         training.losses.append((training.step, round(value, 6)))

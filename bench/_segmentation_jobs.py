@@ -1,0 +1,128 @@
+"""Many small trainings on the GPUs of one machine, until they are done or the time is over.
+
+A job is a dictionary with a `name`. Its result is a JSON file of that name in a folder: a job whose file is there is
+done and is skipped, so the same command goes on where it was. One process on each device takes jobs from a list.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import queue
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+Job = dict[str, Any]
+# From a job, the device, the folder for unfinished work, what the process keeps between jobs, and the deadline
+# (time.monotonic()), to the log; None if the deadline came first.
+Work = Callable[[Job, str, Path, dict[str, Any], float], dict[str, Any] | None]
+
+
+def devices(count: int | None) -> list[str]:
+    """The GPUs of this machine, at most `count`, else the CPU."""
+    found = torch.cuda.device_count()
+    return [f"cuda:{i}" for i in range(found if count is None else min(count, found))] or ["cpu"]
+
+
+def run_jobs(
+    jobs: Sequence[Job], work: Work, logs: Path, unfinished: Path, *, budget_s: float, on: Sequence[str]
+) -> None:
+    """Do the jobs that have no log yet, in order, for at most `budget_s` seconds.
+
+    Args:
+        jobs: In order of importance.
+        work: A function at a module's top level.
+        logs: Folder of the JSON files.
+        unfinished: Folder of checkpoints.
+        budget_s: Seconds from now. A job that the budget cuts short leaves a checkpoint.
+        on: Devices; one process each.
+    """
+    logs.mkdir(parents=True, exist_ok=True)
+    unfinished.mkdir(parents=True, exist_ok=True)
+    deadline = time.monotonic() + budget_s
+    left = [job for job in jobs if not _log(logs, job).is_file()]
+    print(f"{len(left)} of {len(jobs)} jobs to do on {', '.join(on)}, at most {budget_s:.0f} s", flush=True)
+    if not left:
+        return
+    if len(on) == 1:
+        line: Any = queue.Queue()
+        for job in left:
+            line.put(job)
+        _worker(line, work, logs, unfinished, deadline, on[0])
+        return
+    context = multiprocessing.get_context("spawn")
+    line = context.Queue()
+    for job in left:
+        line.put(job)
+    processes = [
+        context.Process(target=_worker, args=(line, work, logs, unfinished, deadline, device)) for device in on
+    ]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+
+
+def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float, device: str) -> None:
+    kept: dict[str, Any] = {}
+    if device.startswith("cuda"):
+        torch.cuda.set_device(device)
+        torch.backends.cudnn.benchmark = True
+        torch.set_float32_matmul_precision("high")
+    while time.monotonic() < deadline:
+        try:
+            # A process that fills the list may be slower than one that empties it.
+            job = line.get(timeout=2.0)
+        except queue.Empty:
+            break
+        begin = time.monotonic()
+        try:
+            log = work(job, device, unfinished, kept, deadline)
+        except Exception:  # noqa: BLE001 - the other jobs go on; this one has no log and is tried again
+            print(f"{job['name']} failed on {device}:\n{traceback.format_exc()}", flush=True)
+            continue
+        if log is None:
+            print(f"{job['name']}: cut short on {device}", flush=True)
+            continue
+        write_log(_log(logs, job), {"job": job, "seconds": round(time.monotonic() - begin, 1), **log})
+        print(f"{job['name']}: {time.monotonic() - begin:.1f} s on {device}: {log.get('summary', '')}", flush=True)
+
+
+def write_log(path: Path, log: dict[str, Any]) -> None:
+    """Small JSON: numbers of five digits, infinities as words, whole or not at all."""
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(_short(log), indent=1, allow_nan=False) + "\n")
+    part.replace(path)
+
+
+def read_logs(folder: Path) -> list[dict[str, Any]]:
+    """The logs of a folder, by name."""
+    return [_long(json.loads(path.read_text())) for path in sorted(folder.glob("*.json"))]
+
+
+def _log(logs: Path, job: Job) -> Path:
+    return logs / f"{job['name']}.json"
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_short(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if math.isfinite(value) else str(value)
+    return value
+
+
+def _long(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _long(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_long(item) for item in value]
+    return float(value) if value in ("inf", "-inf", "nan") else value

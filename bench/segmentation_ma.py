@@ -1,0 +1,173 @@
+"""Ma's table on left-atrium MRI: 16 ways to tell a V-Net of distance maps, and Juhl's regression, by one protocol.
+
+    python -m bench.segmentation_ma run --data DIR/la --budget-s 400     # goes on where it was; all GPUs
+    python -m bench.segmentation_ma table                                # the table from the logs
+
+J. Ma et al., "How distance transform maps boost segmentation CNNs: an empirical study", MIDL 2020. DIR/la has `train`
+and `val` with HDF5 files (data sets image, label). Every row has the same network, patches, optimiser, schedule and
+number of steps; nothing is chosen by the validation cases but what is said in the log's settings. Distances are in
+voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
+
+What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
+whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff
+loss measures inside and outside (method hausdorff-foreground: as there); surface distances go both ways; an empty
+prediction counts as a failure; the learning rate follows one schedule; the optimiser is AdamW and there are far fewer
+steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from bench._machine import describe
+from bench._segmentation_jobs import Job, devices, read_logs, run_jobs
+from sdm.distance_transform import euclidean_distance_transform
+from sdm.segmentation import (
+    MA_ROWS,
+    METHODS,
+    Patches,
+    Settings,
+    Training,
+    cell,
+    check_cases,
+    read_cases,
+    table,
+    train,
+    validate,
+)
+
+LOGS = Path(__file__).parent / "results" / "segmentation_ma"
+COLUMNS = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm", "contour_dice")
+ROWS = (*MA_ROWS, "pwr", "hausdorff-foreground")
+
+
+def main() -> None:
+    options = parser().parse_args()
+    if options.what == "table":
+        print(table_of(options.logs, options.parts))
+        return
+    on = devices(options.gpus)
+    # Compiled once, before several processes want it at the same time.
+    for device in on[:1]:
+        euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
+    run_jobs(jobs(options), work, options.logs, options.work, budget_s=options.budget_s, on=on)
+    print(table_of(options.logs, options.parts))
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("run", "table"))
+    data = Path(os.environ.get("SDM_DATA") or "../shared/data") / "la"
+    parser.add_argument("--data", type=Path, default=data)
+    parser.add_argument("--logs", type=Path, default=LOGS)
+    parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
+    parser.add_argument("--budget-s", type=float, default=3600.0)
+    parser.add_argument("--gpus", type=int, default=None, help="default: all")
+    parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
+    parser.add_argument("--batch", type=int, default=4)
+    parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
+    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--augment", choices=("none", "published", "affine"), default="affine")
+    parser.add_argument("--targets", choices=("case", "patch"), default="case")
+    parser.add_argument("--filters", type=int, default=None)
+    parser.add_argument("--dropout", type=float, default=None)
+    parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
+    parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
+    parser.add_argument("--compile", action="store_true")
+    parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
+    return parser
+
+
+def jobs(options: argparse.Namespace) -> list[Job]:
+    """All methods with the first seed, then all with the next."""
+    found = []
+    for seed in options.seeds:
+        for method in options.methods:
+            settings = Settings(
+                method=method,
+                patch=tuple(options.patch),
+                batch=options.batch,
+                steps=options.steps,
+                optimizer=options.optimizer,
+                learning_rate=options.learning_rate,
+                augment=options.augment,
+                targets=options.targets,
+                filters=options.filters,
+                dropout=options.dropout,
+                seed=seed,
+            )
+            found.append(
+                {
+                    "name": f"{method}-{seed}",
+                    "settings": settings.record(),
+                    "data": str(options.data),
+                    "cases": options.cases,
+                    "stride": options.stride,
+                    "compile": options.compile,
+                }
+            )
+    return found
+
+
+def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> dict[str, Any] | None:
+    """One training and its scores."""
+    settings = Settings.of_record(job["settings"])
+    if "train" not in kept:
+        for part in ("train", "val"):
+            cases = read_cases(Path(job["data"]), part)[: job["cases"]]
+            check_cases(cases)
+            kept[part] = cases
+    if device.startswith("cuda"):
+        torch.cuda.reset_peak_memory_stats(device)
+    checkpoint = unfinished / f"{job['name']}.pt"
+    patches = Patches(
+        kept["train"], METHODS[settings.method].map, settings.patch, device, per_patch=settings.targets == "patch"
+    )
+    training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
+    if training.step < settings.steps:
+        return None
+    begin = time.monotonic()
+    with torch.no_grad():
+        scores = list(validate(training.model, kept["val"], settings.patch, stride=job["stride"]))
+    log = {
+        "training_s": training.seconds,
+        "prediction_s": time.monotonic() - begin,
+        "parameters": sum(p.numel() for p in training.model.parameters()),
+        "memory_gib": torch.cuda.max_memory_allocated(device) / 2**30 if device.startswith("cuda") else None,
+        "machine": describe(device, ("torch",)),
+        "losses": training.losses,
+        "plain": {name: plain for name, plain, _ in scores},
+        "largest": {name: largest for name, _, largest in scores},
+    }
+    checkpoint.unlink(missing_ok=True)
+    return {"summary": _summary(list(log["largest"].values()), training), **log}
+
+
+def _summary(cases: list[dict[str, Any]], training: Training) -> str:
+    rate = training.step / max(training.seconds, 1e-9)
+    return f"Dice {cell(cases, 'dice')}, 95HD {cell(cases, 'hausdorff95_mm')}, {rate:.1f} steps/s"
+
+
+def table_of(logs: Path, parts: str) -> str:
+    """A row for each method; its cases are those of all seeds."""
+    rows: dict[str, list[dict[str, Any]]] = {}
+    seeds: dict[str, int] = {}
+    for log in read_logs(logs):
+        name = log["job"]["settings"]["method"]
+        rows.setdefault(name, []).extend(log[parts].values())
+        seeds[name] = seeds.get(name, 0) + 1
+    ordered = {f"{name} ({seeds[name]})": rows[name] for name in METHODS if name in rows}
+    return table(ordered, COLUMNS, unit="voxels") if ordered else f"no logs in {logs}"
+
+
+if __name__ == "__main__":
+    main()
