@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from sdm.shapes import Cochlea
 
-# Degrees of the Chebyshev polynomials of each parameter, and turning angles [rad] at which the centre line is looked at.
+# Degree of the Chebyshev polynomials of each parameter, and turning angles [rad] of places on the centre line.
 DEGREE = 4
 ANGLES = tuple(k * math.radians(671) / 11 for k in range(12))
 FADING_MM = 1.0
@@ -24,6 +24,9 @@ class ThetaFeatures(nn.Module):
     """
 
     width = 4 * DEGREE + 3 * len(ANGLES)
+    middle: Tensor
+    reach: Tensor
+    angles: Tensor
 
     def __init__(self) -> None:
         super().__init__()

@@ -32,6 +32,8 @@ class SDMNNPlus(nn.Module):
     So the many voxels of the full grid are touched only once, at the end.
     """
 
+    scale: Tensor
+
     def __init__(self, modes: int = 208, hidden: int = 256, channels: int = 64, depth: int = 1) -> None:
         super().__init__()
         self.config = {"modes": modes, "hidden": hidden, "channels": channels, "depth": depth}

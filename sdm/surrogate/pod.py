@@ -58,6 +58,11 @@ class PODChebyshev(nn.Module):
     `fit` finds both from maps; there is no training. A map is one matrix product with (modes, voxels) numbers.
     """
 
+    powers: Tensor
+    weights: Tensor
+    mean: Tensor
+    modes: Tensor
+
     def __init__(self, modes: int = 256, degree: int = 8) -> None:
         super().__init__()
         self.config = {"modes": modes, "degree": degree}

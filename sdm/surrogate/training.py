@@ -140,7 +140,7 @@ class Trainer:
         theta = validation_theta(self.family)[:validation]
         self._validation = [(b.theta, b.sdm.half()) for b in validation_batches(theta, self.device)]
         if self.device.type == "cuda":
-            self.model.to(memory_format=torch.channels_last_3d)
+            self.model.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]
             torch.backends.cudnn.benchmark = True
         self._fast: Any = torch.compile(self.model) if self.device.type == "cuda" else self.model
 

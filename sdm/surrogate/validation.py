@@ -28,7 +28,7 @@ def validation_theta(family: Family, count: int = COUNT) -> Tensor:
 
 
 def validation_name(theta: Tensor) -> str:
-    """ "cochlea-N-" and 16 digits of the SHA-256 of family, grid and parameters: the same name, the same shapes."""
+    """Name of a set: the number of shapes and 16 digits of the SHA-256 of family, grid and parameters."""
     recipe = {"family": Cochlea().fingerprint, "grid": grid_record(GRID)}
     digest = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode())
     digest.update(theta.cpu().numpy().tobytes())
