@@ -85,7 +85,7 @@ class PartialVolume(Appearance):
 
     def update(self, image: Tensor, share: Tensor) -> PartialVolume:
         """One step: components' shares, their means by weighted least squares, then their variances."""
-        mean, variance, belong, _ = self._pairs(image, share)
+        _, variance, belong, _ = self._pairs(image, share)
         count = self.inside.means.numel(), self.outside.means.numel()
         design = self._design(share)
         weight = belong / variance
@@ -94,7 +94,8 @@ class PartialVolume(Appearance):
         # A component without voxels keeps its mean.
         ridge = 1e-9 * normal.diagonal().max().clamp_min(1e-30)
         old = torch.cat([self.inside.means, self.outside.means])
-        means = torch.linalg.solve(normal + ridge * torch.eye(len(old), device=old.device).double(), right + ridge * old)
+        identity = torch.eye(len(old), dtype=torch.float64, device=old.device)
+        means = torch.linalg.solve(normal + ridge * identity, right + ridge * old)
         square = (image[:, None, None] - torch.einsum("nijk,k->nij", design, means)) ** 2
         parts = []
         for axis, mixture, part, chosen in (

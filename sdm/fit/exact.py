@@ -13,7 +13,7 @@ from torch import Tensor
 from sdm.device import choose_device
 from sdm.engine import MeshIndex
 from sdm.fit.backend import Distances
-from sdm.fit.jacobian import vertices_with_jacobian
+from sdm.fit.jacobian import vertices_of, vertices_with_jacobian
 from sdm.mesh import TriangleMesh
 from sdm.shapes import Cochlea, Family
 
@@ -42,7 +42,8 @@ class ExactBackend:
         self.parameters = self.family.parameters
         self.faces = self.family.faces_on(self.device)
         self.evaluations = 0
-        self._theta: Tensor | None = None
+        self._theta = torch.full((len(self.parameters),), torch.nan, dtype=torch.float64, device=self.device)
+        self._jacobian: Tensor | None = None
         low, high = self._box()
         self.centre = (low + high) / 2
 
@@ -53,7 +54,7 @@ class ExactBackend:
 
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
         """Signed distances with their derivatives by theta and point, all float64."""
-        self._move_to(theta)
+        jacobian = self.surface(theta)[1]
         values, closest = self._index.signed_distance(points.float(), return_closest=True)
         weights = closest.barycentric.double()
         weights = weights / weights.sum(1, keepdim=True)
@@ -67,19 +68,21 @@ class ExactBackend:
         normal = torch.nn.functional.normalize(normal, dim=1)
         direction = away * (sign / length.clamp_min(1e-30))[:, None]
         direction = torch.where((length < ON_SURFACE)[:, None], normal, direction)
-        by_theta = -torch.einsum("nk,nc,nkcp->np", weights, direction, self._jacobian[corners])
+        by_theta = -torch.einsum("nk,nc,nkcp->np", weights, direction, jacobian[corners])
         return Distances(sign * length, by_theta, direction)
 
     def surface(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Vertices (V,3) [mm] and their derivatives (V,3,P) by theta, float64."""
         self._move_to(theta)
+        if self._jacobian is None:
+            self._jacobian = vertices_with_jacobian(self.family, self._theta)[1]
         return self._vertices, self._jacobian
 
     def _move_to(self, theta: Tensor) -> None:
         theta = theta.detach().to(self.device, torch.float64)
-        if self._theta is not None and torch.equal(theta, self._theta):
+        if torch.equal(theta, self._theta):
             return
-        self._vertices, self._jacobian = vertices_with_jacobian(self.family, theta)
+        self._vertices, self._jacobian = vertices_of(self.family, theta), None
         mesh = TriangleMesh(self._vertices.float(), self.faces, self.family.name, check=False)
         self._index = MeshIndex(mesh, self.device)
         self._theta = theta.clone()
@@ -87,5 +90,5 @@ class ExactBackend:
 
     def _box(self) -> tuple[Tensor, Tensor]:
         middle = torch.tensor([(p.low + p.high) / 2 for p in self.parameters], dtype=torch.float64, device=self.device)
-        vertices, _ = vertices_with_jacobian(self.family, middle)
+        vertices = vertices_of(self.family, middle)
         return vertices.min(0).values, vertices.max(0).values

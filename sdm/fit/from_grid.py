@@ -1,4 +1,4 @@
-"""A backend from a model of whole maps: a surrogate, its derivatives by forward mode, and cubic B-splines between voxels.
+"""A backend from a model of whole maps: a surrogate, its derivatives by forward mode, cubic B-splines between voxels.
 
 Linear interpolation would not do: between voxels 0.2 mm apart it is off by up to 0.01 mm where the surface is curved,
 as much as the posterior is wide.
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from sdm.fit.backend import Distances
+from sdm.fit.initial import middle_of
 from sdm.fit.jacobian import with_jacobian
 from sdm.grid import Grid
 from sdm.shapes import Cochlea, Parameter
@@ -83,8 +84,8 @@ class GridBackend:
             else:
                 maps = self.model(theta.float()[None])[0]
         for axis, matrix in enumerate(self._to_coefficients):
-            maps = torch.movedim(torch.tensordot(matrix.to(maps.dtype), maps, ([1], [axis + 1])), 0, axis + 1)
-        self._stack, self._theta = maps, theta.clone()
+            maps = (maps.movedim(axis + 1, -1) @ matrix.T.to(maps.dtype)).movedim(-1, axis + 1)
+        self._stack, self._theta = maps.contiguous(), theta.clone()
 
     def _places(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Voxel coordinates (N,3), pulled into the grid, and how far outside it they were [mm]."""
@@ -101,8 +102,7 @@ class GridBackend:
 
             # The same point as the exact backend's, so that the two agree on what a pose is.
             return ExactBackend(device="cpu").centre.to(self.device)
-        half = [o + s * (n - 1) / 2 for o, s, n in zip(self.grid.origin, self.grid.spacing, self.grid.shape, strict=True)]
-        return torch.tensor(half, dtype=torch.float64, device=self.device)
+        return middle_of(self.grid).to(self.device)
 
 
 def _spline_matrix(count: int) -> Tensor:

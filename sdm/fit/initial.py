@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,6 +18,8 @@ from sdm.grid import Grid
 PLACES = (0.25, 0.75)
 COARSE = 0.6
 LENGTH = 0.15
+# How many of the best are turned too.
+TURNED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ def middle_of(grid: Grid) -> Tensor:
 
 
 def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotations: list[Tensor]) -> list[Candidate]:
-    """Plain shapes in each of some rotations, best first.
+    """Plain shapes, best first, each laid over the image; the best of them also turned.
 
     Args:
         backend: Where distances come from.
@@ -57,28 +60,44 @@ def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotatio
 
     The translation comes from a cross-correlation by FFT. Bright or dark insides are found alike.
     """
-    renderer = Renderer(grid, backend, blur=0.0, length=LENGTH, fine=max(grid.spacing))
     low, high = (torch.tensor([getattr(p, end) for p in backend.parameters]).double() for end in ("low", "high"))
     units = [*itertools.product(PLACES, repeat=len(low)), (0.5,) * len(low)]
-    centred = image - image.mean()
-    size = [2 * n for n in grid.shape]
-    spectrum = torch.fft.rfftn(centred, s=size)
-    middle = middle_of(grid).to(image.device)
-    axes = torch.from_numpy(grid.affine[:3, :3]).to(image.device)
-    found = []
-    for unit, turn in itertools.product(units, rotations):
-        theta = (low + (high - low) * torch.tensor(unit).double()).to(image.device)
-        state = State(theta, pose.rotation @ turn, middle, backend.centre)
-        share = renderer(state, derivatives=False).share
+    search = _Search(backend, image, grid)
+    plain = [(low + (high - low) * torch.tensor(unit)).to(image.device) for unit in units]
+    found = [search(State(theta, pose.rotation, search.middle, backend.centre)) for theta in plain]
+    found.sort(key=lambda c: -c.explained)
+    turned = [
+        search(State(c.state.theta, pose.rotation @ turn, search.middle, backend.centre))
+        for c in found[:TURNED]
+        for turn in rotations
+    ]
+    return sorted(found + turned, key=lambda c: -c.explained)
+
+
+class _Search:
+    """Cross-correlates an image with shapes, in every translation at once."""
+
+    def __init__(self, backend: Backend, image: Tensor, grid: Grid) -> None:
+        self.renderer = Renderer(grid, backend, blur=0.0, length=LENGTH, fine=max(grid.spacing))
+        # Twice as large, so that what leaves on one side does not come in on the other.
+        self.size = [2 * n for n in grid.shape]
+        centred = image - image.mean()
+        self.power = float((centred**2).sum().clamp_min(1e-30))
+        self.spectrum = torch.fft.rfftn(centred, s=self.size)
+        self.middle = middle_of(grid).to(image.device)
+        self.axes = torch.from_numpy(grid.affine[:3, :3]).to(image.device)
+
+    def __call__(self, state: State) -> Candidate:
+        """The state, moved to where it explains most."""
+        share = self.renderer(state, derivatives=False).share
         template = share - share.mean()
         power = float((template**2).sum())
         if power == 0:
-            continue
-        product = torch.fft.irfftn(spectrum * torch.fft.rfftn(template, s=size).conj(), s=size)
+            return Candidate(state, 0.0)
+        product = torch.fft.irfftn(self.spectrum * torch.fft.rfftn(template, s=self.size).conj(), s=self.size)
         best = int(product.abs().argmax())
-        index = torch.tensor(torch.unravel_index(torch.tensor(best), product.shape)).to(image.device)
-        limits = torch.tensor(size, device=image.device)
-        shift = torch.where(index > limits // 2, index - limits, index).double()
-        explained = float(product.flatten()[best]) ** 2 / power / float((centred**2).sum().clamp_min(1e-30))
-        found.append(Candidate(State(theta, state.rotation, middle + axes @ shift, backend.centre), explained))
-    return sorted(found, key=lambda c: -c.explained)
+        index = torch.tensor(np.unravel_index(best, tuple(product.shape)), device=share.device)
+        limit = torch.tensor(self.size, device=share.device)
+        shift = self.axes @ torch.where(index > limit // 2, index - limit, index).double()
+        explained = float(product.flatten()[best]) ** 2 / power / self.power
+        return Candidate(State(state.theta, state.rotation, state.translation + shift, state.centre), explained)

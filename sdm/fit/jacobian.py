@@ -23,23 +23,21 @@ def vertices_with_jacobian(family: Family, theta: Tensor) -> tuple[Tensor, Tenso
     Raises:
         MeshError: The family's vertices come from an operator without forward-mode derivatives.
     """
-    theta = theta.double()
-    if isinstance(family, Cochlea):
-        tables = family._on(theta.device, "tables", lambda: family._tables)
-
-        def vertices(at: Tensor) -> Tensor:
-            return reference_vertices(at[None], tables)[0]
-    else:
-
-        def vertices(at: Tensor) -> Tensor:
-            return family.vertices(at[None])[0].double()
-
     try:
-        return with_jacobian(vertices, theta)
+        return with_jacobian(lambda at: vertices_of(family, at), theta.double())
     except (NotImplementedError, RuntimeError) as error:
         raise MeshError(
             f"the vertices of {family.name} have no forward-mode derivatives: write its vertices() in plain torch"
         ) from error
+
+
+def vertices_of(family: Family, theta: Tensor) -> Tensor:
+    """Vertices (V,3) float64 for theta (P,): as precise as the family's code allows."""
+    if isinstance(family, Cochlea):
+        # Its operator is float32; the plain twin takes any type.
+        tables = family._on(theta.device, "tables", lambda: family._tables)
+        return reference_vertices(theta.double()[None], tables)[0]
+    return family.vertices(theta[None])[0].double()
 
 
 def with_jacobian(function: Callable[[Tensor], Tensor], at: Tensor) -> tuple[Tensor, Tensor]:

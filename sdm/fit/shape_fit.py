@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -105,11 +106,16 @@ def fit_shape(
     steps: dict[str, int] = {}
 
     def stage(name: str, using: Backend, start: State, appearance: Appearance) -> Outcome:
-        told = None if report is None else (lambda number, point: report(name, number, point))
         found = minimise(
-            _renderer(grid, using, options), values, start, appearance, prior,
-            most_steps=options.most_steps, tolerance=options.tolerance, report=told,
-        )  # fmt: skip
+            _renderer(grid, using, options),
+            values,
+            start,
+            appearance,
+            prior,
+            most_steps=options.most_steps,
+            tolerance=options.tolerance,
+            report=None if report is None else partial(report, name),
+        )
         steps[name] = found.steps
         return found
 
@@ -155,8 +161,8 @@ def _begin(values: Tensor, grid: Grid, backend: Backend, prior: Prior, options: 
 
 
 def _turns(turn: float, device: torch.device) -> list[Tensor]:
-    """Rotations to begin with: none, and one either way about each axis."""
-    steps = [torch.zeros(3)] + [s * turn * torch.eye(3)[axis] for axis in range(3) for s in (-0.8, 0.8)]
+    """Rotations to begin with: one either way about each axis."""
+    steps = [s * turn * torch.eye(3)[axis] for axis in range(3) for s in (-0.8, 0.8)]
     return [rotation_from_vector(v.double().to(device)) for v in steps]
 
 

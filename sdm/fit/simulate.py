@@ -88,7 +88,8 @@ def random_state(backend: Backend, seed: int, *, turn: float = 0.2, shift: float
         torch.zeros(3, dtype=torch.float64, device=backend.device),
         backend.centre,
     )
-    pose = np.concatenate([np.zeros(len(low)), turn * generator.standard_normal(3), shift * generator.standard_normal(3)])
+    turned, shifted = turn * generator.standard_normal(3), shift * generator.standard_normal(3)
+    pose = np.concatenate([np.zeros(len(low)), turned, shifted])
     return base.moved(torch.as_tensor(pose, device=backend.device))
 
 

@@ -17,6 +17,8 @@ from sdm.fit.render import Renderer
 EM_STEPS = 2
 DAMPING = 1e-3
 MOST_DAMPING = 1e6
+# A step of so few posterior standard deviations that fails for rounding is the last.
+FLAT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +124,9 @@ def minimise(
         if there.objective < at.objective:
             at, damping = there, max(damping / 10, 1e-9)
             objectives.append(at.objective)
-        elif damping >= MOST_DAMPING or abs(there.objective - at.objective) < 1e-9 * abs(at.objective) and length < 0.1:
+        elif damping >= MOST_DAMPING or (length < FLAT and there.objective - at.objective < 1e-9 * abs(at.objective)):
             # The objective is flat to rounding: no step can be seen to improve it.
-            return Outcome(at, length < 0.1, number, tuple(objectives))
+            return Outcome(at, length < FLAT, number, tuple(objectives))
         else:
             damping = max(10 * damping, DAMPING)
         if report is not None:

@@ -1,0 +1,47 @@
+"""What the studies of the fit share: simulated cases, backends by name, and files that are whole or not there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from bench._fit_stock import StockBackend
+from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
+from sdm.fit.backend import Backend
+from sdm.fit.backends import make_backends
+from sdm.io.atomic import replacing
+from sdm.shapes import Cochlea
+
+# Meshes of simulated truth are four times as fine as those of the fit.
+TRUTH_TRIANGLES = 20_000
+STOCK = ("libigl", "warp")
+
+
+def truth_backend(device: str = "cpu") -> ExactBackend:
+    """Exact distances from finer meshes than the fit's."""
+    return ExactBackend(Cochlea(TRUTH_TRIANGLES), device)
+
+
+def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -> tuple[State, Image]:
+    """A random shape and its image: a pure function of the scanner's name and the number."""
+    state = random_state(truth, number, edge=edge)
+    return state, simulate(truth, state, SCANNERS[scanner], seed=2 * number + (scanner == "0.2"))
+
+
+def backends_by_name(name: str, device: str) -> tuple[Backend, Backend | None]:
+    """Ours by `make_backends`, or a stock library's."""
+    return (StockBackend(name), None) if name in STOCK else make_backends(name, device=device)
+
+
+def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None]) -> FitResult:
+    """Fit with the scanner's known blur and everything else as it comes."""
+    options = FitOptions(blur=SCANNERS[scanner].blur)
+    return fit_shape(image.values, image.grid, backends[0], finish=backends[1], options=options)
+
+
+def write(path: Path, record: dict[str, Any]) -> None:
+    """Write JSON; atomic."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part:
+        part.write_text(json.dumps(record, indent=1) + "\n")

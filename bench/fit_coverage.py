@@ -1,0 +1,114 @@
+"""Coverage: how often the 90 % intervals of a fit hold the truth, over random shapes, poses and noise."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench._fit_tools import backends_by_name, case, fit_case, truth_backend, write
+from bench._machine import describe
+
+LEVEL_SIGMAS = 1.6448536269514722
+# Truths are uniform over the ranges but for their ends, where no interval has two sides.
+EDGE = 0.05
+NAMES = ("a", "alpha", "b", "phi", "turn x", "turn y", "turn z", "shift x", "shift y", "shift z")
+
+
+def coverage(options: argparse.Namespace) -> None:
+    """Fit every case that has no file yet, then sum up what there is."""
+    begin = time.monotonic()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    jobs = [
+        (
+            scanner,
+            number,
+            options.backend,
+            options.device,
+            options.folder / f"{options.backend}-{scanner}-{number}.json",
+        )
+        for number in range(options.count)
+        for scanner in ("0.3", "0.2")
+    ]
+    open_jobs = [job for job in jobs if not job[-1].is_file()]
+    deadline = begin + options.budget_s
+    if options.workers > 1:
+        # One thread each; set before a worker imports anything.
+        os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
+            for _ in pool.imap_unordered(_run, [(*job, deadline) for job in open_jobs]):
+                pass
+    else:
+        for job in open_jobs:
+            _run((*job, deadline))
+    records = [json.loads(job[-1].read_text()) for job in jobs if job[-1].is_file()]
+    summary = {scanner: summarise([r for r in records if r["scanner"] == scanner]) for scanner in ("0.3", "0.2")}
+    summary = {"backend": options.backend, "wanted": options.count, **summary, "machine": describe(options.device)}
+    write(options.out, summary)
+    print(json.dumps(summary, indent=1))
+
+
+def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """Coverage of each unknown's 90 % interval, among the fits that are to be trusted."""
+    trusted = [r for r in records if r["trusted"]]
+    if not trusted:
+        return {"cases": len(records), "trusted": 0}
+    z = np.array([r["z"] for r in trusted])
+    held = np.abs(z) <= LEVEL_SIGMAS
+    shape = held[:, :4].mean()
+    return {
+        "cases": len(records),
+        "trusted": len(trusted),
+        "coverage_90": dict(zip(NAMES, held.mean(0).round(4).tolist(), strict=True)),
+        "coverage_90_shape": round(float(shape), 4),
+        "coverage_90_all": round(float(held.mean()), 4),
+        # What the coverage of one unknown varies by, were its true value 0.9.
+        "standard_error_of_one": round(math.sqrt(0.09 / len(trusted)), 4),
+        "mean_of_z": dict(zip(NAMES, z.mean(0).round(3).tolist(), strict=True)),
+        "deviation_of_z": dict(zip(NAMES, z.std(0).round(3).tolist(), strict=True)),
+        "largest_z": round(float(np.abs(z).max()), 2),
+        "median_deviation": dict(zip(NAMES, np.median([r["deviations"] for r in trusted], 0).tolist(), strict=True)),
+        "median_seconds": round(float(np.median([r["seconds"] for r in trusted])), 2),
+        "not_trusted": [{"number": r["number"], "problems": r["problems"]} for r in records if not r["trusted"]],
+    }
+
+
+_KEPT: dict[tuple[str, str], Any] = {}
+
+
+def _run(job: tuple[str, int, str, str, Path, float]) -> None:
+    scanner, number, backend, device, path, deadline = job
+    if time.monotonic() > deadline:
+        return
+    import torch
+
+    torch.set_num_threads(1)
+    if (backend, device) not in _KEPT:
+        _KEPT[backend, device] = truth_backend(device), backends_by_name(backend, device)
+    truth, backends = _KEPT[backend, device]
+    state, image = case(truth, scanner, number, edge=EDGE)
+    result = fit_case(image, scanner, backends)
+    write(
+        path,
+        {
+            "scanner": scanner,
+            "number": number,
+            "truth": state.theta.tolist(),
+            "estimate": result.state.theta.tolist(),
+            "z": result.posterior.standardised(state).tolist(),
+            "deviations": result.posterior.deviations.tolist(),
+            "trusted": result.trusted,
+            "problems": list(result.diagnosis.problems),
+            "explained": result.diagnosis.explained,
+            "evaluations": result.evaluations,
+            "steps": result.steps,
+            "seconds": result.seconds,
+        },
+    )
