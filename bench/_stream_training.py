@@ -12,16 +12,19 @@ import torch.distributed as dist
 from torch.nn.functional import mse_loss
 from torch.nn.parallel import DistributedDataParallel
 
-from bench._networks import Decoder
+from bench._networks import NETWORKS
 from bench._stream_sizes import Bench
 from sdm.stream import Batch, SDMStream
 
+# The network of the scaling and of the DataLoader.
+USUAL = "u-net"
+
 
 def training(bench: Bench, *, compiled: bool = False) -> dict[str, Any]:
-    """Steps a second; under torchrun first on one GPU while the others wait, then on all, and the scaling."""
+    """Steps a second of each network; under torchrun of one, first on one GPU while the others wait, then on all."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world == 1:
-        return by_turns(bench, bench.stream(bench.batch), compiled)
+        return {name: by_turns(bench, name, bench.stream(bench.batch), compiled) for name in NETWORKS}
     return across(bench, world, int(os.environ["RANK"]), compiled)
 
 
@@ -32,21 +35,21 @@ def compiled(bench: Bench) -> dict[str, Any]:
 
 def across(bench: Bench, world: int, rank: int, compiled: bool) -> dict[str, Any]:
     """One process alone, then all; `scaling` is how much of `world` times its samples a second they reach."""
-    alone = by_turns(bench, bench.stream(bench.batch, rank=0, world_size=1), compiled) if rank == 0 else {}
+    alone = by_turns(bench, USUAL, bench.stream(bench.batch, rank=0, world_size=1), compiled) if rank == 0 else {}
     dist.barrier()
-    together = by_turns(bench, bench.stream(bench.batch), compiled, world)
+    together = by_turns(bench, USUAL, bench.stream(bench.batch), compiled, world)
     if rank:
         return {}
     ratio = {
         key: together[f"{key}_samples_per_second"] / (world * alone[f"{key}_samples_per_second"])
         for key in ("streamed", "cached")
     }
-    return {"processes": world, "alone": alone, "together": together, "scaling": ratio}
+    return {"processes": world, "network": USUAL, "alone": alone, "together": together, "scaling": ratio}
 
 
-def by_turns(bench: Bench, source: SDMStream, compiled: bool, world: int = 1) -> dict[str, Any]:
+def by_turns(bench: Bench, name: str, source: SDMStream, compiled: bool, world: int = 1) -> dict[str, Any]:
     """The two kinds of step take turns, so that a slower minute of the machine counts for both."""
-    net = network(bench, compiled, world)
+    net = network(bench, name, compiled, world)
     step = make_step(bench, net)
     batches = iter(source)
     cached = next(batches)
@@ -64,7 +67,7 @@ def by_turns(bench: Bench, source: SDMStream, compiled: bool, world: int = 1) ->
     turns = [(bench.speed(streamed, count), bench.speed(kept, count)) for _ in range(bench.turns)]
     speeds = {"streamed": statistics.median(a for a, _ in turns), "cached": statistics.median(b for _, b in turns)}
     return {
-        "network": {"name": Decoder.__name__, "parameters": sum(p.numel() for p in net.parameters())},
+        "parameters": sum(p.numel() for p in net.parameters()),
         "precision": "bfloat16 autocast, channels last" + (", torch.compile" if compiled else ""),
         "batch_per_process": bench.batch,
         "steps_of_a_turn": count,
@@ -76,10 +79,10 @@ def by_turns(bench: Bench, source: SDMStream, compiled: bool, world: int = 1) ->
     }
 
 
-def network(bench: Bench, compiled: bool = False, world: int = 1) -> torch.nn.Module:
-    """The network of `bench._networks`, under DDP if there are several processes."""
+def network(bench: Bench, name: str = USUAL, compiled: bool = False, world: int = 1) -> torch.nn.Module:
+    """A network of `bench._networks`, under DDP if there are several processes."""
     torch.manual_seed(0)
-    net: torch.nn.Module = Decoder(len(bench.family.parameters), bench.resolution).to(bench.device)
+    net = NETWORKS[name](len(bench.family.parameters), bench.resolution).to(bench.device)
     if world > 1:
         net = DistributedDataParallel(net)
     if compiled:

@@ -5,7 +5,7 @@
 
 - `rates`: maps a second for the cochlea at 64^3 with 20,000 triangles, in batches of 1, 16 and 64; and for each batch
   the milliseconds of making vertices, building the hierarchy, and querying the grid.
-- `training`: a step of a network of SDMNN's size (batch 16, 64^3, bf16 on a GPU) fed by the stream, against the same
+- `training`: a step of a network of SDMNN's kind (batch 16, 64^3, bf16 on a GPU) fed by the stream, against the same
   step on one batch that stays. Under torchrun on one GPU alone and then on all under DDP, with the scaling.
 - `loader`: the same loop fed by a DataLoader whose workers compute the maps on all CPU cores with the library that is
   fastest there.

@@ -86,6 +86,49 @@ def test_batches_are_ready_on_the_stream_that_reads_them():
         assert torch.equal(found.cpu(), wanted)
 
 
+def test_a_state_taken_with_batches_in_flight_resumes_exactly(family):
+    whole = take(stream(family, ahead=3), 7)
+    source = stream(family, ahead=3)
+    iterator = iter(source)
+    for _ in range(4):
+        next(iterator)
+    # Three more are queued by now, and none of them has been given.
+    assert source.position == 16
+    again = stream(family, 8, ahead=1)
+    again.load_state_dict(source.state_dict())
+    del iterator, source
+    found = together(take(again, 1))
+    assert found.index.tolist() == list(range(16, 24))
+    assert torch.equal(found.sdm, torch.cat([b.sdm for b in whole[4:6]]))
+
+
+def test_ddp_trains_on_it(tmp_path):
+    """One process under NCCL has the losses that it has without."""
+
+    def losses(wrap) -> list[float]:
+        torch.manual_seed(0)
+        net = wrap(torch.nn.Sequential(torch.nn.Linear(4, 32), torch.nn.Tanh(), torch.nn.Linear(32, 16**3)).cuda())
+        optimizer = torch.optim.SGD(net.parameters(), 1e-2)
+        found = []
+        for theta, maps, _ in itertools.islice(stream(Cochlea(2_000), 8, 16), 10):
+            loss = torch.nn.functional.mse_loss(net(theta).reshape_as(maps), maps)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            found.append(loss.detach())
+        return torch.stack(found).tolist()
+
+    alone = losses(lambda net: net)
+    torch.distributed.init_process_group(
+        "nccl", init_method=f"file://{tmp_path / 'meeting'}", rank=0, world_size=1, device_id=torch.device("cuda", 0)
+    )
+    try:
+        under = losses(lambda net: torch.nn.parallel.DistributedDataParallel(net, device_ids=[0]))
+    finally:
+        torch.distributed.destroy_process_group()
+    assert under == pytest.approx(alone, rel=1e-4)
+
+
 def test_memory_stays_flat():
     source = iter(stream(Cochlea(2_000), 8))
     for _ in range(20):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 
 import numpy as np
 import pytest
@@ -120,6 +121,16 @@ def test_smooth_in_theta(family):
         return float((slope[1:] - slope[:-1]).abs().max())
 
     assert largest_jump(161) < 0.3 * largest_jump(41)
+
+
+def test_figures_of_the_fit_are_of_this_family(family, root):
+    kept = json.loads((root / "bench" / "results" / "cochlea_fit.json").read_text())
+    assert kept["family"]["fingerprint"] == family.fingerprint
+    assert kept["fit"]["mean_symmetric_surface_distance_mm"] <= 0.15
+    sound = kept["soundness"]
+    assert sound["shapes"] >= 1016
+    assert sound["closed_and_oriented"]
+    assert sound["self_intersecting_by_cgal"] == sound["inside_out"] == 0
 
 
 def test_check_speaks_plainly(family):
