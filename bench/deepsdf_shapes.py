@@ -12,7 +12,7 @@ import argparse
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -115,7 +115,8 @@ def main() -> None:
     if not content:
         raise SystemExit(f"{options.data} holds no folder la with labels")
     part = options.out.with_suffix(".part.npz")
-    np.savez_compressed(part, **content)
+    save: Any = np.savez_compressed
+    save(part, **content)
     part.replace(options.out)
     print(f"{options.out}: {len(content) // 2} labels, {options.out.stat().st_size / 2**20:.1f} MiB")
 

@@ -7,7 +7,6 @@ from torch import Tensor, nn
 
 from sdm.deepsdf.decoders import make_decoder
 from sdm.deepsdf.settings import Settings
-from sdm.losses import clamped_l1_loss
 
 
 class AutoDecoder(nn.Module):
@@ -30,7 +29,7 @@ class AutoDecoder(nn.Module):
         """The data's loss and the codes' mean squared length: scalars, for shapes (B,), (B,N,3) and (B,N)."""
         codes = bounded(self.codes[shapes], self.settings.code_bound)
         # A sum over numbers and a mean over shapes: what the codes cost does not depend on the number of points.
-        return data_loss(self.decoder(codes, points), values, self.settings), codes.square().sum(1).mean()
+        return errors(self.decoder(codes, points), values, self.settings).mean(), codes.square().sum(1).mean()
 
     @torch.no_grad()
     def bounded_codes(self) -> Tensor:
@@ -45,8 +44,13 @@ def bounded(codes: Tensor, bound: float | None) -> Tensor:
     return codes * (bound / codes.norm(dim=1, keepdim=True).clamp(min=bound))
 
 
-def data_loss(prediction: Tensor, values: Tensor, settings: Settings) -> Tensor:
-    """The paper's clamped L1, or an L1 that fades as 1 / (1 + |value| / clamp), so that far values count a little."""
+def errors(prediction: Tensor, values: Tensor, settings: Settings) -> Tensor:
+    """What each sample costs, of the shape of both.
+
+    The paper's |clamp(p) - clamp(y)|, equation (4), or |p - y| / (1 + |y| / clamp): the second fades with the distance,
+    so that far values count a little, and never lets a wrong prediction go without a gradient.
+    """
     if settings.variant == "published":
-        return clamped_l1_loss(prediction, values, delta=settings.clamp)
-    return ((prediction - values).abs() / (1 + values.abs() / settings.clamp)).mean()
+        bound = settings.clamp
+        return (prediction.clamp(-bound, bound) - values.clamp(-bound, bound)).abs()
+    return (prediction - values).abs() / (1 + values.abs() / settings.clamp)

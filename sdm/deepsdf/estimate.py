@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sdm.deepsdf.auto_decoder import bounded
+from sdm.deepsdf.auto_decoder import bounded, errors
 from sdm.deepsdf.model import DeepSDF
 from sdm.errors import SDMError
 from sdm.sampling import Samples
@@ -24,7 +24,7 @@ class Estimate:
 
     Args:
         codes: (B,D).
-        losses: (B,) mean clamped error of each shape at the last step, in unit-sphere radii.
+        losses: (B,) mean cost of the samples of each shape at the last step, in unit-sphere radii.
     """
 
     codes: Tensor
@@ -69,17 +69,16 @@ def estimate_codes(
     optimizer = torch.optim.Adam([codes], lr=rate)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda s: _rate_at(s / steps, published))
 
-    def errors(codes: Tensor, points: Tensor, values: Tensor) -> Tensor:
-        found = model.decoder(bounded(codes, settings.code_bound), points)
-        return (found.clamp(-settings.clamp, settings.clamp) - values.clamp(-settings.clamp, settings.clamp)).abs()
+    def costs(codes: Tensor, points: Tensor, values: Tensor) -> Tensor:
+        return errors(model.decoder(bounded(codes, settings.code_bound), points), values, settings).mean(1)
 
-    of = torch.compile(errors) if compile_network else errors
+    of = torch.compile(costs) if compile_network else costs
     losses = torch.zeros(points.shape[0], device=model.device)
     with torch.enable_grad():
         for step in range(steps):
             if step:
                 points, values = draw(step)
-            losses = of(codes, points, values).mean(1)
+            losses = of(codes, points, values)
             # Sums over shapes: each shape's gradient is what it would be alone.
             (losses.sum() + prior * codes.square().sum()).backward()
             optimizer.step()

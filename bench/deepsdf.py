@@ -1,0 +1,231 @@
+"""Studies of DeepSDF: train, evaluate, compare. Each command goes on where it was cut off.
+
+    python -m bench.deepsdf train atria --variant local --budget-s 120 --out runs/atria-local
+    python -m bench.deepsdf evaluate atria --out runs/atria-local [--parts known unseen completion ...]
+    python -m bench.deepsdf recipe cochlea --budget-s 60 --out runs/recipe
+    python -m bench.deepsdf fit cochlea --out runs/cochlea-local
+    python -m bench.deepsdf report runs/* --to bench/results
+
+- `train`: the cochlea family (500 shapes) or left atria (72 labels) on exact samples, or on approximate ones.
+- `evaluate`: known shapes; unseen ones by maximum a posteriori estimation; completion from half of the surface and from
+  noisy points; time; a strip of pictures from one code to another. `scores.json` grows part by part.
+- `recipe`: exact samples against DeepSDF's approximate recipe: one network, one budget, the same shapes.
+- `fit`: a cochlea's map and the fit of one to a label, beside the mesh.
+- `report`: a table (`deepsdf.md`) and all figures (`deepsdf.json`) of some runs.
+
+Atria come from the data folder (--data, $SDM_DATA, else ../shared/data), or from a file that bench.deepsdf_shapes
+packed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from bench import deepsdf_evaluate as evaluation
+from bench import deepsdf_fit as fitting
+from bench._machine import describe
+from bench.deepsdf_approximate import ApproximateSamples
+from bench.deepsdf_report import report
+from bench.deepsdf_shapes import Shapes, atria, cochleas
+from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
+from sdm.deepsdf.ranks import process_group
+from sdm.deepsdf.settings import VARIANTS, Settings
+from sdm.sampling import SampleSource, ShapeSet
+from sdm.shapes import Cochlea
+
+PARTS = ("unseen", "known", "completion", "speed", "pictures")
+
+
+def main() -> None:
+    options = arguments()
+    if options.command == "report":
+        report(options.runs, options.to)
+        return
+    commands = {"train": run_train, "evaluate": run_evaluate, "recipe": run_recipe, "fit": run_fit}
+    commands[options.command](options)
+
+
+def run_train(options: argparse.Namespace) -> None:
+    with process_group(options.device) as device:
+        shapes = ShapeSet(of_class(options).training, device)
+        source: SampleSource = shapes
+        if options.samples == "approximate":
+            source = ApproximateSamples(shapes, options.table, options.dense)
+        trained(source, shapes, settings_of(options), options.out, options)
+
+
+def trained(source: SampleSource, shapes: ShapeSet, settings: Settings, out: Path, options: argparse.Namespace) -> Path:
+    start = time.monotonic()
+
+    def say(step: int, steps: int, loss: float) -> None:
+        if step % 500 == 0 or step == steps:
+            print(f"{out.name}: step {step}, loss {loss:.5f}, {time.monotonic() - start:.0f} s", flush=True)
+
+    return train(
+        source,
+        settings,
+        out,
+        names=shapes.names,
+        spheres=shapes.spheres,
+        budget_s=options.budget_s,
+        device=shapes.device,
+        resume=True,
+        compile_network=None if options.compile else False,
+        progress=say,
+    )
+
+
+def run_evaluate(options: argparse.Namespace) -> None:
+    model = DeepSDF.load(options.out, options.device)
+    shapes = of_class(options)
+    compiled = options.compile and model.device.type == "cuda"
+    steps, resolution = options.steps, options.resolution
+    parts: dict[str, Callable[[], Any]] = {
+        "known": lambda: evaluation.known(model, shapes.training, options.known, resolution),
+        "unseen": lambda: evaluation.unseen(model, shapes.test, resolution, steps, compiled),
+        "completion": lambda: evaluation.completion(model, shapes.test, resolution, steps, options.prior),
+        "speed": lambda: evaluation.speed(model, shapes.test[0]),
+        "pictures": lambda: pictures(model, options.out, options.size),
+    }
+    chosen = {name: parts[name] for name in options.parts}
+    about = {"class": options.shapes, "settings": model.settings.as_dict(), "training": training_of(options.out)}
+    in_turn(chosen, options, about)
+
+
+def run_fit(options: argparse.Namespace) -> None:
+    model, family = DeepSDF.load(options.out, options.device), Cochlea(options.triangles)
+    parts: dict[str, Callable[[], Any]] = {
+        "maps": lambda: fitting.whole_maps(model, family),
+        "fits": lambda: fitting.fits(model, family, options.test or 3, options.fit_steps),
+    }
+    in_turn(parts, options, {})
+
+
+def run_recipe(options: argparse.Namespace) -> None:
+    shapes = of_class(options)
+    found = ShapeSet(shapes.training, options.device)
+    settings = settings_of(options)
+    start = time.monotonic()
+    table = ApproximateSamples(found, options.table, options.dense)
+    preparation = {"table": options.table, "dense": options.dense, "seconds": time.monotonic() - start}
+    result: dict[str, Any] = {"class": options.shapes, "settings": settings.as_dict(), "budget_s": options.budget_s}
+    result["recipe"] = {**asdict(table.quality), **preparation}
+    sources: dict[str, SampleSource] = {"exact": found, "approximate": table}
+    for name, source in sources.items():
+        model = DeepSDF.load(trained(source, found, settings, options.out / name, options), options.device)
+        result[name] = {
+            "training": training_of(options.out / name),
+            "known": evaluation.known(model, shapes.training, options.known, options.resolution),
+            "unseen": evaluation.unseen(model, shapes.test, options.resolution, options.steps, False),
+        }
+    write({"machine": describe(str(found.device)), "recipe_study": result}, options.out / "scores.json")
+
+
+def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, about: dict[str, Any]) -> None:
+    """Each part that `scores.json` does not have yet, until the budget is over."""
+    path, start = options.out / "scores.json", time.monotonic()
+    result = json.loads(path.read_text()) if path.exists() else {}
+    device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    result |= {"machine": describe(device), **about}
+    for name, part in parts.items():
+        if name in result and not options.again:
+            continue
+        if options.budget_s is not None and time.monotonic() - start > options.budget_s:
+            print(f"{name} is left for the next time: the budget is over")
+            continue
+        result[name] = part()
+        short = {k: v for k, v in result[name].items() if k != "rows"} if isinstance(result[name], dict) else None
+        print(json.dumps({name: short}, indent=1)[:4000], f"\n{time.monotonic() - start:.1f} s", flush=True)
+        write(result, path)
+
+
+def pictures(model: DeepSDF, out: Path, size: int) -> dict[str, Any]:
+    """A strip from the first training shape to the last, and the first one alone, by sphere tracing."""
+    start = time.perf_counter()
+    save_picture(interpolation_strip(model, model.codes[0], model.codes[-1], size=size), out / "interpolation.png")
+    strip = time.perf_counter() - start
+    save_picture(render(model, model.codes[0], size=2 * size), out / "first.png")
+    return {"files": ["interpolation.png", "first.png"], "seconds_strip_of_7": strip, "size": size}
+
+
+def of_class(options: argparse.Namespace) -> Shapes:
+    if options.shapes == "cochlea":
+        return cochleas(options.count or 500, options.test or 8, triangles=options.triangles)
+    return atria(options.data, options.count, options.test)
+
+
+def settings_of(options: argparse.Namespace) -> Settings:
+    changes = {name: getattr(options, name) for name in ("width", "layers", "points", "batch", "precision", "epochs")}
+    changes = {("shapes" if k == "batch" else k): v for k, v in changes.items() if v is not None}
+    if options.variant == "local" and options.shapes == "cochlea":
+        # Four parameters make the family: a code of the whole shape is enough, and the model stays small.
+        changes = {"grids": (), "global_size": 32, "width": 256, "layers": 6, "code_weight": 1e-5} | changes
+    return VARIANTS[options.variant](**changes)
+
+
+def training_of(folder: Path) -> dict[str, Any]:
+    saved = torch.load(folder / "model.pt", map_location="cpu", weights_only=True)
+    last = [loss for _, _, loss in saved["history"][-20:]]
+    size = (folder / "model.pt").stat().st_size / 2**20
+    return {
+        "shapes": len(saved["names"]),
+        "steps": saved["step"],
+        "seconds": saved["seconds"],
+        "last_loss": sum(last) / max(len(last), 1),
+        "model_mib": size,
+    }
+
+
+def write(result: dict[str, Any], path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(result, indent=1) + "\n")
+    part.replace(path)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("train", "evaluate", "recipe", "fit"):
+        command = commands.add_parser(name)
+        command.add_argument("shapes", choices=("cochlea", "atria"))
+        command.add_argument("--out", type=Path, required=True, help="folder of the run")
+        command.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+        command.add_argument("--device", default="auto")
+        command.add_argument("--budget-s", type=float, help="seconds of training, or after which no part begins")
+        command.add_argument("--count", type=int, help="training shapes")
+        command.add_argument("--test", type=int, help="test shapes")
+        command.add_argument("--triangles", type=int, default=6_000, help="of a cochlea")
+        command.add_argument("--no-compile", dest="compile", action="store_false")
+        command.add_argument("--variant", choices=tuple(VARIANTS), default="local")
+        for option in ("width", "layers", "points", "batch", "epochs"):
+            command.add_argument(f"--{option}", type=int)
+        command.add_argument("--precision", choices=("bf16", "tf32", "float32"))
+        command.add_argument("--samples", choices=("exact", "approximate"), default="exact")
+        command.add_argument("--table", type=int, default=100_000, help="approximate samples of a shape")
+        command.add_argument("--dense", type=int, default=250_000, help="surface points of the approximate recipe")
+        command.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+        command.add_argument("--again", action="store_true", help="parts that are there, too")
+        command.add_argument("--known", type=int, default=16, help="known shapes to score")
+        command.add_argument("--steps", type=int, default=800, help="of the search for a code")
+        command.add_argument("--fit-steps", type=int, default=fitting.STEPS)
+        command.add_argument("--prior", type=float, help="weight of a code's length in completion")
+        command.add_argument("--resolution", type=int, default=256)
+        command.add_argument("--size", type=int, default=192, help="pixels of a picture")
+    command = commands.add_parser("report")
+    command.add_argument("runs", nargs="+", type=Path)
+    command.add_argument("--to", type=Path, default=Path("bench/results"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""What a trained DeepSDF can do: known shapes, unseen shapes, completion, time."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from bench._timing import once
+from sdm.deepsdf import (
+    DeepSDF,
+    Scan,
+    ShapeScores,
+    decode_mesh,
+    encode_meshes,
+    estimate_codes,
+    half_of,
+    score_shape,
+)
+from sdm.engine import signed_distance
+from sdm.errors import SDMError
+from sdm.mesh import TriangleMesh
+from sdm.sampling import Samples, ShapeSet, UnitSphere, surface_points
+
+# Points of a scan, and the deviation of a noisy one's points in unit-sphere radii.
+SCAN, NOISE = 10_000, 0.01
+UNIT = UnitSphere((0.0, 0.0, 0.0), 1.0)
+
+
+def scores_of(
+    model: DeepSDF, codes: Tensor, truth: Callable[[int], TriangleMesh], radii: list[float], resolution: int
+) -> dict[str, Any]:
+    """Scores of codes against their true normalised meshes, with distances in mm, and their means and medians."""
+    rows, failed = [], 0
+    for number, code in enumerate(codes):
+        try:
+            mesh = decode_mesh(model, code, resolution=resolution)
+        except SDMError:
+            failed += 1
+            continue
+        found = score_shape(mesh, truth(number).to(model.device), sphere=UNIT)
+        row = asdict(found)
+        for name in ("mean", "percentile95"):
+            row[f"{name}_mm"] = radii[number] * row.pop(name)
+        rows.append(row)
+    return {"shapes": len(codes), "without_a_surface": failed, **summary(rows), "rows": rows}
+
+
+def summary(rows: list[dict[str, float]]) -> dict[str, Any]:
+    """Mean and median of each column."""
+    if not rows:
+        return {}
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    return {
+        "mean": {name: statistics.fmean(column) for name, column in columns.items()},
+        "median": {name: statistics.median(column) for name, column in columns.items()},
+    }
+
+
+def known(model: DeepSDF, training: list[TriangleMesh], most: int, resolution: int) -> dict[str, Any]:
+    """Representation: shapes of the training, by the codes that the training found."""
+    spheres = list(model.spheres[:most])
+    meshes = [s.normalised(m) for s, m in zip(spheres, training[:most], strict=True)]
+    return scores_of(model, model.codes[:most], meshes.__getitem__, [s.radius for s in spheres], resolution)
+
+
+def unseen(model: DeepSDF, test: list[TriangleMesh], resolution: int, steps: int, compiled: bool) -> dict[str, Any]:
+    """Shapes that the training never saw, by maximum a posteriori estimation, all at once."""
+    if compiled:
+        # Compiling is paid once a machine; what users wait for is the search.
+        encode_meshes(model, test, steps=3, compile_network=True)
+    device = str(model.device)
+    ms, found = once(lambda: encode_meshes(model, test, steps=steps, compile_network=compiled), device)
+    spheres = [f.sphere for f in found]
+    meshes = [s.normalised(m) for s, m in zip(spheres, test, strict=True)]
+    codes = torch.stack([f.code for f in found])
+    scores = scores_of(model, codes, meshes.__getitem__, [s.radius for s in spheres], resolution)
+    return {"steps": steps, "seconds_a_shape": ms / 1e3 / len(test), **scores}
+
+
+def completion(
+    model: DeepSDF, test: list[TriangleMesh], resolution: int, steps: int, prior: float | None
+) -> dict[str, Any]:
+    """From half of the surface with its normals, and from noisy points of all of it without normals.
+
+    The half's error is split: on the half that was seen, and on the one that was not.
+    """
+    shapes = ShapeSet(test, model.device)
+    truths = [shapes.mesh(n) for n in range(len(shapes))]
+    points, normals = (torch.stack(p) for p in zip(*(surface_points(t, SCAN, seed=9) for t in truths), strict=True))
+    result: dict[str, Any] = {"points": SCAN, "noise": NOISE, "prior": prior}
+    generator = torch.Generator().manual_seed(9)
+    direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0).to(model.device)
+    seen = torch.stack([half_of(p, direction) for p in points])
+    half = Scan(_chosen(points, seen), _chosen(normals, seen), count=4000)
+    noisy = Scan(points + NOISE * torch.randn(points.shape, generator=generator).to(points), count=8000)
+    for name, scan in (("half", half), ("noisy", noisy)):
+        codes = estimate_codes(model, scan, steps=steps, prior=prior).codes
+        rows = list(_parts(model, codes, truths, points, seen, [s.radius for s in shapes.spheres], resolution))
+        result[name] = {**summary(rows), "rows": rows}
+    return result
+
+
+def _chosen(values: Tensor, seen: Tensor) -> Tensor:
+    """Rows of each shape, as many for all."""
+    most = int(seen.sum(1).min())
+    return torch.stack([v[s][:most] for v, s in zip(values, seen, strict=True)])
+
+
+def _parts(
+    model: DeepSDF,
+    codes: Tensor,
+    truths: list[TriangleMesh],
+    points: Tensor,
+    seen: Tensor,
+    radii: list[float],
+    resolution: int,
+) -> Iterator[dict[str, float]]:
+    for code, truth, at, half, radius in zip(codes, truths, points, seen, radii, strict=True):
+        try:
+            mesh = decode_mesh(model, code, resolution=resolution)
+        except SDMError:
+            continue
+        away = signed_distance(mesh, at).abs()
+        found: ShapeScores = score_shape(mesh, truth, sphere=UNIT)
+        yield {
+            "chamfer": found.chamfer,
+            "dice": found.dice,
+            "seen_half_mean_mm": radius * float(away[half].mean()),
+            "other_half_mean_mm": radius * float(away[~half].mean()),
+            "other_half_95_mm": radius * float(away[~half].quantile(0.95)),
+        }
+
+
+def speed(model: DeepSDF, mesh: TriangleMesh) -> dict[str, float]:
+    """Seconds of what users do with one shape, each done once before."""
+    shapes = ShapeSet([mesh], model.device)
+    one = torch.zeros(1, dtype=torch.int64, device=model.device)
+    code, device = model.codes[0], str(model.device)
+    samples: Samples = shapes.sample(one, 100_000)
+    calls: dict[str, Callable[[], Any]] = {
+        "mesh_256": lambda: decode_mesh(model, code, resolution=256),
+        "mesh_128": lambda: decode_mesh(model, code, resolution=128),
+        "distances_of_100000_points": lambda: model.signed_distance(samples.points[0], code),
+        "normals_of_100000_points": lambda: model.normals(samples.points[0], code),
+    }
+    result = {}
+    for name, call in calls.items():
+        call()
+        start = time.perf_counter()
+        call()
+        if device.startswith("cuda"):
+            torch.cuda.synchronize()
+        result[f"seconds_{name}"] = time.perf_counter() - start
+    return result
