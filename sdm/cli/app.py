@@ -15,7 +15,19 @@ from typing import Any
 from sdm.cli.errors import sentence_of
 
 # In the order of the help text.
-COMMANDS = ("inspect", "compute", "generate", "train", "encode", "decode", "segment", "evaluate", "demo", "bench")
+COMMANDS = (
+    "inspect",
+    "compute",
+    "generate",
+    "train",
+    "predict",
+    "encode",
+    "decode",
+    "segment",
+    "evaluate",
+    "demo",
+    "bench",
+)
 
 DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
 

@@ -2,10 +2,13 @@
 
 from sdm.surrogate.accuracy import Accuracy, measure
 from sdm.surrogate.box import GRID
+from sdm.surrogate.exact import exact_map
 from sdm.surrogate.models import MODELS, build
+from sdm.surrogate.onnx import export_onnx
 from sdm.surrogate.plus import SDMNNPlus
 from sdm.surrogate.pod import PODChebyshev
 from sdm.surrogate.sdmnn import SDMNN
+from sdm.surrogate.shipped import Predictor, load_surrogate, predict, shipped_weights
 from sdm.surrogate.store import load_weights, save_weights
 from sdm.surrogate.training import Settings, Trainer
 
@@ -15,11 +18,17 @@ __all__ = [
     "SDMNN",
     "Accuracy",
     "PODChebyshev",
+    "Predictor",
     "SDMNNPlus",
     "Settings",
     "Trainer",
     "build",
+    "exact_map",
+    "export_onnx",
+    "load_surrogate",
     "load_weights",
     "measure",
+    "predict",
     "save_weights",
+    "shipped_weights",
 ]
