@@ -1,7 +1,7 @@
 """Second stage of the dense query: bricks of 4^3 voxels, and the distances themselves.
 
-One group of lanes takes one brick. It filters the list of the brick's cell once more, for the brick alone, and
-measures the brick's voxels from the triangles that are left.
+One group of lanes takes one brick. It filters the list of the brick's cell once more, for the brick alone, lists the
+parts of the triangles that are left, and measures the brick's voxels from those.
 """
 
 from __future__ import annotations
@@ -11,53 +11,52 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cells import CHUNK, NEXT_BRICK, ROOM, Lists, cell_start, make_cell
-from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cull import Cell, agree, away, no_witness, remember, triangle_is_behind
-from sdm.kernels.frames import exact_distance, exact_place, frame_distance2, load_frame, see
-from sdm.kernels.grid import Output, Slab, voxel, write_distance
-from sdm.kernels.lanes import (
-    ballot,
-    fetch_add,
-    fetch_add_once,
-    members,
-    rank,
-    wait_for_lanes,
+from sdm.kernels.features import (
+    NEAR_ENDS,
+    Counts,
+    Features,
+    add_features,
+    are_full,
+    is_near,
+    least_distance,
+    least_values,
 )
+from sdm.kernels.frames import load_frame, see
+from sdm.kernels.grid import Output, Slab, voxel, write_distance
+from sdm.kernels.lanes import fetch_add, fetch_add_once, wait_for_lanes
+from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
 
 BRICK = wp.constant(4)
-# Places for the list of a brick. A longer one is not worth it: the brick's voxels are then searched one by one.
-SCRATCH = 4096
+# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
+BLOCKS = 4
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
 _NEXT_BRICK = wp.constant(NEXT_BRICK)
-_SCRATCH = wp.constant(SCRATCH)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
 
 
-@wp.func
-def filter_chain(
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    lists: Lists,
-    item: int,
-    cell: Cell,
-    kept: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec3),
-    at: int,
-    lane: int,
-    lanes: int,
-):
-    """Write the entries of a cell's list that matter to its brick `cell` at kept[at...]; returns how many there are.
+@wp.struct
+class Brick:
+    """Up to 4^3 voxels of a mesh's map."""
 
-    With each goes the brick's centre in the triangle's frame, to float32's last bit: a voxel is measured from there, so
-    that its distance to a far corner costs no accuracy. More than SCRATCH are counted but not written.
-    """
+    mesh: wp.int32
+    start: wp.vec3i  # its first voxel
+    cell: Cell
+    radius2: float  # squared distance of its centre from the surface
+
+
+@wp.func
+def nearest_of_chain(
+    frames: wp.array(dtype=wp.float32), lists: Lists, item: int, centre: wp.vec3, lane: int, lanes: int
+):
+    """The surface point nearest to a brick's centre, from its cell's list."""
     known = no_witness()
     chunk = lists.heads[item]
     left = lists.lengths[item]
@@ -66,166 +65,127 @@ def filter_chain(
         i = lane
         while i < taken:
             f = load_frame(frames, lists.pool[chunk * _CHUNK + i])
-            known = remember(known, away(f, see(f, cell.centre)))
+            known = remember(known, away(f, see(f, centre)))
             i = i + lanes
         left = left - taken
         if left > 0:
             chunk = lists.pool[chunk * _CHUNK + _ROOM]
-    known = agree(known, lane)
-    total = int(0)
-    chunk = lists.heads[item]
-    left = lists.lengths[item]
-    while left > 0:
-        taken = wp.min(left, _ROOM)
-        start = int(0)
-        while start < taken:
-            i = start + lane
-            keep = False
-            slot = int(0)
-            turn = int(0)
-            if i < taken:
-                slot = lists.pool[chunk * _CHUNK + i]
-                f = load_frame(frames, slot)
-                turn = f.turn
-                keep = not triangle_is_behind(cell, known, f, see(f, cell.centre))
-            mask = ballot(keep)
-            place = total + rank(mask, lane)
-            if keep and place < _SCRATCH:
-                kept[at + place] = slot
-                places[at + place] = exact_place(tree, slot, turn, wp.vec3d(cell.centre))
-            total = total + members(mask)
-            start = start + lanes
-        left = left - taken
-        if left > 0:
-            chunk = lists.pool[chunk * _CHUNK + _ROOM]
-    return total
+    return agree(known, lane)
 
 
 @wp.func
-def measure_brick(
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    slab: Slab,
-    out: Output,
-    mesh: int,
-    start: wp.vec3i,
-    centre: wp.vec3,
-    kept: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec3),
-    at: int,
-    length: int,
-    lane: int,
-    lanes: int,
-):
-    """Distances of the 4^3 voxels from `start` to the triangles at kept[at...]; returns the unclear ones."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
-    unclear = int(0)
-    # Two voxels at a time, two layers apart: each triangle is loaded once for both.
-    v = lane
-    while v < 32:
-        i = start[0] + (v >> 4)
-        j = start[1] + ((v >> 2) & 3)
-        k = start[2] + (v & 3)
-        p_exact = scale * wp.vec3d(voxel(slab, i, j, k))
-        q_exact = scale * wp.vec3d(voxel(slab, i + 2, j, k))
-        p = wp.vec3(p_exact - wp.vec3d(centre))
-        q = wp.vec3(q_exact - wp.vec3d(centre))
-        p2 = float(wp.inf)
-        q2 = float(wp.inf)
-        # Some triangle is taken even where float32 overflows.
-        p_slot = int(kept[at])
-        q_slot = int(kept[at])
-        for entry in range(length):
-            slot = kept[at + entry]
-            f = load_frame(frames, slot)
-            o = places[at + entry]
-            d2 = frame_distance2(f, o[0] + wp.dot(p, f.x_axis), o[1] + wp.dot(p, f.y_axis), o[2] + wp.dot(p, f.normal))
-            if d2 < p2:
-                p2 = d2
-                p_slot = slot
-            d2 = frame_distance2(f, o[0] + wp.dot(q, f.x_axis), o[1] + wp.dot(q, f.y_axis), o[2] + wp.dot(q, f.normal))
-            if d2 < q2:
-                q2 = d2
-                q_slot = slot
-        if j < slab.shape[1] and k < slab.shape[2]:
-            if i < slab.shape[0]:
-                unclear = unclear + write_distance(
-                    out, mesh, i, j, k, unscale * exact_distance(tree, p_slot, load_frame(frames, p_slot), p_exact)
-                )
-            if i + 2 < slab.shape[0]:
-                unclear = unclear + write_distance(
-                    out, mesh, i + 2, j, k, unscale * exact_distance(tree, q_slot, load_frame(frames, q_slot), q_exact)
-                )
-        v = v + lanes
-    return unclear
+def local_voxel(tree: Tree, slab: Slab, brick: Brick, v: int):
+    """Voxel v of a brick, from the brick's centre."""
+    scale = tree.frame[brick.mesh * _FRAME_SIZE + _SCALE]
+    p = voxel(slab, brick.start[0] + (v >> 4), brick.start[1] + ((v >> 2) & 3), brick.start[2] + (v & 3))
+    return wp.vec3(scale * wp.vec3d(p) - wp.vec3d(brick.cell.centre))
 
 
 @wp.func
-def search_brick(
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    slab: Slab,
-    out: Output,
-    mesh: int,
-    start: wp.vec3i,
-    lane: int,
-    lanes: int,
+def measure_voxels(
+    features: Features, worker: int, counts: Counts, brick: Brick, p: wp.vec3, q: wp.vec3, v: int, again: bool
 ):
-    """Distances of the 4^3 voxels from `start` by one search of the tree for each; returns the unclear ones."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
-    unclear = int(0)
-    guess = mesh * tree.count
-    v = lane
-    while v < 64:
-        i = start[0] + (v >> 4)
-        j = start[1] + ((v >> 2) & 3)
-        k = start[2] + (v & 3)
-        if i < slab.shape[0] and j < slab.shape[1] and k < slab.shape[2]:
-            p = scale * wp.vec3d(voxel(slab, i, j, k))
-            guess = nearest_slot(tree, mesh, wp.vec3(p), guess)
-            unclear = unclear + write_distance(
-                out, mesh, i, j, k, unscale * exact_distance(tree, guess, load_frame(frames, guess), p)
-            )
-        v = v + lanes
-    return unclear
+    """The least values of voxels v and v + 32 over the features listed now, and those before if `again`."""
+    least = wp.vec2(wp.inf, wp.inf)
+    if again:
+        least = wp.vec2(features.least[64 * worker + v], features.least[64 * worker + v + 32])
+    half = brick.cell.half
+    room = NEAR_ENDS * (half[0] + half[1] + half[2])
+    return least_values(least, features, worker, counts, p, q, room, is_near(brick.radius2, brick.cell.half2))
 
 
-@wp.kernel
+@wp.func
+def finish_voxel(tree: Tree, slab: Slab, out: Output, brick: Brick, v: int, p: wp.vec3, least: float):
+    """Write the distance of a voxel; 1 if its winding number is unclear."""
+    i = brick.start[0] + (v >> 4)
+    j = brick.start[1] + ((v >> 2) & 3)
+    k = brick.start[2] + (v & 3)
+    if i >= slab.shape[0] or j >= slab.shape[1] or k >= slab.shape[2]:
+        return 0
+    near = is_near(brick.radius2, brick.cell.half2)
+    distance = least_distance(least, p, wp.float64(brick.radius2), near)
+    if distance == wp.inf or distance != distance:
+        # No list ever lacks the nearest part; but were it so, or did float32 overflow, the tree has the answer.
+        distance = float(wp.inf)
+        fetch_add(out.missed, 0, 1)
+    return write_distance(out, brick.mesh, i, j, k, distance * float(tree.frame[brick.mesh * _FRAME_SIZE + _UNSCALE]))
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS))
 def _measure_bricks(
     begin: int,
     lanes: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
+    parts: Parts,
     slab: Slab,
     lists: Lists,
-    scratch: wp.array(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec3),
+    features: Features,
     out: Output,
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    kept = (thread / lanes) * _SCRATCH
+    worker = thread / lanes
     # Eight bricks to a cell.
     item = fetch_add_once(lists.counts, _NEXT_BRICK, 1, lane)
     while item < 8 * lists.count:
+        brick = Brick()
         mesh, start = cell_start(lists, item / 8)
         start = start + BRICK * wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
         if start[0] < slab.shape[0] and start[1] < slab.shape[1] and start[2] < slab.shape[2]:
-            few = int(0)
-            brick = make_cell(slab, start, BRICK, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-            if lists.heads[item / 8] >= 0:
-                few = filter_chain(tree, frames, lists, item / 8, brick, scratch, places, kept, lane, lanes)
-                wait_for_lanes()
+            brick.mesh = mesh
+            brick.start = start
+            brick.cell = make_cell(slab, start, BRICK, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+            chunk = lists.heads[item / 8]
+            left = int(0)
+            known = no_witness()
+            if chunk >= 0:
+                left = lists.lengths[item / 8]
+                known = nearest_of_chain(frames, lists, item / 8, brick.cell.centre, lane, lanes)
+            brick.radius2 = known.distance2
+            counts = Counts()
+            again = bool(False)
+            while left > 0:
+                taken = wp.min(left, _ROOM)
+                at = int(0)
+                while at < taken:
+                    which = int(0)
+                    slot = int(0)
+                    if at + lane < taken:
+                        slot = lists.pool[chunk * _CHUNK + at + lane]
+                        f = load_frame(frames, slot)
+                        if not triangle_is_behind(brick.cell, known, f, see(f, brick.cell.centre)):
+                            which = parts_that_matter(brick.cell, tree, parts, slot)
+                    counts = add_features(
+                        features, worker, counts, tree, parts, slot, which, brick.cell.centre, brick.radius2, lane
+                    )
+                    at = at + lanes
+                    if are_full(counts):
+                        wait_for_lanes()
+                        v = lane
+                        while v < 32:
+                            p = local_voxel(tree, slab, brick, v)
+                            q = local_voxel(tree, slab, brick, v + 32)
+                            least = measure_voxels(features, worker, counts, brick, p, q, v, again)
+                            features.least[64 * worker + v] = least[0]
+                            features.least[64 * worker + v + 32] = least[1]
+                            v = v + lanes
+                        counts = Counts()
+                        again = True
+                        wait_for_lanes()
+                left = left - taken
+                if left > 0:
+                    chunk = lists.pool[chunk * _CHUNK + _ROOM]
+            wait_for_lanes()
             unclear = int(0)
-            # No list is ever empty; but were one to be, the tree still has the answer.
-            if few == 0 or few > _SCRATCH:
-                unclear = search_brick(tree, frames, slab, out, mesh, start, lane, lanes)
-            else:
-                unclear = measure_brick(
-                    tree, frames, slab, out, mesh, start, brick.centre, scratch, places, kept, few, lane, lanes
-                )
+            v = lane
+            while v < 32:
+                p = local_voxel(tree, slab, brick, v)
+                q = local_voxel(tree, slab, brick, v + 32)
+                least = measure_voxels(features, worker, counts, brick, p, q, v, again)
+                unclear = unclear + finish_voxel(tree, slab, out, brick, v, p, least[0])
+                unclear = unclear + finish_voxel(tree, slab, out, brick, v + 32, q, least[1])
+                v = v + lanes
             wait_for_lanes()
             if unclear > 0:
                 fetch_add(out.ambiguous, mesh, unclear)
@@ -235,20 +195,23 @@ def _measure_bricks(
 def measure_bricks(
     tree: Tree,
     frames: wp.array,
+    parts: Parts,
     slab: Slab,
     lists: Lists,
-    scratch: wp.array,
-    places: wp.array,
+    features: Features,
     out: Output,
     workers: int,
     lanes: int,
     launch: Any,
 ) -> None:
-    """Distances of every voxel of one pass; `scratch` is (workers * SCRATCH) int32, `places` as many vec3."""
+    """Distances of every voxel of one pass; `features` is scratch.
+
+    Voxels of cells whose list found no room become infinite with their sign, and are counted in `out.missed`.
+    """
     launch(
         _measure_bricks,
         workers * lanes,
-        [lanes, tree, frames, slab, lists, scratch, places, out],
+        [lanes, tree, frames, parts, slab, lists, features, out],
         frames.device,
         smallest=1,
     )

@@ -21,6 +21,7 @@ from sdm.kernels.lanes import (
     rank,
     wait_for_lanes,
 )
+from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, box_distance2, first_triangle
 
 wp.set_module_options({"enable_backward": False})
@@ -29,10 +30,13 @@ wp.set_module_options({"enable_backward": False})
 CELL = wp.constant(8)
 CHUNK = 128
 ROOM = 127  # entries of a chunk; the last place names the next chunk
-# Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels.
+# Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels; leaves that
+# wait, at most 8 and the 64 of one batch, grow from the other end.
 STACK = 1024
 # Sides on which a cell looks for witnesses before it descends.
 PROBES = wp.constant(32)
+# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
+BLOCKS = 4
 # Places of the shared counts.
 NEXT_CELL, NEXT_CHUNK, NEXT_BRICK, COUNTS = 0, 1, 2, 4
 
@@ -144,12 +148,13 @@ def append(lists: Lists, keep: bool, slot: int, chunk: int, fill: int, lane: int
     return fresh, fill, added
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, BLOCKS))
 def _list_cells(
     begin: int,
     lanes: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
+    parts: Parts,
     slab: Slab,
     lists: Lists,
     stacks: wp.array(dtype=wp.int32),
@@ -180,44 +185,64 @@ def _list_cells(
         head = chunk
         fill = int(0)
         length = int(0)
-        waiting = int(1)
-        if lane == 0:
-            stacks[stack] = 1
+        # The level of the tree that is as wide as the lanes are many is where the descent begins.
+        waiting = wp.min(lanes, leaves)
+        ripe = int(0)
+        if lane < waiting:
+            if waiting < leaves:
+                stacks[stack + lane] = waiting + lane
+            else:
+                stacks[stack + _STACK - 1 - lane] = waiting + lane
+        if waiting == leaves:
+            ripe = waiting
+            waiting = int(0)
         wait_for_lanes()
-        while waiting > 0 and chunk < lists.chunks:
-            taken = wp.min(lanes, waiting)
-            waiting = waiting - taken
-            node = int(0)
-            if lane < taken:
-                node = stacks[stack + waiting + lane]
-            wait_for_lanes()
-            for side in range(2):
-                child = 2 * node + side
-                keep = False
-                if node > 0 and node < leaves:
-                    keep = not box_is_behind(cell, known, tree.low[base + child], tree.high[base + child])
-                mask = ballot(keep)
-                if keep:
-                    stacks[stack + waiting + rank(mask, lane)] = child
-                waiting = waiting + members(mask)
-            first = int(0)
-            end = int(0)
-            if node >= leaves:
-                first = first_triangle(tree, node - leaves)
-                end = first_triangle(tree, node - leaves + 1)
-            if members(ballot(first < end)) > 0:
-                mine = known
-                for step in range(_LEAF):
-                    slot = mesh * tree.count + first + step
+        while waiting + ripe > 0 and chunk < lists.chunks:
+            # Inner nodes are taken until the triangles of the leaves that were found fill all lanes.
+            if waiting > 0 and ripe * _LEAF < lanes:
+                taken = wp.min(lanes, waiting)
+                waiting = waiting - taken
+                node = int(0)
+                if lane < taken:
+                    node = stacks[stack + waiting + lane]
+                wait_for_lanes()
+                for side in range(2):
+                    child = 2 * node + side
                     keep = False
-                    if first + step < end:
-                        f = load_frame(frames, slot)
-                        seen = see(f, cell.centre)
-                        keep = not triangle_is_behind(cell, known, f, seen)
-                        mine = remember(mine, away(f, seen))
+                    if node > 0:
+                        keep = not box_is_behind(cell, known, tree.low[base + child], tree.high[base + child])
+                    is_leaf = keep and child >= leaves
+                    keep = keep and child < leaves
+                    mask = ballot(keep)
+                    if keep:
+                        stacks[stack + waiting + rank(mask, lane)] = child
+                    waiting = waiting + members(mask)
+                    mask = ballot(is_leaf)
+                    if is_leaf:
+                        stacks[stack + _STACK - 1 - ripe - rank(mask, lane)] = child
+                    ripe = ripe + members(mask)
+            else:
+                taken = wp.min(wp.max(lanes / _LEAF, 1), ripe)
+                ripe = ripe - taken
+                mine = known
+                at = lane
+                while at - lane < taken * _LEAF:
+                    keep = False
+                    slot = int(0)
+                    if at < taken * _LEAF:
+                        leaf = stacks[stack + _STACK - 1 - ripe - at / _LEAF] - leaves
+                        t = first_triangle(tree, leaf) + at % _LEAF
+                        if t < first_triangle(tree, leaf + 1):
+                            slot = mesh * tree.count + t
+                            f = load_frame(frames, slot)
+                            seen = see(f, cell.centre)
+                            if not triangle_is_behind(cell, known, f, seen):
+                                keep = parts_that_matter(cell, tree, parts, slot) != 0
+                            mine = remember(mine, away(f, seen))
                     if chunk < lists.chunks:
                         chunk, fill, added = append(lists, keep, slot, chunk, fill, lane)
                         length = length + added
+                    at = at + lanes
                 known = agree(mine, lane)
             wait_for_lanes()
         if lane == 0:
@@ -227,7 +252,15 @@ def _list_cells(
 
 
 def list_cells(
-    tree: Tree, frames: wp.array, slab: Slab, lists: Lists, stacks: wp.array, workers: int, lanes: int, launch: Any
+    tree: Tree,
+    frames: wp.array,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
 ) -> None:
     """Fill the lists of one pass with `workers` groups of lanes; `stacks` (workers * STACK int32) is scratch."""
-    launch(_list_cells, workers * lanes, [lanes, tree, frames, slab, lists, stacks], frames.device, smallest=1)
+    launch(_list_cells, workers * lanes, [lanes, tree, frames, parts, slab, lists, stacks], frames.device, smallest=1)

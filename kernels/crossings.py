@@ -46,20 +46,31 @@ def covers(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, p: wp.vec2i):
 
 
 @wp.func
-def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
-    """Where on the ray at p the triangle in a slot is met (scaled x)."""
-    a = tree.lattice[3 * slot]
-    b = tree.lattice[3 * slot + 1]
-    c = tree.lattice[3 * slot + 2]
+def crossing_of(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, ax: float, bx: float, cx: float, p: wp.vec2i):
+    """Where on the ray at p a triangle is met (scaled x); ax, bx and cx are its corners'."""
     weight_a = wp.float64(cross2(b, c, p))
     weight_b = wp.float64(cross2(c, a, p))
     weight_c = wp.float64(cross2(a, b, p))
-    xa = wp.float64(tree.corners[4 * slot][0])
-    xb = wp.float64(tree.corners[4 * slot + 1][0])
-    xc = wp.float64(tree.corners[4 * slot + 2][0])
+    xa = wp.float64(ax)
+    xb = wp.float64(bx)
+    xc = wp.float64(cx)
     x = (weight_a * xa + weight_b * xb + weight_c * xc) / (weight_a + weight_b + weight_c)
     # Rounding must not carry it off a triangle that stands across the ray.
     return wp.clamp(x, wp.min(xa, wp.min(xb, xc)), wp.max(xa, wp.max(xb, xc)))
+
+
+@wp.func
+def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
+    """Where on the ray at p the triangle in a slot is met (scaled x)."""
+    return crossing_of(
+        tree.lattice[3 * slot],
+        tree.lattice[3 * slot + 1],
+        tree.lattice[3 * slot + 2],
+        tree.corners[4 * slot][0],
+        tree.corners[4 * slot + 1][0],
+        tree.corners[4 * slot + 2][0],
+        p,
+    )
 
 
 @wp.func

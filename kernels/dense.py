@@ -7,14 +7,16 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bricks import SCRATCH, measure_bricks
+from sdm.kernels.bricks import measure_bricks
 from sdm.kernels.cells import CELL, CHUNK, COUNTS, STACK, Lists, list_cells
+from sdm.kernels.features import ROWS, Features
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.launch import threads
+from sdm.kernels.parts import Parts
 from sdm.kernels.points import Winding
 from sdm.kernels.scan import slab_winding
-from sdm.kernels.search import search_slab
+from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.tree import Tree
 
 # Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
@@ -34,7 +36,7 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
 
     From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
     """
-    return 5 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+    return 1.8 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
 
 
 def search_is_faster(meshes: int, triangles: int, shape: Sequence[int], gpu: bool) -> bool:
@@ -48,6 +50,7 @@ def search_is_faster(meshes: int, triangles: int, shape: Sequence[int], gpu: boo
 def query_slab(
     tree: Tree,
     frames: wp.array,
+    parts: Parts,
     winding: Winding,
     slab: Slab,
     values: wp.array,
@@ -61,6 +64,7 @@ def query_slab(
     Args:
         tree: The hierarchy of the batch.
         frames: Its triangles' frames.
+        parts: Their parts and neighbours.
         winding: How winding numbers are found.
         slab: Which voxels.
         values: (meshes, n, ny, nz) float32, filled: negative inside.
@@ -70,7 +74,7 @@ def query_slab(
         method: `"cells"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
             faster. Both are exact.
     """
-    slab_winding(tree, winding, slab, values, launch)
+    slab_winding(tree, winding, slab, values, launch, empty)
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
@@ -78,6 +82,7 @@ def query_slab(
     out = Output()
     out.values = values
     out.ambiguous = ambiguous
+    out.missed = empty(1, wp.int32)
     if method == "search":
         search_slab(tree, slab, out, launch)
         return
@@ -86,8 +91,8 @@ def query_slab(
     lists.cells = wp.vec3i(*(-(-n // int(CELL)) for n in shape))
     total = meshes * lists.cells[0] * lists.cells[1] * lists.cells[2]
     room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL)
-    # A pass has room for twice what is expected.
-    expected = 2 * expected_list(tree.count, shape) + 2 * CHUNK
+    # A pass has room for half as much again as is expected.
+    expected = 1.5 * expected_list(tree.count, shape) + 2 * CHUNK
     share = min(total, MOST_CELLS, max(128, int(room / expected)))
     lists.chunks = room // CHUNK
     lists.heads = empty(share, wp.int32)
@@ -95,11 +100,14 @@ def query_slab(
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
-    scratch = empty(workers * SCRATCH, wp.int32)
-    places = empty(workers * SCRATCH, wp.vec3)
+    features = Features()
+    features.rows = empty(workers * ROWS * 4, wp.float32)
+    features.least = empty(workers * 64, wp.float32)
+    out.missed.zero_()
     for first in range(0, total, share):
         lists.first = first
         lists.count = min(share, total - first)
         lists.counts.zero_()
-        list_cells(tree, frames, slab, lists, stacks, workers, lanes, launch)
-        measure_bricks(tree, frames, slab, lists, scratch, places, out, workers, lanes, launch)
+        list_cells(tree, frames, parts, slab, lists, stacks, workers, lanes, launch)
+        measure_bricks(tree, frames, parts, slab, lists, features, out, workers, lanes, launch)
+    mend_slab(tree, slab, out, workers * lanes, launch)

@@ -10,13 +10,13 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.geometry import segment_parameter, unit_normal
+from sdm.kernels.geometry import unit_normal
 from sdm.kernels.lanes import load4
 from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
 
-# Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, solid, turn, 0).
+# Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, solid, 0, 0).
 FRAME_FLOATS = 20
 _ROWS = wp.constant(5)
 
@@ -35,7 +35,6 @@ class Frame:
     inverse_bc: float
     inverse_ca: float
     solid: float  # 1, or 0 for a triangle so thin that its edges tell all
-    turn: wp.int32  # which of the face's corners is the frame's
 
 
 @wp.struct
@@ -47,7 +46,6 @@ class Local:
     height: float
     near_x: float
     near_y: float
-    edge: wp.int32  # the closest point is inside (0), or on ab (1), bc (2), ca (3)
 
 
 @wp.func
@@ -68,7 +66,6 @@ def load_frame(frames: wp.array(dtype=wp.float32), slot: int):
     f.inverse_bc = r3[3]
     f.inverse_ca = r4[0]
     f.solid = r4[1]
-    f.turn = int(r4[2])
     return f
 
 
@@ -81,26 +78,6 @@ def is_inside(f: Frame, x: float, y: float):
 
 
 @wp.func
-def frame_distance2(f: Frame, x: float, y: float, h: float):
-    """Squared distance from the triangle of a point given in its frame."""
-    flat = float(0.0)
-    if not is_inside(f, x, y):
-        dx = x - wp.clamp(x, 0.0, f.base)
-        flat = dx * dx + y * y
-        ex = f.tip_x - f.base
-        px = x - f.base
-        t = wp.clamp((px * ex + y * f.tip_y) * f.inverse_bc, 0.0, 1.0)
-        dx = px - t * ex
-        dy = y - t * f.tip_y
-        flat = wp.min(flat, dx * dx + dy * dy)
-        t = wp.clamp((x * f.tip_x + y * f.tip_y) * f.inverse_ca, 0.0, 1.0)
-        dx = x - t * f.tip_x
-        dy = y - t * f.tip_y
-        flat = wp.min(flat, dx * dx + dy * dy)
-    return h * h + flat
-
-
-@wp.func
 def see(f: Frame, p: wp.vec3):
     """p in the triangle's frame, with the closest point of the triangle."""
     q = p - f.corner
@@ -110,11 +87,9 @@ def see(f: Frame, p: wp.vec3):
     s.height = wp.dot(q, f.normal)
     s.near_x = s.x
     s.near_y = s.y
-    s.edge = 0
     if not is_inside(f, s.x, s.y):
         s.near_x = wp.clamp(s.x, 0.0, f.base)
         s.near_y = 0.0
-        s.edge = 1
         dx = s.x - s.near_x
         best = dx * dx + s.y * s.y
         ex = f.tip_x - f.base
@@ -127,7 +102,6 @@ def see(f: Frame, p: wp.vec3):
             best = d2
             s.near_x = f.base + t * ex
             s.near_y = t * f.tip_y
-            s.edge = 2
         t = wp.clamp((s.x * f.tip_x + s.y * f.tip_y) * f.inverse_ca, 0.0, 1.0)
         dx = s.x - t * f.tip_x
         dy = s.y - t * f.tip_y
@@ -135,7 +109,6 @@ def see(f: Frame, p: wp.vec3):
         if d2 < best:
             s.near_x = t * f.tip_x
             s.near_y = t * f.tip_y
-            s.edge = 3
     return s
 
 
@@ -162,38 +135,6 @@ def exact_axes(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     if not solid:
         normal = some_perpendicular(x_axis)
     return x_axis, wp.cross(normal, x_axis), normal, solid
-
-
-@wp.func
-def exact_place(tree: Tree, slot: int, turn: int, p: wp.vec3d):
-    """p in the triangle's frame, worked out in float64."""
-    a = wp.vec3d(tree.corners[4 * slot + turn])
-    b = wp.vec3d(tree.corners[4 * slot + (turn + 1) % 3])
-    c = wp.vec3d(tree.corners[4 * slot + (turn + 2) % 3])
-    x_axis, y_axis, normal, _solid = exact_axes(a, b, c)
-    q = p - a
-    return wp.vec3(float(wp.dot(q, x_axis)), float(wp.dot(q, y_axis)), float(wp.dot(q, normal)))
-
-
-@wp.func
-def exact_distance(tree: Tree, slot: int, f: Frame, p: wp.vec3d):
-    """Distance of p from the triangle in float64: from the plane or the edge that float32 says is closest.
-
-    Where float32 takes the wrong one, the two are within a rounding of each other.
-    """
-    seen = see(f, wp.vec3(p))
-    first = f.turn
-    if seen.edge == 2:
-        first = (f.turn + 1) % 3
-    if seen.edge == 3:
-        first = (f.turn + 2) % 3
-    a = wp.vec3d(tree.corners[4 * slot + first])
-    ab = wp.vec3d(tree.corners[4 * slot + (first + 1) % 3]) - a
-    q = p - a
-    if seen.edge == 0:
-        n = wp.cross(ab, wp.vec3d(tree.corners[4 * slot + (first + 2) % 3]) - a)
-        return wp.abs(wp.dot(n, q)) / wp.length(n)
-    return wp.length(q - segment_parameter(q, ab) * ab)
 
 
 @wp.kernel
@@ -235,7 +176,7 @@ def _make_frames(
     frames[at + 15] = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
     frames[at + 16] = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
     frames[at + 17] = wp.where(solid, 1.0, 0.0)
-    frames[at + 18] = float(turn)
+    frames[at + 18] = 0.0
     frames[at + 19] = 0.0
 
 

@@ -60,11 +60,12 @@ class Output:
 
     values: wp.array4d(dtype=wp.float32)
     ambiguous: wp.array(dtype=wp.int32)
+    missed: wp.array(dtype=wp.int32)  # (1) voxels that were given an infinite distance, to be searched for later
 
 
 @wp.func
-def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: wp.float64):
+def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: float):
     """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
     winding = out.values[mesh, i, j, k]
-    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -float(distance), float(distance))
+    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
     return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)

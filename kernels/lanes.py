@@ -145,3 +145,50 @@ def fetch_add_once(counts: wp.array(dtype=wp.int32), index: int, value: int, lan
 def load4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
     """Four floats at 4 * index in one 16-byte access; the array must not be written meanwhile."""
     ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    float4 v = __ldg(reinterpret_cast<const float4*>(data.data) + index);
+    return wp::vec4(v.x, v.y, v.z, v.w);
+#else
+    const float* v = reinterpret_cast<const float*>(data.data) + 4 * index;
+    return wp::vec4(v[0], v[1], v[2], v[3]);
+#endif
+"""
+)
+def load4_of_vectors(data: wp.array(dtype=wp.vec3), index: int) -> wp.vec4:
+    """`load4` from an array of three-vectors that lie one behind the other."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    float4 v = reinterpret_cast<const float4*>(data.data)[index];
+    return wp::vec4(v.x, v.y, v.z, v.w);
+#else
+    const float* v = data.data + 4 * index;
+    return wp::vec4(v[0], v[1], v[2], v[3]);
+#endif
+"""
+)
+def read4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
+    """Four floats at 4 * index in one access, of an array that this kernel writes too."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    reinterpret_cast<float4*>(data.data)[index] = make_float4(x, y, z, w);
+#else
+    float* v = data.data + 4 * index;
+    v[0] = x; v[1] = y; v[2] = z; v[3] = w;
+#endif
+"""
+)
+def write4(data: wp.array(dtype=wp.float32), index: int, x: float, y: float, z: float, w: float):
+    """Four floats to 4 * index in one access."""
+    ...

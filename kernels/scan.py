@@ -6,15 +6,18 @@ x, and a sum along each column turns crossings into winding numbers, exactly (se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
 
-from sdm.kernels.boundary import boundary_winding
-from sdm.kernels.crossings import count_crossings, covers, crossing_x
+from sdm.kernels.boundary import Boundary, boundary_winding
+from sdm.kernels.caps import cap_lattice, caps_are_far, count_caps
+from sdm.kernels.cells import CELL, make_cell
+from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, voxel
 from sdm.kernels.lanes import GPU_LANES, fetch_add
-from sdm.kernels.points import CLOSED, SOUP, Winding
+from sdm.kernels.points import CLOSED, OPEN, SOUP, Winding
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
 
@@ -25,17 +28,23 @@ _SCALE = wp.constant(SCALE)
 _SOUP = wp.constant(SOUP)
 
 
-@wp.kernel
-def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
-    """Each triangle adds its crossing to the last voxel before it, in every column (j,k) that it covers."""
-    thread = begin + wp.tid()
-    slot = thread / lanes
-    lane = thread - slot * lanes
-    mesh = slot / tree.count
+@wp.func
+def mark_columns(
+    tree: Tree,
+    slab: Slab,
+    counts: wp.array(dtype=wp.int32),
+    mesh: int,
+    pa: wp.vec3,
+    pb: wp.vec3,
+    pc: wp.vec3,
+    a: wp.vec2i,
+    b: wp.vec2i,
+    c: wp.vec2i,
+    lane: int,
+    lanes: int,
+):
+    """Add a triangle's crossing to the last voxel before it, in every column (j,k) that it covers."""
     scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    pa = tree.corners[4 * slot]
-    pb = tree.corners[4 * slot + 1]
-    pc = tree.corners[4 * slot + 2]
     low = wp.min(pa, wp.min(pb, pc))
     high = wp.max(pa, wp.max(pb, pc))
     if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
@@ -46,9 +55,6 @@ def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.arr
     k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
     k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
     width = k_end - k_begin
-    a = tree.lattice[3 * slot]
-    b = tree.lattice[3 * slot + 1]
-    c = tree.lattice[3 * slot + 2]
     cell = lane
     columns = (j_end - j_begin) * width
     while cell < columns:
@@ -57,11 +63,53 @@ def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.arr
         q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
         sign = covers(a, b, c, q)
         if sign != 0:
-            below = count_below(slab, 0, crossing_x(tree, slot, q), scale)
+            below = count_below(slab, 0, crossing_of(a, b, c, pa[0], pb[0], pc[0], q), scale)
             if below > 0:
                 at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
                 fetch_add(counts, at, sign)
         cell = cell + lanes
+
+
+@wp.kernel
+def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
+    thread = begin + wp.tid()
+    slot = thread / lanes
+    mark_columns(
+        tree,
+        slab,
+        counts,
+        slot / tree.count,
+        tree.corners[4 * slot],
+        tree.corners[4 * slot + 1],
+        tree.corners[4 * slot + 2],
+        tree.lattice[3 * slot],
+        tree.lattice[3 * slot + 1],
+        tree.lattice[3 * slot + 2],
+        thread % lanes,
+        lanes,
+    )
+
+
+@wp.kernel
+def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
+    thread = begin + wp.tid()
+    edge = thread / lanes
+    mesh = edge / boundary.count
+    a, b, c = cap_lattice(boundary, tree, edge, mesh)
+    mark_columns(
+        tree,
+        slab,
+        counts,
+        mesh,
+        boundary.ends[2 * edge + 1],
+        boundary.ends[2 * edge],
+        boundary.apexes[edge],
+        a,
+        b,
+        c,
+        thread % lanes,
+        lanes,
+    )
 
 
 @wp.kernel
@@ -108,19 +156,71 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
-def slab_winding(tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any) -> None:
-    """Fill `values` (meshes, n, ny, nz) float32 with the winding number of each mesh at each voxel of the slab."""
+@wp.kernel
+def _find_far_cells(
+    begin: int, tree: Tree, boundary: Boundary, slab: Slab, cells: wp.vec3i, far: wp.array(dtype=wp.int32)
+):
+    """Whether the caps are far from each cell of 8^3 voxels, counted with k fastest."""
+    item = begin + wp.tid()
+    k = item % cells[2]
+    rest = item / cells[2]
+    j = rest % cells[1]
+    rest = rest / cells[1]
+    i = rest % cells[0]
+    mesh = rest / cells[0]
+    cell = make_cell(slab, CELL * wp.vec3i(i, j, k), CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+    far[item] = wp.where(caps_are_far(boundary, mesh, cell), 1, 0)
+
+
+@wp.kernel
+def _open_caps(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    slab: Slab,
+    cells: wp.vec3i,
+    far: wp.array(dtype=wp.int32),
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Near the caps: take their crossings back out, and add the boundary's share."""
+    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
+    if far[((mesh * cells[0] + i / CELL) * cells[1] + j / CELL) * cells[2] + k / CELL] != 0:
+        return
+    share = float(boundary_winding(boundary, tree, mesh, p))
+    values[mesh, i, j, k] = values[mesh, i, j, k] - float(count_caps(boundary, tree, mesh, p)) + share
+
+
+def slab_winding(
+    tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
+) -> None:
+    """Winding numbers of each mesh at each voxel of a slab, for its sign.
+
+    Fills `values` (meshes, n, ny, nz) float32. Where an open mesh's winding number is within a quarter of a whole
+    number, it may be that number instead. `empty(length, dtype)` allocates scratch.
+    """
     device = values.device
     meshes, nx, ny, nz = values.shape
+    total = meshes * nx * ny * nz
     if winding.kind == SOUP:
         values.zero_()
     elif slab.turned != 0:
-        launch(_count_at_voxels, meshes * nx * ny * nz, [tree, slab, values], device)
+        launch(_count_at_voxels, total, [tree, slab, values], device)
     else:
         values.zero_()
         counts = values.view(wp.int32)
+        boundary = winding.boundary
         lanes = GPU_LANES if device.is_cuda else 1
         launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)
+        if winding.kind == OPEN:
+            edges = meshes * boundary.count * lanes
+            launch(_scan_caps, edges, [tree, boundary, slab, lanes, counts.flatten()], device)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
+        if winding.kind == OPEN:
+            cells = wp.vec3i(*(-(-n // int(CELL)) for n in (nx, ny, nz)))
+            count = meshes * cells[0] * cells[1] * cells[2]
+            far = empty(count, wp.int32)
+            launch(_find_far_cells, count, [tree, boundary, slab, cells, far], device)
+            launch(_open_caps, total, [tree, boundary, slab, cells, far, values], device)
+        return
     if winding.kind != CLOSED:
-        launch(_add_boundary, meshes * nx * ny * nz, [tree, winding, slab, values], device)
+        launch(_add_boundary, total, [tree, winding, slab, values], device)

@@ -24,6 +24,20 @@ TILE = wp.constant(4)
 CPU_RUN = 8
 
 
+@wp.func
+def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
+    """Distance of a point from a mesh, and the slot of the triangle nearest to it."""
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    slot = nearest_slot(tree, mesh, float(scale) * point, guess)
+    hit = closest_point(
+        scale * wp.vec3d(point),
+        wp.vec3d(tree.corners[4 * slot]),
+        wp.vec3d(tree.corners[4 * slot + 1]),
+        wp.vec3d(tree.corners[4 * slot + 2]),
+    )
+    return float(wp.sqrt(hit.distance2) * tree.frame[mesh * _FRAME_SIZE + _UNSCALE]), slot
+
+
 @wp.kernel
 def _measure(
     begin: int,
@@ -46,22 +60,13 @@ def _measure(
     mesh = rest / tiles_i
     if i >= slab.shape[0] or j >= slab.shape[1]:
         return
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    unscale = tree.frame[mesh * _FRAME_SIZE + _UNSCALE]
     guess = mesh * tree.count
     unclear = int(0)
     for step in range(length):
         k = run * length + step
         if k < slab.shape[2]:
-            point = voxel(slab, i, j, k)
-            guess = nearest_slot(tree, mesh, float(scale) * point, guess)
-            hit = closest_point(
-                scale * wp.vec3d(point),
-                wp.vec3d(tree.corners[4 * guess]),
-                wp.vec3d(tree.corners[4 * guess + 1]),
-                wp.vec3d(tree.corners[4 * guess + 2]),
-            )
-            unclear = unclear + write_distance(out, mesh, i, j, k, wp.sqrt(hit.distance2) * unscale)
+            distance, guess = searched_distance(tree, mesh, voxel(slab, i, j, k), guess)
+            unclear = unclear + write_distance(out, mesh, i, j, k, distance)
     if unclear > 0:
         fetch_add(out.ambiguous, mesh, unclear)
 
@@ -72,3 +77,27 @@ def search_slab(tree: Tree, slab: Slab, out: Output, launch: Any) -> None:
     tile, run = int(TILE), 1 if out.values.device.is_cuda else CPU_RUN
     threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
     launch(_measure, threads, [tree, slab, run, out], out.values.device)
+
+
+@wp.kernel
+def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
+    number = begin + wp.tid()
+    total = out.values.shape[0] * slab.shape[0] * slab.shape[1] * slab.shape[2]
+    if out.missed[0] == 0:
+        return
+    while number < total:
+        k = number % slab.shape[2]
+        j = (number / slab.shape[2]) % slab.shape[1]
+        row = number / (slab.shape[1] * slab.shape[2])
+        mesh = row / slab.shape[0]
+        i = row % slab.shape[0]
+        value = out.values[mesh, i, j, k]
+        if value == wp.inf or value == -wp.inf:
+            distance, _slot = searched_distance(tree, mesh, voxel(slab, i, j, k), mesh * tree.count)
+            out.values[mesh, i, j, k] = wp.where(value < 0.0, -distance, distance)
+        number = number + step
+
+
+def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int, launch: Any) -> None:
+    """Search for the distances of the voxels that were missed, if there are any: those that are infinite."""
+    launch(_mend, threads, [tree, slab, threads, out], out.values.device, smallest=1)

@@ -22,6 +22,7 @@ from sdm.kernels.geometry import unit_normal
 wp.set_module_options({"enable_backward": False})
 
 TRIANGLES_PER_LEAF = 4
+LEVELS_AT_ONCE = 3
 # The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
 LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
 # Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
@@ -226,15 +227,18 @@ def _bound_leaves(begin: int, tree: Tree):
 
 
 @wp.kernel
-def _bound_level(begin: int, tree: Tree, width: int):
-    """Boxes of the `width` nodes of one level, from their children's."""
+def _bound_levels(begin: int, tree: Tree, width: int, levels: int):
+    """Boxes of `levels` levels from the children's below, the highest of them `width` nodes wide: one thread each."""
     i = begin + wp.tid()
     mesh = i / width
-    node = width + i - mesh * width
+    top = width + i - mesh * width
     base = mesh * (2 << tree.depth)
-    left = base + 2 * node
-    tree.low[base + node] = wp.min(tree.low[left], tree.low[left + 1])
-    tree.high[base + node] = wp.max(tree.high[left], tree.high[left + 1])
+    for back in range(levels):
+        down = levels - 1 - back
+        for node in range(top << down, (top + 1) << down):
+            left = base + 2 * node
+            tree.low[base + node] = wp.min(tree.low[left], tree.low[left + 1])
+            tree.high[base + node] = wp.max(tree.high[left], tree.high[left + 1])
 
 
 def build(
@@ -268,5 +272,9 @@ def build(
     wp.utils.radix_sort_pairs(keys, slots, total)
     launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
     launch(_bound_leaves, meshes << tree.depth, [tree], device)
-    for level in range(tree.depth - 1, -1, -1):
-        launch(_bound_level, meshes << level, [tree, 1 << level], device)
+    level = tree.depth
+    while level > 0:
+        # A launch costs more than a few boxes one after the other.
+        levels = min(level, LEVELS_AT_ONCE)
+        level -= levels
+        launch(_bound_levels, meshes << level, [tree, 1 << level, levels], device)

@@ -15,10 +15,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.kernels import frames, points, solid_angle, tree
+from sdm.kernels import frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
-from sdm.topology import boundary_edges
+from sdm.topology import boundary_edges, loops, neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
@@ -95,12 +95,16 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     ends = 2 * meshes * edges.shape[0] if kind == points.OPEN else 0
     nodes = tensors[_FIELDS.index("low")].shape[0] if kind == points.SOUP else 0
     tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
-    tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32)]
+    tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
+    tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]
+    tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32), empty((ends // 2, 3), torch.float32)]
     tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
     scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
     slots = empty((2 * meshes * count,), torch.int32)
-    with on_current_stream(vertices, vertices, faces, edges):
-        hierarchy, winding, local = unpack(tensors, kind, meshes)
+    shared = neighbours(faces, vertices.shape[1])
+    around = loops(edges) if kind == points.OPEN else edges
+    with on_current_stream(vertices, vertices, faces, edges, shared, around):
+        hierarchy, winding, local, pieces = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
         tree.build(
             hierarchy,
@@ -112,30 +116,37 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             launch,
         )
         frames.make_frames(hierarchy, local, launch)
+        parts.make_parts(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), pieces, launch)
         if kind == points.OPEN:
-            gather_boundary(winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), launch)
+            gather_boundary(
+                winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
+            )
         elif kind == points.SOUP:
             solid_angle.build_moments(hierarchy, winding.moments, meshes, launch)
     return tensors, kind
 
 
-def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, and the triangles' frames."""
+def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any]:
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, and their `Parts`."""
     hierarchy = tree.Tree()
     for name, tensor in zip(_FIELDS, tensors, strict=False):
         setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    local, ends, ends_lattice, moments = tensors[len(_FIELDS) :]
+    local, rows, inverses, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
     hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
     boundary = Boundary()
     boundary.ends = as_warp(ends, wp.vec3)
     boundary.lattice = as_warp(ends_lattice, wp.vec2i)
+    boundary.apexes = as_warp(apexes, wp.vec3)
     boundary.count = ends.shape[0] // (2 * meshes)
     winding = points.Winding()
     winding.boundary = boundary
     winding.moments = as_warp(moments, wp.float32)
     winding.kind = kind
-    return hierarchy, winding, as_warp(local, wp.float32)
+    pieces = parts.Parts()
+    pieces.rows = as_warp(rows, wp.float32)
+    pieces.inverses = as_warp(inverses, wp.float64)
+    return hierarchy, winding, as_warp(local, wp.float32), pieces
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

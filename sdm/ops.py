@@ -44,7 +44,7 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, *tensors):
-        hierarchy, winding, _ = unpack(tensors, kind, 1)
+        hierarchy, winding, *_ = unpack(tensors, kind, 1)
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
@@ -153,7 +153,7 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
     at = points.contiguous()
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
     with on_current_stream(at, at, *hierarchy):
-        tree, winding, _ = unpack(hierarchy, kind, 1)
+        tree, winding, *_ = unpack(hierarchy, kind, 1)
         query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
     return values
 
@@ -186,7 +186,7 @@ def distance_map(
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, *hierarchy):
-        tree, winding, frames = unpack(hierarchy, kind, meshes)
+        tree, winding, frames, parts = unpack(hierarchy, kind, meshes)
         slab = Slab()
         slab.origin = wp.vec3d(*origin)
         slab.spacing = wp.vec3d(*spacing)
@@ -200,6 +200,7 @@ def distance_map(
         dense.query_slab(
             tree,
             frames,
+            parts,
             winding,
             slab,
             as_warp(values, wp.float32),
@@ -251,14 +252,18 @@ def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
 def _centres(ctx: Any, begin: int, end: int, device: torch.device) -> Tensor:
     """Voxel centres (N,3) float32 of part of the slab, as the kernels see them."""
     ranges = ((ctx.first + begin, ctx.first + end), (0, ctx.shape[1]), (0, ctx.shape[2]))
-    axes = [
-        torch.arange(low, high, device=device, dtype=torch.float64) * s
-        for (low, high), s in zip(ranges, ctx.spacing, strict=True)
-    ]
-    at = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    if tuple(ctx.direction) != IDENTITY:
-        at = at @ torch.tensor(ctx.direction, dtype=torch.float64, device=device).reshape(3, 3).T
-    return (at + torch.tensor(ctx.origin, dtype=torch.float64, device=device)).float()
+    # Numbers, not tensors of numbers: copying those to a GPU would wait for it.
+    steps = [torch.arange(low, high, device=device, dtype=torch.float64) for low, high in ranges]
+    steps = torch.meshgrid(*(n * s for n, s in zip(steps, ctx.spacing, strict=True)), indexing="ij")
+    if tuple(ctx.direction) == IDENTITY:
+        at = [step + o for step, o in zip(steps, ctx.origin, strict=True)]
+    else:
+        rows = [ctx.direction[3 * row : 3 * row + 3] for row in range(3)]
+        at = [
+            sum(d * step for d, step in zip(row, steps, strict=True)) + o
+            for row, o in zip(rows, ctx.origin, strict=True)
+        ]
+    return torch.stack(at, -1).reshape(-1, 3).float()
 
 
 distance_map.register_autograd(_map_backward, setup_context=_map_setup)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
 
-# The boundary by indices of faces seen before: a stream asks about the same faces for every batch.
+# What is known of faces seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
+_seen_neighbours: WeakIdKeyDictionary = WeakIdKeyDictionary()
+_seen_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 
 def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -28,18 +35,81 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     Raises:
         MeshError: A face index out of range.
     """
-    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
-    now = None if faces.is_inference() else faces._version
-    known: tuple[int | None, Tensor] | None = _seen.get(faces)
-    if known is None or known[0] is None or known[0] != now:
+
+    def find() -> Tensor:
         _check_range(faces, vertices.shape[-2])
-        known = (now, _unpaired(faces.long(), vertices.shape[-2]))
-        _seen[faces] = known
-    edges = known[1]
+        return _unpaired(faces.long(), vertices.shape[-2])
+
+    edges = _remembered(_seen, faces, find)
     if edges.shape[0] == 0:
         return edges
     same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))
     return _unpaired(same[faces.long()], vertices.shape[-2])
+
+
+def neighbours(faces: Tensor, count: int) -> Tensor:
+    """For each face its neighbours, and which of its edges and corners it lists for them all.
+
+    Args:
+        faces: (F,3) int32, indices in range.
+        count: Number of vertices.
+
+    Returns:
+        (F,4) int32. Column k < 3: another face at the edge from corner k to the next, as 3 * face + edge, or -1. Column
+        3: bits of what the face owns, 2, 4 and 8 for its edges, 16, 32 and 64 for its corners; the first face at an
+        edge or a corner owns it. Of an edge from a vertex to itself nobody needs to know.
+    """
+    return _remembered(_seen_neighbours, faces, lambda: _neighbours(faces.long(), count))
+
+
+def _neighbours(faces: Tensor, count: int) -> Tensor:
+    start = faces.reshape(-1)
+    end = faces.roll(-1, 1).reshape(-1)
+    here = torch.arange(start.shape[0], device=faces.device)
+    key, order = ((torch.minimum(start, end) << 32) + torch.maximum(start, end)).sort(stable=True)
+    leads = torch.ones_like(key, dtype=torch.bool)
+    leads[1:] = key[1:] != key[:-1]
+    # The next one at the same edge; after the last comes the first.
+    ends = leads.roll(-1)
+    following = torch.where(ends, torch.where(leads, here, 0).cummax(0).values, here + 1)
+    other = torch.empty_like(start)
+    other[order] = order[following]
+    other = torch.where((other == here) | (start == end), -1, other)
+    owns_edge = torch.empty_like(start)
+    owns_edge[order] = leads.long()
+    owns_edge *= start != end
+    first = torch.full((count,), start.shape[0], dtype=torch.int64, device=faces.device)
+    first.scatter_reduce_(0, start, here // 3, "amin")
+    owns_corner = (first[start] == here // 3).long()
+    shift = here % 3
+    bits = ((owns_edge << (shift + 1)) + (owns_corner << (shift + 4))).reshape(-1, 3).sum(1)
+    return torch.cat([other.reshape(-1, 3), bits[:, None]], 1).int()
+
+
+def _remembered(seen: WeakIdKeyDictionary, faces: Tensor, find: Callable[[], Tensor]) -> Tensor:
+    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
+    now = None if faces.is_inference() else faces._version
+    known: tuple[int | None, Tensor] | None = seen.get(faces)
+    if known is None or known[0] is None or known[0] != now:
+        known = (now, find())
+        seen[faces] = known
+    return known[1]
+
+
+def loops(edges: Tensor) -> Tensor:
+    """For each boundary edge of (E,2), directed as `boundary_edges` gives them, the number of its loop: (E,) int32.
+
+    Loops that meet at a vertex count as one. In a loop as many edges end at each vertex as begin there.
+    """
+
+    def find() -> Tensor:
+        host = edges.cpu().numpy()
+        ends, index = np.unique(host, return_inverse=True)
+        start, end = index.reshape(host.shape).T
+        graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(len(ends), len(ends)))
+        return torch.from_numpy(connected_components(graph, directed=False)[1][start].astype(np.int32)).to(edges.device)
+
+    return _remembered(_seen_loops, edges, find)
 
 
 def _check_range(faces: Tensor, count: int) -> None:

@@ -1,0 +1,234 @@
+"""The parts of triangles that can be nearest to a brick's voxels, written so that measuring one takes a few products.
+
+Let c be the brick's centre, p a voxel from there, R the distance of c from the surface, and m the point of a part's
+plane, line or corner that is closest to c, seen from c. With w = |m|^2 - R^2, the squared distances less R^2 + |p|^2
+are
+
+    corner  w - 2 p.m
+    line    w - 2 p.m - (p.e)^2                along the unit vector e
+    plane   w + (p.n) (2 h + p.n) - |p|^2      at height h = -m.n above it
+
+Only w comes from long distances, and it is found in float64 and is small, as all parts that are left are nearly
+equally far from c; the rest is of the brick's size. So float32 is more accurate here than it could be with the squared
+distances themselves, of which the least is made only at the end. Near the surface it is the other way round: there the
+distances are smaller than the brick, and are taken from p - m, its part across the line, or the height.
+
+A line counts where p is between its ends, a plane where p projects into the face, both with room for rounding: next to
+them the neighbouring part is in the list too, if it can be nearest (see `parts`).
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.lanes import ballot, load4_of_vectors, members, rank, read4, write4
+from sdm.kernels.parts import CORNER, EDGE, FACE, INVERSES, Parts
+from sdm.kernels.tree import Tree
+
+wp.set_module_options({"enable_backward": False})
+
+# Room of each list. One more batch of 32 triangles must fit before lists are measured and begun anew.
+FACES, EDGES, CORNERS = 64, 192, 192
+LANES_ROOM = wp.constant(32)
+# Rows of four floats: corner (-2m, w); edge (-2m, w) (e, from a) (to b, 0, 0, 0); face (n, 2h) and three planes
+# (inward, height), then (w, 0, 0, 0).
+CORNER_ROWS, EDGE_ROWS, FACE_ROWS = 1, 3, 5
+ROWS = CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS + FACES * FACE_ROWS
+
+_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
+_ROWS = wp.constant(ROWS)
+_EDGE_ROWS, _FACE_ROWS = wp.constant(EDGE_ROWS), wp.constant(FACE_ROWS)
+_EDGE_ROW = wp.constant(CORNERS * CORNER_ROWS)
+_FACE_ROW = wp.constant(CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS)
+_INVERSES = wp.constant(INVERSES)
+# Room for rounding in "between the ends" and "inside the planes", in units of the sum of the brick's half-widths.
+NEAR_ENDS = wp.constant(2.0e-7)
+
+
+@wp.struct
+class Counts:
+    """How many of each kind are in a brick's lists."""
+
+    corners: wp.int32
+    edges: wp.int32
+    faces: wp.int32
+
+
+@wp.struct
+class Features:
+    """The lists of all workers, each in its own part, and the least values for its 64 voxels so far."""
+
+    rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4)
+    least: wp.array(dtype=wp.float32)  # (workers * 64)
+
+
+@wp.func
+def are_full(counts: Counts):
+    """Whether another batch of triangles might not fit."""
+    return (
+        counts.corners + 3 * LANES_ROOM > _CORNERS
+        or counts.edges + 3 * LANES_ROOM > _EDGES
+        or counts.faces + LANES_ROOM > _FACES
+    )
+
+
+@wp.func
+def add_features(
+    out: Features,
+    worker: int,
+    counts: Counts,
+    tree: Tree,
+    parts: Parts,
+    slot: int,
+    which: int,
+    centre: wp.vec3,
+    radius: float,
+    lane: int,
+):
+    """Each lane adds the parts `which` (bits, see `parts`) of the triangle in its slot; returns the new counts."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    radius2 = wp.float64(radius)
+    row = worker * _ROWS
+    a = wp.vec3d(zero, zero, zero)
+    b = a
+    c = a
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    if which != 0:
+        c0 = load4_of_vectors(tree.corners, 3 * slot)
+        c1 = load4_of_vectors(tree.corners, 3 * slot + 1)
+        c2 = load4_of_vectors(tree.corners, 3 * slot + 2)
+        middle = wp.vec3d(centre)
+        a = wp.vec3d(wp.vec3(c0[0], c0[1], c0[2])) - middle
+        b = wp.vec3d(wp.vec3(c0[3], c1[0], c1[1])) - middle
+        c = wp.vec3d(wp.vec3(c1[2], c1[3], c2[0])) - middle
+        normal = wp.vec3(c2[1], c2[2], c2[3])
+
+    face = (which & FACE) != 0
+    mask = ballot(face)
+    face_row = row + _FACE_ROW + _FACE_ROWS * (counts.faces + rank(mask, lane))
+    if face:
+        n = wp.cross(b - a, c - a)
+        h = -wp.dot(n, a) * parts.inverses[_INVERSES * slot + 3]
+        write4(out.rows, face_row, normal[0], normal[1], normal[2], 2.0 * float(h))
+        write4(out.rows, face_row + 4, float(h * h - radius2), 0.0, 0.0, 0.0)
+    counts.faces = counts.faces + members(mask)
+
+    # The edges one after the other, turning the triangle.
+    for k in range(3):
+        edge = (which & (EDGE << k)) != 0
+        corner = (which & (CORNER << k)) != 0
+        mask = ballot(edge)
+        if edge or face:
+            inverse = parts.inverses[_INVERSES * slot + k]
+            ab = b - a
+            along = -wp.dot(a, ab) * inverse
+            share = along * inverse
+            m = a + share * ab
+            e = wp.vec3(inverse * ab)
+            if edge:
+                to_row = row + _EDGE_ROW + _EDGE_ROWS * (counts.edges + rank(mask, lane))
+                w = float(wp.dot(m, m) - radius2)
+                to_end = float((one - share) * wp.length(ab))
+                m2 = -2.0 * wp.vec3(m)
+                write4(out.rows, to_row, m2[0], m2[1], m2[2], w)
+                write4(out.rows, to_row + 1, e[0], e[1], e[2], float(along))
+                write4(out.rows, to_row + 2, to_end, 0.0, 0.0, 0.0)
+            if face:
+                u = wp.cross(normal, e)
+                write4(out.rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
+        counts.edges = counts.edges + members(mask)
+        mask = ballot(corner)
+        if corner:
+            v = -2.0 * wp.vec3(a)
+            write4(out.rows, row + counts.corners + rank(mask, lane), v[0], v[1], v[2], float(wp.dot(a, a) - radius2))
+        counts.corners = counts.corners + members(mask)
+        first = a
+        a = b
+        b = c
+        c = first
+    return counts
+
+
+@wp.func
+def is_near(radius2: float, half2: float):
+    """Whether a brick of squared half-diagonal `half2` is so near to the surface that plain distances tell more."""
+    return radius2 < 16.0 * half2
+
+
+@wp.func
+def corner_value(r: wp.vec4, p: wp.vec3, near: bool):
+    """What to compare for a corner: the squared distance of p, less |p|^2 + R^2 if that is not near."""
+    if near:
+        d = p + 0.5 * wp.vec3(r[0], r[1], r[2])
+        return wp.dot(d, d)
+    return r[3] + (p[0] * r[0] + p[1] * r[1] + p[2] * r[2])
+
+
+@wp.func
+def edge_value(r0: wp.vec4, r1: wp.vec4, to_end: float, p: wp.vec3, room: float, near: bool):
+    """What to compare for an edge's line; infinity beyond its ends."""
+    along = p[0] * r1[0] + p[1] * r1[1] + p[2] * r1[2]
+    if wp.min(r1[3] + along, to_end - along) < -room:
+        return float(wp.inf)
+    if near:
+        d = p + 0.5 * wp.vec3(r0[0], r0[1], r0[2]) - along * wp.vec3(r1[0], r1[1], r1[2])
+        return wp.dot(d, d)
+    return r0[3] + (p[0] * r0[0] + p[1] * r0[1] + p[2] * r0[2]) - along * along
+
+
+@wp.func
+def above(r: wp.vec4, p: wp.vec3):
+    return r[3] + (p[0] * r[0] + p[1] * r[1] + p[2] * r[2])
+
+
+@wp.func
+def face_value(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, r3: wp.vec4, w: float, p: wp.vec3, room: float, near: bool):
+    """What to compare for a face's plane; infinity beside the face."""
+    if wp.min(above(r1, p), wp.min(above(r2, p), above(r3, p))) < -room:
+        return float(wp.inf)
+    height = p[0] * r0[0] + p[1] * r0[1] + p[2] * r0[2]
+    if near:
+        height = height + 0.5 * r0[3]
+        return height * height
+    return w + height * (r0[3] + height) - wp.dot(p, p)
+
+
+@wp.func
+def least_values(
+    least: wp.vec2, features: Features, worker: int, counts: Counts, p: wp.vec3, q: wp.vec3, room: float, near: bool
+):
+    """`least`, or the lesser values of a worker's lists for the voxels p and q (from the brick's centre)."""
+    row = worker * _ROWS
+    of_p = least[0]
+    of_q = least[1]
+    for i in range(counts.corners):
+        r0 = read4(features.rows, row + i)
+        of_p = wp.min(of_p, corner_value(r0, p, near))
+        of_q = wp.min(of_q, corner_value(r0, q, near))
+    for i in range(counts.edges):
+        at = row + _EDGE_ROW + _EDGE_ROWS * i
+        r0 = read4(features.rows, at)
+        r1 = read4(features.rows, at + 1)
+        to_end = features.rows[4 * (at + 2)]
+        of_p = wp.min(of_p, edge_value(r0, r1, to_end, p, room, near))
+        of_q = wp.min(of_q, edge_value(r0, r1, to_end, q, room, near))
+    for i in range(counts.faces):
+        at = row + _FACE_ROW + _FACE_ROWS * i
+        r0 = read4(features.rows, at)
+        r1 = read4(features.rows, at + 1)
+        r2 = read4(features.rows, at + 2)
+        r3 = read4(features.rows, at + 3)
+        w = features.rows[4 * (at + 4)]
+        of_p = wp.min(of_p, face_value(r0, r1, r2, r3, w, p, room, near))
+        of_q = wp.min(of_q, face_value(r0, r1, r2, r3, w, q, room, near))
+    return wp.vec2(of_p, of_q)
+
+
+@wp.func
+def least_distance(value: float, p: wp.vec3, radius2: wp.float64, near: bool):
+    """The distance of voxel p (from the brick's centre) that belongs to its least value."""
+    if near:
+        return wp.sqrt(value)
+    # Rounded once: what is added to R^2 is small.
+    return wp.sqrt(float(wp.max(radius2 + wp.float64(value + wp.dot(p, p)), wp.float64(0.0))))

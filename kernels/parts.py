@@ -1,0 +1,204 @@
+"""Which parts of a triangle can be nearest to some voxel of a cell: its face, its edges, its corners.
+
+Let x be the point of the surface that is nearest to p. Then x lies inside a face, inside an edge, or on a corner, and
+no way along the surface leads closer:
+
+- x inside a face: p projects into it, so p is on the inner side of the three planes that stand on its edges;
+- x inside an edge: p lies between the two planes across the edge's ends, and (p - x).u <= 0 for the direction u that
+  leads from the edge into any triangle at it, at right angles to the edge;
+- x on a corner: (p - x).e <= 0 for the direction e of any edge that begins there.
+
+Each is a linear inequality that must hold; where one fails for all points of a box, the part is dropped for that box.
+Any subset of the inequalities will do, so a mesh may have holes, flipped faces and edges of many triangles: two
+triangles at an edge, and four edges at a corner, are looked at. A triangle without a normal gives no inequality.
+
+Triangles share edges and corners, but only one of them, the owner, lists each. That loses nothing: if x lies on a
+shared part then all its triangles are equally near, and no test here or in `cull` drops a triangle that is nearest.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cull import Cell
+from sdm.kernels.geometry import unit_normal
+from sdm.kernels.lanes import load4, load4_of_vectors
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+
+wp.set_module_options({"enable_backward": False})
+
+# Per triangle: the neighbours' unit vectors from ab, bc and ca inwards, their far corners, the owned parts, 0.
+PARTS_FLOATS = 20
+_ROWS = wp.constant(5)
+# Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
+INVERSES = 4
+_INVERSES = wp.constant(INVERSES)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+
+# Bits of the parts.
+FACE, EDGE, CORNER = wp.constant(1), wp.constant(2), wp.constant(16)
+# Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
+ROOM = wp.constant(2.0e-6)
+
+
+@wp.struct
+class Parts:
+    """What is known of the triangles' parts and neighbours."""
+
+    rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
+    inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
+
+
+@wp.func
+def reach(half: wp.vec3, u: wp.vec3):
+    """The largest d.u over the box |d_i| <= half_i."""
+    return half[0] * wp.abs(u[0]) + half[1] * wp.abs(u[1]) + half[2] * wp.abs(u[2])
+
+
+@wp.func
+def sum_abs(u: wp.vec3):
+    return wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2])
+
+
+@wp.func
+def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
+    """Whether (p - x).u <= 0 for some p of a box, x being at q from its centre."""
+    return -wp.dot(q, u) - reach(half, u) <= room * sum_abs(u)
+
+
+@wp.func
+def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
+    """The owned parts of a triangle that can be nearest to some point of the cell, as bits."""
+    c0 = load4_of_vectors(tree.corners, 3 * slot)
+    c1 = load4_of_vectors(tree.corners, 3 * slot + 1)
+    c2 = load4_of_vectors(tree.corners, 3 * slot + 2)
+    r0 = load4(parts.rows, _ROWS * slot)
+    r1 = load4(parts.rows, _ROWS * slot + 1)
+    r2 = load4(parts.rows, _ROWS * slot + 2)
+    r3 = load4(parts.rows, _ROWS * slot + 3)
+    r4 = load4(parts.rows, _ROWS * slot + 4)
+    a = wp.vec3(c0[0], c0[1], c0[2]) - cell.centre
+    b = wp.vec3(c0[3], c1[0], c1[1]) - cell.centre
+    c = wp.vec3(c1[2], c1[3], c2[0]) - cell.centre
+    normal = wp.vec3(c2[1], c2[2], c2[3])
+    beyond_ab = wp.vec3(r2[1], r2[2], r2[3]) - cell.centre
+    beyond_bc = wp.vec3(r3[0], r3[1], r3[2]) - cell.centre
+    beyond_ca = wp.vec3(r3[3], r4[0], r4[1]) - cell.centre
+    owned = int(r4[2])
+    half = cell.half
+    far = wp.max(sum_abs(a), wp.max(sum_abs(b), sum_abs(c)))
+    room = ROOM * (far + half[0] + half[1] + half[2])
+    ab = b - a
+    bc = c - b
+    ca = a - c
+    result = int(0)
+
+    # Heights above the three planes on the edges, at the cell's centre and how they vary.
+    u = wp.cross(normal, ab)
+    height_ab = -wp.dot(a, u)
+    reach_ab = reach(half, u) + room * sum_abs(u)
+    u = wp.cross(normal, bc)
+    height_bc = -wp.dot(b, u)
+    reach_bc = reach(half, u) + room * sum_abs(u)
+    u = wp.cross(normal, ca)
+    height_ca = -wp.dot(c, u)
+    reach_ca = reach(half, u) + room * sum_abs(u)
+    if height_ab + reach_ab >= 0.0 and height_bc + reach_bc >= 0.0 and height_ca + reach_ca >= 0.0:
+        if wp.dot(normal, normal) > 0.5:
+            result = FACE
+
+    # Each edge: outside of the face, outside of the neighbour, between the ends.
+    along_ab = -wp.dot(a, ab)
+    length_ab = wp.dot(ab, ab)
+    spread_ab = reach(half, ab) + room * sum_abs(ab)
+    along_bc = -wp.dot(b, bc)
+    length_bc = wp.dot(bc, bc)
+    spread_bc = reach(half, bc) + room * sum_abs(bc)
+    along_ca = -wp.dot(c, ca)
+    length_ca = wp.dot(ca, ca)
+    spread_ca = reach(half, ca) + room * sum_abs(ca)
+    if (owned & EDGE) != 0 and height_ab - reach_ab <= 0.0 and length_ab > 0.0:
+        if along_ab + spread_ab >= 0.0 and along_ab - spread_ab <= length_ab:
+            if may_be_below(half, a, wp.vec3(r0[0], r0[1], r0[2]), room):
+                result = result | EDGE
+    if (owned & (2 * EDGE)) != 0 and height_bc - reach_bc <= 0.0 and length_bc > 0.0:
+        if along_bc + spread_bc >= 0.0 and along_bc - spread_bc <= length_bc:
+            if may_be_below(half, b, wp.vec3(r0[3], r1[0], r1[1]), room):
+                result = result | (2 * EDGE)
+    if (owned & (4 * EDGE)) != 0 and height_ca - reach_ca <= 0.0 and length_ca > 0.0:
+        if along_ca + spread_ca >= 0.0 and along_ca - spread_ca <= length_ca:
+            if may_be_below(half, c, wp.vec3(r1[2], r1[3], r2[0]), room):
+                result = result | (4 * EDGE)
+
+    # Each corner: behind its two edges, and behind the neighbours' edges there.
+    if (owned & CORNER) != 0 and along_ab - spread_ab <= 0.0 and along_ca + spread_ca >= length_ca:
+        if may_be_below(half, a, beyond_ab - a, room) and may_be_below(half, a, beyond_ca - a, room):
+            result = result | CORNER
+    if (owned & (2 * CORNER)) != 0 and along_bc - spread_bc <= 0.0 and along_ab + spread_ab >= length_ab:
+        if may_be_below(half, b, beyond_bc - b, room) and may_be_below(half, b, beyond_ab - b, room):
+            result = result | (2 * CORNER)
+    if (owned & (4 * CORNER)) != 0 and along_ca - spread_ca <= 0.0 and along_bc + spread_bc >= length_bc:
+        if may_be_below(half, c, beyond_ca - c, room) and may_be_below(half, c, beyond_bc - c, room):
+            result = result | (4 * CORNER)
+    return result
+
+
+@wp.func
+def inverse_length(v: wp.vec3d):
+    length = wp.length(v)
+    if length > wp.float64(0.0):
+        return wp.float64(1.0) / length
+    return wp.float64(0.0)
+
+
+@wp.kernel
+def _make_parts(
+    begin: int,
+    tree: Tree,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    parts: Parts,
+):
+    slot = begin + wp.tid()
+    mesh = slot / tree.count
+    scale = wp.float64(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    face = tree.face[slot]
+    at = 4 * _ROWS * slot
+    for k in range(3):
+        a = wp.vec3d(tree.corners[4 * slot + k])
+        b = wp.vec3d(tree.corners[4 * slot + (k + 1) % 3])
+        ab = b - a
+        inward = wp.vec3(0.0, 0.0, 0.0)
+        # Without a neighbour the far corner is the triangle's own, which says nothing new.
+        beyond = tree.corners[4 * slot + (k + 2) % 3]
+        other = neighbours[face, k]
+        if other >= 0:
+            side = other % 3
+            there = other / 3
+            first = faces[there, side]
+            p = scale * wp.vec3d(vertices[mesh, first])
+            q = scale * wp.vec3d(vertices[mesh, faces[there, (side + 1) % 3]])
+            r = scale * wp.vec3d(vertices[mesh, faces[there, (side + 2) % 3]])
+            beyond = wp.vec3(r)
+            across = wp.cross(unit_normal(p, q, r), q - p)
+            inward = wp.vec3(inverse_length(across) * across)
+        for axis in range(3):
+            parts.rows[at + 3 * k + axis] = inward[axis]
+            parts.rows[at + 9 + 3 * k + axis] = beyond[axis]
+        parts.inverses[_INVERSES * slot + k] = inverse_length(ab)
+    parts.rows[at + 18] = float(neighbours[face, 3])
+    parts.rows[at + 19] = 0.0
+    ab = wp.vec3d(tree.corners[4 * slot + 1]) - wp.vec3d(tree.corners[4 * slot])
+    ac = wp.vec3d(tree.corners[4 * slot + 2]) - wp.vec3d(tree.corners[4 * slot])
+    parts.inverses[_INVERSES * slot + 3] = inverse_length(wp.cross(ab, ac))
+
+
+def make_parts(
+    tree: Tree, vertices: wp.array, faces: wp.array, neighbours: wp.array, parts: Parts, launch: Any
+) -> None:
+    """Fill `parts` from a built tree, its meshes, and `sdm.topology.neighbours` of their faces (F,4)."""
+    launch(_make_parts, vertices.shape[0] * faces.shape[0], [tree, vertices, faces, neighbours, parts], vertices.device)
