@@ -95,6 +95,11 @@ class SDMStream(IterableDataset[Batch]):
         self._process = os.getpid()
 
     @property
+    def maker(self) -> Maker:
+        """What makes its samples, and all that they depend on: seed, sampler, type, truncation."""
+        return self._maker
+
+    @property
     def family(self) -> Family:
         """The shapes."""
         return self._maker.family

@@ -10,7 +10,7 @@ import zarr
 from torch.utils.data import DataLoader
 
 import sdm
-from sdm.dataset import SDMDataset, generate
+from sdm.dataset import SDMDataset, freeze, generate
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
 from sdm.shapes import Cochlea, MeshFolder
@@ -53,6 +53,17 @@ def test_holds_what_the_stream_yields(tmp_path, family, options):
     assert torch.equal(data.theta, batch.theta)
     assert data.grid == family.grid(10)
     assert [p.name for p in data.parameters] == [p.name for p in family.parameters]
+
+
+def test_a_stream_is_frozen_in_one_call(tmp_path):
+    family = Cochlea(600)
+    options = {"sampler": "mixture:0.25", "dtype": torch.float16, "truncate": 1.0, "device": "cpu"}
+    stream = SDMStream(family, family.grid(10), 3, 9, **options)
+    expected = [next(iter(stream)) for _ in range(3)]
+    data = SDMDataset(freeze(stream, 9, tmp_path / "d.zarr", shard=4))
+    assert stream.position == 9
+    for found, wanted in zip(DataLoader(data, batch_size=3), expected, strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(found, wanted, strict=True))
 
 
 def test_any_zarr_reader_reads_it(tmp_path):
