@@ -20,12 +20,14 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from bench._machine import describe
+from bench._segmentation_fit import fitted_steps, known_steps
 from bench._segmentation_jobs import Job, devices, read_logs, run_jobs
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
@@ -44,6 +46,9 @@ from sdm.segmentation import (
 
 LOGS = Path(__file__).parent / "results" / "segmentation_ma"
 COLUMNS = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm", "contour_dice")
+# Seconds until the processes train, and of a job beside its steps: preparing the cases, and prediction.
+STARTING_S = 25.0
+OVERHEAD_S = 8.0
 ROWS = (*MA_ROWS, "pwr", "hausdorff-foreground")
 
 
@@ -56,6 +61,8 @@ def main() -> None:
     # Compiled once, before several processes want it at the same time.
     for device in on[:1]:
         euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
+    if options.fit:
+        options.steps = known_steps(options.logs) or fit(options, on)
     run_jobs(jobs(options), work, options.logs, options.work, budget_s=options.budget_s, on=on)
     print(table_of(options.logs, options.parts))
 
@@ -72,6 +79,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
     parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
@@ -116,6 +124,27 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                 }
             )
     return found
+
+
+def fit(options: argparse.Namespace, on: list[str]) -> int:
+    """Steps that let all jobs end within the budget, from a measurement on the first device."""
+    cases = read_cases(options.data, "train")[:4]
+    begin = time.monotonic()
+    settings = Settings.of_record(jobs(options)[0]["settings"])
+    patches = Patches(cases, "normalized", settings.patch, on[0])
+    torch.backends.cudnn.benchmark = True
+
+    def measure(steps: int) -> float:
+        short = replace(settings, method="head-sdf-l1", steps=steps)
+        return train(patches, short, compiled=options.compile).seconds
+
+    measure(2)
+    left = options.budget_s - (time.monotonic() - begin) - STARTING_S
+    count = len(options.methods) * len(options.seeds)
+    steps = fitted_steps(measure, count, len(on), left, weight=1.2, overhead_s=OVERHEAD_S)
+    options.budget_s -= time.monotonic() - begin
+    torch.cuda.empty_cache()
+    return steps
 
 
 def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> dict[str, Any] | None:

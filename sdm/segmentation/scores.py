@@ -31,9 +31,9 @@ class Cell:
     failed: int
 
     def __str__(self) -> str:
-        if math.isnan(self.mean):
-            return "-"
         failed = f" [{self.failed} failed]" if self.failed else ""
+        if math.isnan(self.mean):
+            return f"-{failed}"
         deviation = "" if math.isnan(self.deviation) else f" ({self.deviation:.2f})"
         return f"{self.mean:.2f}{deviation}{failed}"
 

@@ -8,22 +8,34 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import nn
 
 from sdm.errors import FormatError, SDMError
+from sdm.segmentation.augment import Augment
 from sdm.segmentation.methods import METHODS
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.objective import Step, objective
-from sdm.segmentation.patches import Patches
+from sdm.segmentation.patches import Patch
 from sdm.segmentation.settings import Settings
 
 LARGEST_GRADIENT = 1.0
 SAVE_EVERY_S = 120.0
 # Losses that a log keeps.
 POINTS = 20
+
+
+class Source(Protocol):
+    """Where batches come from: `Patches`, or anything else that makes them on a device."""
+
+    device: torch.device
+    spacing: tuple[float, float, float]
+
+    def batch(self, count: int, *, seed: int, step: int, augment: Augment) -> Patch:
+        """A batch: a pure function of its arguments."""
+        ...
 
 
 @dataclass
@@ -44,7 +56,7 @@ class Training:
 
 
 def train(
-    patches: Patches,
+    patches: Source,
     settings: Settings,
     *,
     checkpoint: Path | None = None,
@@ -107,7 +119,7 @@ def _step(
     training: Training,
     network: Callable[..., Any],
     optimizer: torch.optim.Optimizer,
-    patches: Patches,
+    patches: Source,
     settings: Settings,
 ) -> None:
     step = training.step
