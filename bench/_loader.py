@@ -24,11 +24,11 @@ from sdm.shapes import Family
 from sdm.stream import Batch
 
 # Longer than this for one map, and a library is out of the running [s].
-SLOWEST = 60.0
+SLOWEST = 10.0
 # Grid that every library is first asked for: it loads, compiles, and leaves the slow ones out.
 FIRST = 12
 # Seconds of the measurement at least, on a GPU's machine, and the fewest steps.
-SECONDS, FEWEST = 20.0, 3
+SECONDS, FEWEST = 12.0, 3
 
 
 class PeerMaps(Dataset[tuple[Tensor, Tensor]]):

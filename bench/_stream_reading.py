@@ -15,7 +15,7 @@ from sdm.dataset import SDMDataset, generate
 from sdm.dataset.layout import COMPRESSIONS
 
 # Samples of the dataset, those of a shard, and the most workers that read.
-COUNT, SHARD, WORKERS = 2048, 256, 8
+COUNT, SHARD, WORKERS = 1024, 128, 8
 
 
 def reading(bench: Bench) -> dict[str, Any]:

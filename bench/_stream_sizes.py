@@ -34,7 +34,7 @@ class Bench:
         self.grid: Grid = self.family.grid(self.resolution)
         self.batch = 16 if self.gpu else 2
         # Seconds of one measurement, and how often it is repeated.
-        self.seconds, self.turns = (1.5, 5) if self.gpu else (0.2, 2)
+        self.seconds, self.turns = (1.0, 5) if self.gpu else (0.2, 2)
 
     @property
     def left(self) -> float:

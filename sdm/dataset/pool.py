@@ -11,7 +11,7 @@ from sdm.dataset.job import Job
 from sdm.errors import SDMError
 
 # How often the processes are looked at while they say nothing [s].
-PATIENCE = 5.0
+PATIENCE = 1.0
 
 
 def run_here(job: Job, shards: list[int], devices: list[str], done: Callable[[int], None]) -> None:
@@ -50,14 +50,14 @@ def run_here(job: Job, shards: list[int], devices: list[str], done: Callable[[in
 
 def _hear(said: Any, workers: list[Any], devices: list[str]) -> int:
     while True:
+        for worker, device in zip(workers, devices, strict=True):
+            if worker.exitcode not in (None, 0):
+                raise SDMError(
+                    f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there"
+                )
         try:
             kind, what = said.get(timeout=PATIENCE)
         except queue.Empty:
-            for worker, device in zip(workers, devices, strict=True):
-                if worker.exitcode not in (None, 0):
-                    raise SDMError(
-                        f"the process on {device} died (exit code {worker.exitcode}); --resume goes on from there"
-                    ) from None
             continue
         if kind == "error":
             raise SDMError(what)

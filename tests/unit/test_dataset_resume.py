@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import multiprocessing
 import os
 import shutil
 import signal
@@ -194,3 +195,24 @@ def test_several_devices_share_the_work(whole, tmp_path, monkeypatch):
     target = tmp_path / "d.zarr"
     write(target)
     assert contents(target) == contents(whole)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_is_said_and_loses_what_it_had(tmp_path, monkeypatch):
+    monkeypatch.setattr("sdm.dataset.writer.devices_for", lambda _: ["cpu", "cpu"])
+    target = tmp_path / "d.zarr"
+    killed = []
+
+    def kill_one(done: int, total: int) -> None:
+        if done and not killed:
+            killed.append(multiprocessing.active_children()[0])
+            killed[0].kill()
+
+    with pytest.raises(SDMError, match=r"process on cpu died .*--resume"):
+        write(target, count=3000, progress=kill_one)
+    assert not multiprocessing.active_children()
+    part = layout.part_of(target)
+    manifest = layout.read_manifest(part)
+    have = [n for n in range(1000) if layout.is_done(part, manifest, n)]
+    assert 0 < len(have) < 1000
+    assert all(layout.is_sound(part, manifest, n) for n in have)
