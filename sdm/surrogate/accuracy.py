@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -22,14 +22,14 @@ NEAR_MM = 0.5
 class Accuracy:
     """Errors by shape, each a list over the shapes; lengths in mm. `summary` has the figures of a table."""
 
-    mae: list[float] = field(default_factory=list)
-    most: list[float] = field(default_factory=list)
-    mae_near: list[float] = field(default_factory=list)
-    most_near: list[float] = field(default_factory=list)
-    surface_mean: list[float] = field(default_factory=list)
-    surface_95: list[float] = field(default_factory=list)
-    dice: list[float] = field(default_factory=list)
-    slope: list[float] = field(default_factory=list)
+    mae: list[float]
+    most: list[float]
+    mae_near: list[float]
+    most_near: list[float]
+    dice: list[float]
+    slope: list[float]
+    surface_mean: list[float]
+    surface_95: list[float]
 
     def summary(self) -> dict[str, float]:
         """Means over shapes; for `max`, `max_near` and `dice_worst` the worst shape; `surface_95`'s mean and worst."""
@@ -65,36 +65,39 @@ def measure(
     exact mesh, and of the mesh's vertices to the predicted surface, as the predicted map interpolated there. A shape
     whose predicted map has no inside counts with infinite distances.
     """
-    family, found = Cochlea(), Accuracy()
+    family = Cochlea()
+    rows = []
     for batch in validation_batches(theta, device, batch_size):
         maps = surrogate(batch.theta).float()
         vertices = family.vertices(batch.theta)
         for exact, map_, own in zip(batch.sdm[:, 0], maps[:, 0], vertices, strict=True):
-            _add(found, map_, exact, TriangleMesh(own, family.faces_on(own.device), check=False))
-    return found
+            mesh = TriangleMesh(own, family.faces_on(own.device), check=False)
+            rows.append(torch.stack([*_volume(map_, exact), *_surface(map_, mesh)]))
+    return Accuracy(*torch.stack(rows).T.tolist())
 
 
-def _add(found: Accuracy, map_: Tensor, exact: Tensor, mesh: TriangleMesh) -> None:
+def _volume(map_: Tensor, exact: Tensor) -> tuple[Tensor, ...]:
     error = (map_ - exact).abs()
-    near = error[exact.abs() < NEAR_MM]
-    found.mae.append(float(error.mean()))
-    found.most.append(float(error.max()))
-    found.mae_near.append(float(near.mean()))
-    found.most_near.append(float(near.max()))
+    near = exact.abs() < NEAR_MM
     inside, wanted = map_ < 0, exact < 0
-    total = float(inside.sum() + wanted.sum())
-    found.dice.append(2 * float((inside & wanted).sum()) / total if total else 1.0)
-    found.slope.append(float((slopes(map_[None, None]) - 1).abs().mean()))
+    return (
+        error.mean(),
+        error.max(),
+        (error * near).sum() / near.sum(),
+        (error * near).max(),
+        2 * (inside & wanted).sum() / (inside.sum() + wanted.sum()),
+        (slopes(map_[None, None]) - 1).abs().mean(),
+    )
+
+
+def _surface(map_: Tensor, mesh: TriangleMesh) -> tuple[Tensor, Tensor]:
     points = crossings(map_)
-    if len(points):
-        there = signed_distance(mesh, points, device=points.device).abs()
-        back = interpolated(map_, mesh.vertices).abs()
-        both = torch.cat([there, back])
-        found.surface_mean.append(float((there.mean() + back.mean()) / 2))
-        found.surface_95.append(float(torch.quantile(both, 0.95)))
-    else:
-        found.surface_mean.append(float("inf"))
-        found.surface_95.append(float("inf"))
+    if not len(points):
+        nowhere = torch.full((), torch.inf, device=map_.device)
+        return nowhere, nowhere
+    there = signed_distance(mesh, points, device=points.device).abs()
+    back = interpolated(map_, mesh.vertices).abs()
+    return (there.mean() + back.mean()) / 2, torch.quantile(torch.cat([there, back]), 0.95)
 
 
 def crossings(map_: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from sdm.errors import SDMError
 from sdm.stream import SDMStream
+from sdm.stream.maker import to_device
 from sdm.surrogate.box import GRID
 
 
@@ -64,5 +65,5 @@ class Replay:
     def draw(self, count: int, step: int) -> tuple[Tensor, Tensor]:
         """Parameters (count,4) and maps (count,1,80,64,40) float32, a function of what is stored, seed and step."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
-        rows = torch.randint(self.count, (count,), generator=generator).to(self.theta.device)
+        rows = to_device(torch.randint(self.count, (count,), generator=generator), self.theta.device)
         return self.theta[rows], self.maps[rows].float()

@@ -61,8 +61,8 @@ class Settings:
     loss: str = "surface"
     steps: int = 100_000
     budget_s: float | None = None
-    batch_size: int = 64
-    fresh: int = 8
+    batch_size: int = 32
+    fresh: int = 4
     store: int = 16_384
     fill_share: float = 0.25
     warm_share: float = 0.2
@@ -70,7 +70,7 @@ class Settings:
     surface: float = 4.0
     eikonal: float = 0.01
     sobolev: float = 0.0
-    sobolev_every: int = 8
+    sobolev_every: int = 16
     ema: float = 0.998
     seed: int = 0
 
@@ -142,7 +142,7 @@ class Trainer:
         if self.device.type == "cuda":
             self.model.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]
             torch.backends.cudnn.benchmark = True
-        self._fast: Any = torch.compile(self.model) if self.device.type == "cuda" else self.model
+        self._fast: Any = torch.compile(self._loss) if self.device.type == "cuda" else self._loss
 
     def run(self) -> nn.Module:
         """Train to the end and return the running mean of the model, on the device, in evaluation mode."""
@@ -172,13 +172,7 @@ class Trainer:
             self.replay.renew()
         theta, exact = self.replay.draw(settings.batch_size, self.step)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
-            predicted = self._fast(theta)
-        if settings.loss == "mse":
-            loss = nn.functional.mse_loss(predicted, exact)
-        else:
-            loss = surface_weighted(predicted, exact, settings.surface)
-            if settings.eikonal:
-                loss = loss + settings.eikonal * eikonal(predicted, exact)
+            loss = self._fast(theta, exact)
         if settings.sobolev and self.step % settings.sobolev_every == 0:
             generator = torch.Generator().manual_seed(settings.seed * 999_983 + self.step)
             loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
@@ -188,6 +182,14 @@ class Trainer:
         self._optimizer.step()
         self.ema.update_parameters(self.model)
         return loss
+
+    def _loss(self, theta: Tensor, exact: Tensor) -> Tensor:
+        settings = self.settings
+        predicted = self.model(theta)
+        if settings.loss == "mse":
+            return nn.functional.mse_loss(predicted, exact)
+        loss = surface_weighted(predicted, exact, settings.surface)
+        return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
 
     @torch.no_grad()
     def _look(self, loss: float, share: float) -> None:
