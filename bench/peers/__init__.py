@@ -11,7 +11,7 @@ from bench.peers._swept_volume import SweptVolume
 from bench.peers._trimesh import Trimesh
 from bench.peers._warp import StockWarp
 
-__all__ = ["Peer", "all_peers"]
+__all__ = ["LibiglWinding", "Open3D", "Peer", "StockWarp", "SweptVolume", "all_peers"]
 
 CPU_ONLY = (Open3D, LibiglWinding, LibiglPseudonormal, PointCloudUtils, Trimesh)
 
