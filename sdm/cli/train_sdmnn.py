@@ -22,7 +22,7 @@ def sdmnn(
     fill_share: float = 0.25,
     warm_share: float = 0.2,
     rate: float = 1e-3,
-    surface: float = 4.0,
+    surface: float = 8.0,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
     seed: int = 0,

@@ -67,7 +67,7 @@ class Settings:
     fill_share: float = 0.25
     warm_share: float = 0.2
     rate: float = 1e-3
-    surface: float = 4.0
+    surface: float = 8.0
     eikonal: float = 0.01
     sobolev: float = 0.0
     sobolev_every: int = 16
@@ -120,10 +120,12 @@ class Trainer:
         self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
         self.step, spent = 0, 0.0
+        static = settings.recipe == "static"
         stream = SDMStream(
             self.family,
             GRID,
-            max(1, settings.fresh),
+            # A batch of which the 625 are a multiple, so that each is there once.
+            5 if static else max(1, settings.fresh),
             settings.seed,
             0,
             1,
@@ -133,7 +135,6 @@ class Trainer:
         if checkpoint is not None and checkpoint.exists():
             spent = self._load(checkpoint, stream)
         self.clock = Clock(settings.steps, settings.budget_s, spent)
-        static = settings.recipe == "static"
         self.replay = Replay(stream, STATIC if static else settings.store, settings.seed)
         self._fresh = 0 if static else settings.fresh
         self._curves = Curves(curves)
