@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -161,7 +162,7 @@ def slabs_of(case: Case, grid: sdm.Grid, share: float) -> list[tuple[int, int]]:
     edges = np.linspace(0, grid.shape[0], min(SLABS, grid.shape[0]) + 1).round().astype(int)
     rng = generator(case, f"slabs {grid.shape}")
     chosen = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         layers = max(1, round(share * (high - low)))
         begin = int(rng.integers(low, high - layers + 1))
         chosen.append((begin, begin + layers))

@@ -1,4 +1,6 @@
-"""How fast dense maps are, and how that grows: `python -m bench.dense --device cuda --out bench/results/dense-cuda.json`.
+"""How fast dense maps are, and how that grows.
+
+    python -m bench.dense --device cuda --out bench/results/dense-cuda.json
 
 Parts: `table` (four meshes against the faster of the peers, geometric means), `batch` (maps a second), `points`,
 `triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph).
