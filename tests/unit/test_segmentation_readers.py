@@ -1,0 +1,115 @@
+"""Both layouts of folders, and files that cannot be used."""
+
+from __future__ import annotations
+
+import nibabel as nib
+import numpy as np
+import pytest
+import torch
+
+from sdm.errors import FormatError
+from sdm.segmentation import has_part, read_cases
+from tests.segmentation_cases import AFFINE, volume, write_hdf5, write_nnunet
+
+
+def test_nnunet_folders(tmp_path):
+    folder = write_nnunet(tmp_path)
+    cases = read_cases(folder, "train")
+    assert [c.name for c in cases] == ["case0", "case1", "case2"]
+    image, label = volume(1)
+    assert torch.equal(cases[1].image, torch.from_numpy(image))
+    assert cases[1].label is not None
+    assert torch.equal(cases[1].label, torch.from_numpy(label != 0))
+    assert cases[1].spacing == pytest.approx((0.8, 0.8, 1.25))
+    assert np.array_equal(cases[1].affine, nib.load(folder / "imagesTr" / "case1_0000.nii.gz").affine)
+    assert [c.name for c in read_cases(folder, "val")] == ["case3"]
+    assert has_part(folder, "val")
+
+
+def test_hdf5_folders(tmp_path):
+    image, label = volume(0)
+    write_hdf5(tmp_path / "train" / "a.h5", image, label, spacing=(1.0, 2.0, 3.0))
+    write_hdf5(tmp_path / "val" / "b.h5", image.astype(np.int16), label)
+    (case,) = read_cases(tmp_path, "train")
+    assert case.name == "a"
+    assert case.spacing == (1.0, 2.0, 3.0)
+    assert case.label is not None
+    assert case.label.dtype == torch.bool
+    (other,) = read_cases(tmp_path, "val")
+    assert other.image.dtype == torch.float32
+    assert other.spacing == (1.0, 1.0, 1.0)
+
+
+def test_hdf5_files_without_a_part_are_for_training(tmp_path):
+    write_hdf5(tmp_path / "a.h5", *volume(0))
+    assert len(read_cases(tmp_path, "train")) == 1
+    assert not has_part(tmp_path, "val")
+
+
+def broken_nifti(folder):
+    path = folder / "imagesTr" / "case0_0000.nii.gz"
+    path.write_bytes(path.read_bytes()[:400])
+
+
+def missing_label(folder):
+    (folder / "labelsTr" / "case0.nii.gz").unlink()
+
+
+def coarser_label(folder):
+    nib.save(nib.Nifti1Image(volume(0)[1], 2 * AFFINE), folder / "labelsTr" / "case0.nii.gz")
+
+
+def moved_label(folder):
+    affine = AFFINE.copy()
+    affine[0, 3] += 3
+    nib.save(nib.Nifti1Image(volume(0)[1], affine), folder / "labelsTr" / "case0.nii.gz")
+
+
+def second_channel(folder):
+    nib.save(nib.Nifti1Image(volume(0)[0], AFFINE), folder / "imagesTr" / "case0_0001.nii.gz")
+
+
+def unnumbered(folder):
+    (folder / "imagesTr" / "case0_0000.nii.gz").rename(folder / "imagesTr" / "case0.nii.gz")
+
+
+BROKEN = {
+    broken_nifti: "case0_0000.nii.gz cannot be read",
+    missing_label: "case0_0000.nii.gz has no label",
+    coarser_label: "case0.nii.gz has voxels of 1.6 x 1.6 x 2.5 mm, but its image of 0.8 x 0.8 x 1.25 mm",
+    moved_label: "case0.nii.gz lies elsewhere in space",
+    second_channel: "case0_0001.nii.gz is a second channel",
+    unnumbered: "call it case0_0000.nii.gz",
+}
+
+
+@pytest.mark.parametrize("breaking", BROKEN, ids=lambda f: f.__name__)
+def test_bad_nifti_files_are_named(tmp_path, breaking):
+    folder = write_nnunet(tmp_path)
+    breaking(folder)
+    with pytest.raises(FormatError, match=BROKEN[breaking]):
+        read_cases(folder, "train")
+
+
+def test_bad_hdf5_files_are_named(tmp_path):
+    (tmp_path / "a.h5").write_bytes(b"no")
+    with pytest.raises(FormatError, match=r"a\.h5 cannot be read"):
+        read_cases(tmp_path, "train")
+    write_hdf5(tmp_path / "a.h5", volume(0)[0])
+    with pytest.raises(FormatError, match=r"a\.h5 has no data set called label"):
+        read_cases(tmp_path, "train")
+
+
+def test_folders_without_cases(tmp_path):
+    with pytest.raises(FormatError, match="not a folder"):
+        read_cases(tmp_path / "nothing", "train")
+    with pytest.raises(FormatError, match="no cases"):
+        read_cases(tmp_path, "train")
+
+
+def test_the_left_atria(data_dir):
+    if not (data_dir / "la").is_dir():
+        pytest.skip("needs the left-atrium data")
+    cases = read_cases(data_dir / "la", "val")
+    assert len(cases) == 8
+    assert all(c.label is not None and c.label.any() and c.label.shape == c.image.shape for c in cases)
