@@ -112,7 +112,7 @@ def by_code(model: DeepSDF, label: Tensor, grid: Grid, steps: int) -> TriangleMe
         optimizer.step()
         schedule.step()
     x, y, z = centre.tolist()
-    return decode_mesh(model, code.detach(), sphere=UnitSphere((x, y, z), start.radius * float(size.exp())))
+    return decode_mesh(model, code.detach(), sphere=UnitSphere((x, y, z), start.radius * float(size.detach().exp())))
 
 
 def by_parameters(family: Cochlea, label: Tensor, grid: Grid, steps: int) -> TriangleMesh:

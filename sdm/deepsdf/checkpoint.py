@@ -42,7 +42,7 @@ def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
         content = torch.load(path, map_location=device, weights_only=True)
     except FileNotFoundError:
         raise FormatError(f"{path} is not there; train a model first, or give another file") from None
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
+    except (OSError, pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
         raise FormatError(f"{path} is no DeepSDF model, or it is damaged; train it again") from error
     if not isinstance(content, dict) or content.get("kind") != KIND:
         raise FormatError(f"{path} is no DeepSDF model; give a file that sdm train deepsdf wrote")

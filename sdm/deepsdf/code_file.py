@@ -44,7 +44,7 @@ def load_code(path: str | Path) -> ShapeCode:
         FormatError: The file is not there, is something else, or is of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as whole, np.load(whole, allow_pickle=False) as file:
             version, code, sphere = int(file["version"]), file["code"], file["sphere"].tolist()
     except FileNotFoundError:
         raise FormatError(f"{path} is not there; make it with sdm encode") from None

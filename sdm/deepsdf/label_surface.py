@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -14,6 +15,8 @@ from sdm.mesh import TriangleMesh
 
 # Deviations of the Gaussian that it is cut off at, and that the volume gets as room on each side.
 CUT = 4.0
+# Surfaces that are tried for the right volume, and the share of it that is close enough.
+STEPS, CLOSE = 5, 1e-4
 
 
 def label_surface(
@@ -23,8 +26,7 @@ def label_surface(
 
     1. The exact signed distance from the surface made of voxel faces, with background around the volume.
     2. A Gaussian over it, which takes away steps of voxels and whatever is thinner than about its width.
-    3. The level below which there are as many voxels as the label has, so that the volume is kept to a voxel where
-       smoothing a curved surface would shrink it.
+    3. The level that encloses the label's volume, since smoothing alone would shrink curved surfaces.
     4. Marching cubes there; the component of the largest volume.
 
     Args:
@@ -51,13 +53,36 @@ def label_surface(
     padded = pad(inside.byte(), [n for axis in reversed(room) for n in (axis, axis)])
     values = euclidean_distance_transform(padded, size, signed=True, surface="faces").cpu()
     smooth = gaussian_filter(values.numpy(), [smoothing_mm / s for s in size], truncate=CUT, mode="nearest")
-    count = int(inside.sum())
-    below, above = np.partition(smooth.reshape(-1), (count - 1, count))[count - 1 : count + 1]
     origin = [-n * s for n, s in zip(room, size, strict=True)]
     grid = Grid(origin, size, smooth.shape)
+    return largest_component(_of_volume(SDM(torch.from_numpy(smooth), grid), int(inside.sum())))
+
+
+def _of_volume(field: SDM, voxels: int) -> TriangleMesh:
+    """The level set of the volume of so many voxels: secant steps from the level below which there are as many."""
+    values = field.values.reshape(-1).numpy()
+    below, above = np.partition(values, (voxels - 1, voxels))[voxels - 1 : voxels + 1]
+    wanted = voxels * float(np.prod(field.grid.spacing))
     # Halfway between two values, so that no voxel lies on the level itself.
-    surface = SDM(Tensor(smooth), grid).to_mesh(float((np.float64(below) + above) / 2))
-    return largest_component(surface)
+    level, last = float((np.float64(below) + above) / 2), (0.0, 0.0)
+    mesh = field.to_mesh(level)
+    for step in range(STEPS):
+        volume, area = _volume_and_area(mesh)
+        if abs(volume - wanted) <= CLOSE * wanted:
+            break
+        # A level moves the surface by as much where the map is still a distance.
+        slope = (volume - last[1]) / (level - last[0]) if step else area
+        last = (level, volume)
+        level += (wanted - volume) / slope
+        mesh = field.to_mesh(level)
+    return mesh
+
+
+def _volume_and_area(mesh: TriangleMesh) -> tuple[float, float]:
+    vertices, faces = mesh.numpy()
+    a, b, c = vertices.astype(np.float64)[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    return float((a * normals).sum() / 6), float(np.linalg.norm(normals, axis=1).sum() / 2)
 
 
 def largest_component(mesh: TriangleMesh) -> TriangleMesh:

@@ -30,7 +30,7 @@ class ShapeScores:
         chamfer_surface: As `chamfer`, but exactly to the other surface rather than to points of it: 0 if perfect.
         mean: Mean distance between the surfaces, both ways, in the mesh's unit (mm for anatomy).
         percentile95: 95 % of the points of either surface are within this of the other, in the mesh's unit.
-        dice: Overlap of the insides on a grid of 128^3 voxels around the truth.
+        dice: Overlap of the insides on a grid of voxels around the truth.
     """
 
     chamfer: float
@@ -47,7 +47,13 @@ def chamfer_distance(a: Tensor, b: Tensor) -> float:
 
 
 def score_shape(
-    mesh: TriangleMesh, truth: TriangleMesh, *, sphere: UnitSphere | None = None, points: int = POINTS, seed: int = 0
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    *,
+    sphere: UnitSphere | None = None,
+    points: int = POINTS,
+    seed: int = 0,
+    resolution: int = 128,
 ) -> ShapeScores:
     """Compare a surface with the true one; both in one unit and on one device.
 
@@ -57,6 +63,7 @@ def score_shape(
         sphere: The truth's normalisation, in whose radii Chamfer distances are; its own if not given.
         points: Random points of each surface.
         seed: Of these points.
+        resolution: Voxels along each axis of the grid for the overlap.
     """
     sphere = sphere or UnitSphere.of(truth)
     own, index = MeshIndex(mesh, mesh.device), MeshIndex(truth, mesh.device)
@@ -64,7 +71,7 @@ def score_shape(
     right, again = (surface_points(index.mesh, points, seed=seed + n)[0] for n in (1, 2))
     there, back = index.signed_distance(found).abs().double(), own.signed_distance(right).abs().double()
     squares = float(there.square().mean() + back.square().mean()) / sphere.radius**2
-    grid = Grid.around(truth, resolution=128)
+    grid = Grid.around(truth, resolution=resolution)
     insides = [i.signed_distance_map(grid).values < 0 for i in (own, index)]
     unit = [sphere.to_unit(p) for p in (found, right, again)]
     return ShapeScores(

@@ -39,7 +39,8 @@ def test_only_bricks_near_the_surface_are_evaluated_and_every_sign_is_right(reso
     near = dense.abs() < 2.0 / resolution
     assert torch.allclose(values[near], dense[near], atol=1e-5)
     if resolution == 64:
-        assert seen < 0.7 * resolution**3 and not bool(refined.all())
+        assert seen < 0.7 * resolution**3
+        assert not bool(refined.all())
 
 
 def test_a_surface_that_the_middles_of_bricks_do_not_show_is_followed() -> None:
@@ -60,7 +61,8 @@ def test_the_mesh_is_closed_and_where_the_sphere_is() -> None:
     model, sphere = ball(), UnitSphere((10.0, -20.0, 5.0), 8.0)
     mesh = decode_mesh(model, model.codes[0], sphere=sphere, resolution=96)
     report = inspect_mesh(mesh)
-    assert report.closed and report.outward
+    assert report.closed
+    assert report.outward
     distance = np.linalg.norm(mesh.vertices.numpy() - np.array(sphere.centre), axis=1)
     assert np.abs(distance - 4.0).max() < 0.02
 

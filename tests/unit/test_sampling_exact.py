@@ -1,0 +1,129 @@
+"""Samples of many shapes in one launch: exact, reproducible, and where DeepSDF has them."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import trimesh
+
+from sdm import MeshError, TriangleMesh, signed_distance
+from sdm.sampling import SampleDistribution, ShapeSet, UnitSphere, surface_points
+from sdm.shapes import Cochlea
+
+
+def cochleas(count: int, device: str = "cpu") -> ShapeSet:
+    family = Cochlea(800)
+    return ShapeSet([family.mesh(t) for t in family.sample(count, device="cpu")], device)
+
+
+def ball(radius: float = 1.0, centre: tuple[float, float, float] = (0, 0, 0)) -> TriangleMesh:
+    made = trimesh.creation.icosphere(3, radius)
+    return TriangleMesh(made.vertices + centre, made.faces, "ball")
+
+
+def test_values_are_the_engines_for_every_shape_of_a_large_set(device: str) -> None:
+    """65 shapes lie in five staggered layers; each is measured as if it were alone."""
+    shapes = cochleas(65, device)
+    every = torch.arange(len(shapes), device=device)
+    points, values = shapes.sample(every, 200)
+    for shape in range(0, 65, 4):
+        alone = signed_distance(shapes.mesh(shape), points[shape])
+        assert torch.allclose(values[shape], alone, atol=1e-7, rtol=2e-7)
+
+
+def test_points_at_the_reach_are_measured_to_their_own_shape() -> None:
+    shapes = cochleas(65)
+    corners = 1.5 * torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3)
+    every = torch.arange(len(shapes))
+    values = shapes.signed_distance(every, corners.expand(len(shapes), 8, 3))
+    for shape in range(len(shapes)):
+        assert torch.allclose(values[shape], signed_distance(shapes.mesh(shape), corners), atol=1e-5)
+
+
+def test_points_that_another_shape_could_be_nearer_to_have_no_value() -> None:
+    shapes = ShapeSet([ball()], "cpu")
+    far = torch.tensor([[[0.0, 0, 0], [1.6, 0, 0], [float("nan"), 0, 0]]])
+    assert shapes.signed_distance(torch.tensor([0]), far)[0].isnan().tolist() == [False, True, True]
+
+
+def test_the_scene_rounds_a_shape_by_no_more_than_it_says() -> None:
+    family = Cochlea(800)
+    meshes = [family.mesh(t) for t in family.sample(65, device="cpu")]
+    shapes = ShapeSet(meshes, "cpu")
+    for number in (0, 40, 64):
+        unit = shapes.spheres[number].to_unit(meshes[number].vertices)
+        assert (shapes.mesh(number).vertices - unit).abs().max() <= 2.0**-18
+
+
+def test_a_sample_depends_on_seed_step_and_shape_alone() -> None:
+    shapes = cochleas(5)
+    together = shapes.sample(torch.tensor([4, 0, 2]), 100, seed=7, step=3)
+    alone = shapes.sample(torch.tensor([2]), 100, seed=7, step=3)
+    assert torch.equal(together.points[2], alone.points[0])
+    assert torch.equal(together.values[2], alone.values[0])
+    for seed, step in ((8, 3), (7, 4)):
+        assert not torch.equal(shapes.sample(torch.tensor([2]), 100, seed=seed, step=step).points, alone.points)
+    assert not torch.equal(together.points[0], together.points[1])
+
+
+def test_shares_and_variances_are_those_of_the_paper() -> None:
+    """On a large flat box the distance from the surface is the normal offset along one axis."""
+    slab = trimesh.creation.box((2, 2, 1.5))
+    shapes = ShapeSet([TriangleMesh(slab.vertices, slab.faces)], "cpu")
+    count = 40_000
+    points, values = (part[0] for part in shapes.sample(torch.tensor([0]), count))
+    near = round(0.94 * count)
+    tight, wide = values[1:near:2], values[0:near:2]
+    # A normal's quartiles are 0.6745 deviations away; edges and the far side blur that a little.
+    assert tight.abs().median().item() == pytest.approx(0.6745 * 0.0005**0.5, rel=0.05)
+    assert wide.abs().median().item() == pytest.approx(0.6745 * 0.005**0.5, rel=0.12)
+    box = points[near:]
+    assert box.abs().max() <= 1
+    assert box.mean(0).abs().max() < 0.05
+    assert box.std(0).sub(3**-0.5).abs().max() < 0.03
+
+
+def test_other_shares_can_be_had() -> None:
+    shapes = ShapeSet([ball()], "cpu", distribution=SampleDistribution(near=1.0, variances=(0.0, 0.0)))
+    values = shapes.sample(torch.tensor([0]), 500).values
+    assert values.abs().max() < 1e-6
+
+
+def test_surface_points_are_spread_by_area_in_every_shape_of_a_set() -> None:
+    """Two balls of very different size: neither borrows the other's triangles."""
+    meshes = [ball(0.01), ball(100.0, (5, 5, 5))]
+    shapes = ShapeSet(meshes, "cpu", distribution=SampleDistribution(near=1.0, variances=(0.0, 0.0)))
+    points = shapes.sample(torch.tensor([0, 1]), 8000).points
+    radius = points.norm(dim=2)
+    assert (radius - 1 / 1.03).abs().max() < 0.02
+    assert points.mean(1).abs().max() < 0.01
+
+
+def test_bad_input_is_said() -> None:
+    with pytest.raises(MeshError, match="no meshes to sample"):
+        ShapeSet([], "cpu")
+    box = trimesh.creation.box((1, 1, 1))
+    open_box = TriangleMesh(box.vertices, box.faces[:-1], "lidless")
+    with pytest.raises(MeshError, match="lidless is not closed"):
+        ShapeSet([ball(), open_box], "cpu")
+    with pytest.raises(MeshError, match="ball reaches out of its unit sphere"):
+        ShapeSet([ball()], "cpu", spheres=[UnitSphere((0, 0, 0), 0.5)])
+    with pytest.raises(MeshError, match="1 spheres were given for 2 meshes"):
+        ShapeSet([ball(), ball()], "cpu", spheres=[UnitSphere((0, 0, 0), 2)])
+
+
+def test_points_of_a_surface_are_on_it_and_spread_by_area() -> None:
+    box = trimesh.creation.box((1, 2, 4))
+    mesh = TriangleMesh(box.vertices, box.faces)
+    points, normals = surface_points(mesh, 30_000, seed=3)
+    assert signed_distance(mesh, points).abs().max() < 1e-6
+    share = [float((normals[:, axis].abs() > 0.5).float().mean()) for axis in range(3)]
+    assert share == pytest.approx([8 / 14, 4 / 14, 2 / 14], abs=0.015)
+    outside = signed_distance(mesh, points + 0.1 * normals)
+    assert (outside > 0).all()
+    assert torch.equal(points, surface_points(mesh, 30_000, seed=3)[0])
+
+
+def test_a_surface_without_area_is_said() -> None:
+    with pytest.raises(MeshError, match="every triangle of mesh has zero area"):
+        surface_points(TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]), 10)
