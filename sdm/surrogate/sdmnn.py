@@ -46,7 +46,7 @@ class SDMNN(nn.Module):
             x = merge(torch.cat([up(x), skip], 1))
         x = nn.functional.silu(self.full(x))
         with full_precision(theta):
-            return self.last(x.float())
+            return self.last(x.to(self.last.weight.dtype))
 
 
 def _block(inside: int, outside: int) -> nn.Sequential:
