@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -185,7 +186,7 @@ def _restore(
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         known = state["settings"]
-    except (OSError, RuntimeError, KeyError, EOFError) as error:
+    except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise FormatError(f"{path} is not a checkpoint of a training: remove it to begin anew") from error
     if known != settings.record():
         raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")

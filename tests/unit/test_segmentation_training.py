@@ -1,0 +1,138 @@
+"""Training: it learns, resumes to the bit, stops in time, and refuses what it cannot continue."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import torch
+
+from sdm.errors import FormatError, SDMError
+from sdm.segmentation import METHODS, Patches, Settings, TrainedModel, load_model, predict, save_model, train
+from sdm.segmentation.scores import scores_of
+from tests.segmentation_cases import case
+
+SIZE = (16, 16, 16)
+
+
+def settings(**changes):
+    given = {"patch": SIZE, "batch": 2, "steps": 6, "filters": 2, "architecture": "unet", "learning_rate": 1e-2}
+    return Settings(**{**given, **changes})
+
+
+def patches(method):
+    return Patches([case(0), case(1)], METHODS[method].map, SIZE, "cpu")
+
+
+@pytest.mark.parametrize("method", ["baseline", "pwr"])
+def test_it_learns(method):
+    chosen = settings(method=method, steps=60, filters=4)
+    training = train(patches(method), chosen)
+    truth = case(5)
+    assert truth.label is not None
+    found = predict(training.model, truth.image, SIZE)
+    assert scores_of(found.label, truth.label, truth.spacing)["dice"] > 0.8
+    assert training.losses[-1][1] < 0.75 * training.losses[0][1]
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
+@pytest.mark.parametrize("method", ["hausdorff", "branch-sdf-l1"])
+def test_a_training_cut_short_goes_on_to_the_bit(tmp_path, method, optimizer):
+    """With dropout, whose random numbers have to be continued too."""
+    chosen = settings(method=method, optimizer=optimizer, dropout=0.5)
+    whole = train(patches(method), chosen)
+    stops = iter([3, 6])
+    checkpoint = tmp_path / "checkpoint.pt"
+    for stop in stops:
+        state = {"now": 0.0}
+
+        def count(done, total, state=state, stop=stop):
+            state["now"] = float("inf") if done >= stop else 0.0
+
+        part = _until(patches(method), chosen, checkpoint, count, state)
+        assert part.step == stop
+    for name, value in whole.model.state_dict().items():
+        assert torch.equal(value, part.model.state_dict()[name]), name
+    assert part.losses == whole.losses
+
+
+def _until(source, chosen, checkpoint, count, state):
+    """Train until `count` says that the time is over."""
+
+    class Deadline(float):
+        def __gt__(self, other):
+            return state["now"] == 0.0
+
+    return train(source, chosen, checkpoint=checkpoint, deadline=Deadline(0), progress=count)
+
+
+def test_the_deadline_leaves_a_checkpoint(tmp_path):
+    training = train(patches("baseline"), settings(), checkpoint=tmp_path / "c.pt", deadline=time.monotonic() - 1)
+    assert training.step == 0
+    assert (tmp_path / "c.pt").is_file()
+    assert [p.name for p in tmp_path.iterdir()] == ["c.pt"]
+
+
+def test_checkpoints_of_something_else_are_refused(tmp_path):
+    path = tmp_path / "c.pt"
+    train(patches("baseline"), settings(), checkpoint=path, deadline=0.0)
+    with pytest.raises(FormatError, match="other settings"):
+        train(patches("baseline"), settings(seed=1), checkpoint=path)
+    path.write_bytes(b"no")
+    with pytest.raises(FormatError, match="not a checkpoint"):
+        train(patches("baseline"), settings(), checkpoint=path)
+
+
+def test_the_callers_random_numbers_are_left_alone():
+    torch.manual_seed(7)
+    expected = torch.rand(3)
+    torch.manual_seed(7)
+    train(patches("baseline"), settings(steps=2, dropout=0.5))
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_the_learning_rate_rises_and_falls_to_zero():
+    rates = [settings(steps=100).learning_rate_at(step) for step in range(101)]
+    assert max(rates) == pytest.approx(1e-2)
+    assert rates[0] == pytest.approx(1e-2 / 5)
+    assert rates[100] == pytest.approx(0.0)
+    assert rates[5:] == sorted(rates[5:], reverse=True)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"method": "best"}, {"patch": (20, 16, 16)}, {"batch": 0}, {"learning_rate": 0.0}, {"architecture": "resnet"}],
+)
+def test_settings_that_make_no_sense(bad):
+    with pytest.raises(SDMError):
+        settings(**bad)
+
+
+def test_settings_survive_their_record():
+    chosen = settings(seed=4)
+    assert Settings.of_record(chosen.record()) == chosen
+
+
+def test_networks_in_files(tmp_path):
+    chosen = settings(method="pwr")
+    training = train(patches("pwr"), chosen)
+    path = tmp_path / "model.pt"
+    save_model(TrainedModel(training.model, chosen, (0.8, 0.8, 1.25)), path)
+    again = load_model(path)
+    assert again.settings == chosen
+    assert again.spacing == (0.8, 0.8, 1.25)
+    image = torch.randn(1, 1, *SIZE)
+    with torch.no_grad():
+        assert torch.equal(again.model.field(image), training.model.field(image))
+
+
+@pytest.mark.parametrize("content", [b"no", None])
+def test_files_that_are_not_networks(tmp_path, content):
+    path = tmp_path / "model.pt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"model\.pt"):
+        load_model(path)
+    torch.save({"something": "else"}, path)
+    with pytest.raises(FormatError, match="not a trained"):
+        load_model(path)
