@@ -18,8 +18,8 @@ GRID_SHADES = ("#f2b6a8", "#e0725a", "#a92a16")
 def machine(part: dict[str, Any]) -> str:
     """One line on what it was measured on."""
     about = part["machine"]
-    versions = ", ".join(f"{name} {number}" for name, number in about["versions"].items() if name in ("warp-lang",))
-    return f"{about['device']}, {about['cores']} CPU cores, {versions}, commit {about['commit']}"
+    warp = about["versions"].get("warp-lang")
+    return f"{about['device']}, {about['cores']} CPU cores, Warp {warp}, commit {about['commit']}"
 
 
 def ratios(part: dict[str, Any], path: Path, gpu: bool) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bench._figure import MARKERS, OURS, colour_of, drawing, log_axes, plain_ticks
-from bench._report import markdown_table
+from bench._report import machine_line, markdown_table
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,44 @@ def speeds(found: list[Speed], path: Path, caption: str) -> bool:
         axes.set_xlabel("million voxels or points a second")
         axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=4, columnspacing=1.2, handletextpad=0.3)
         figure.text(0.012, 1 - 0.38 / height, "Signed distances: speed of each library", fontsize=16, weight="bold")
+    return True
+
+
+def growth(report: dict[str, Any], path: Path) -> bool:
+    """Lines, one panel for each mesh: time of a map against its number of voxels, for meshes on several grids."""
+    times: dict[str, dict[str, list[tuple[int, float]]]] = {}
+    for result in report["results"]:
+        if result["title"].endswith("^3"):
+            for row in result["rows"]:
+                at = (result["size"], result["size"] / row["million_per_second"] / 1e3)
+                times.setdefault(result["mesh"], {}).setdefault(row["peer"], []).append(at)
+    times = {mesh: peers for mesh, peers in times.items() if any(len(found) > 1 for found in peers.values())}
+    if not times:
+        return False
+    peers = list(dict.fromkeys(peer for found in times.values() for peer in found))
+    with drawing(path, "Query alone. " + machine_line(report), (4.4 + 3.8 * (len(times) - 1) + 3.0, 5.6)) as (
+        fig,
+        whole,
+    ):
+        whole.remove()
+        width = fig.get_figwidth()
+        panels = fig.subplots(1, len(times), sharey=True, squeeze=False)[0]
+        fig.subplots_adjust(left=0.9 / width, right=1 - 2.75 / width, bottom=0.17, top=0.83, wspace=0.08)
+        for axes, (mesh, found) in zip(panels, times.items(), strict=True):
+            log_axes(axes)
+            for number, peer in enumerate(peers):
+                if peer in found:
+                    shown = colour_of(peer, peers)
+                    axes.plot(
+                        *zip(*sorted(found[peer]), strict=True), color=shown, marker=MARKERS[number % 8], label=peer
+                    )
+            axes.set_title(mesh, fontsize=12, pad=8)
+            axes.set_xlabel("voxels")
+            plain_ticks(axes.yaxis)
+        panels[0].set_ylabel("milliseconds")
+        handles, labels = panels[-1].get_legend_handles_labels()
+        fig.legend(handles, labels, loc="center left", bbox_to_anchor=(1 - 2.65 / width, 0.5))
+        fig.text(0.012, 0.94, "Time of a map against its size", fontsize=16, weight="bold")
     return True
 
 

@@ -28,9 +28,12 @@ def markdown_table(header: list[str], rows: list[list[str]]) -> str:
 
 
 def machine_line(report: dict[str, Any]) -> str:
-    """Device, versions and commit in one sentence."""
+    """Device, clocks, versions and commit in one sentence."""
     versions = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
-    machine = f"{report['device']}, {report['cores']} cores, Python {report['python']}"
+    clock = report.get("clocks", {})
+    mhz = clock.get("sm_mhz", clock.get("cpu_mhz"))
+    at = f" at {mhz:.0f} MHz" if isinstance(mhz, float) else ""
+    machine = f"{report['device']}{at}, {report['cores']} cores, Python {report['python']}"
     return f"{machine}, {versions}, commit {report['commit']}."
 
 

@@ -31,6 +31,7 @@ def draw(report: dict[str, Any], folder: Path, name: str) -> list[Path]:
 
     if "results" in report:
         keep(peers.speeds(peers.of_run(report), to("speed"), machine_line(report)), to("speed"))
+        keep(peers.growth(report, to("growth")), to("growth"))
     parts = report.get("parts", {})
     if "table" in parts:
         table = parts["table"]

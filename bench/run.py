@@ -1,13 +1,16 @@
-"""The comparison: every peer that is installed, checked against the brute force, then timed. `sdm bench`."""
+"""The comparison: every peer that is installed, checked against the brute force, then timed. `sdm bench`.
+
+Compiling, building, the query, the sign and the way to the host and back are timed apart. How to add a mesh or a peer
+of your own is in bench/README.md.
+"""
 
 from __future__ import annotations
 
 import argparse
 import functools
-import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +21,13 @@ from torch import Tensor
 import sdm
 from bench import _sampling as sampling
 from bench._checks import compare
+from bench._folder import write_results
 from bench._machine import describe, version_of
 from bench._tables import print_results
 from bench._timing import median, once
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note
+from bench.own import Own, load_own
 from bench.peers import Peer, all_peers
 from sdm.device import choose_device
 
@@ -50,7 +55,8 @@ class Options:
         budget_s: About how long one peer may take for one mesh and grid. A peer that would take longer is timed on
             fewer voxels, chosen at random, and the table says how many.
         quick: Small choices: under a minute on two cores, compiling aside.
-        out: Also write the results to this JSON file.
+        out: Also write the results: to this file if it ends with .json, else to this folder, with tables and plots.
+        add: Python files with meshes and peers of one's own: see bench/own.py.
     """
 
     device: str | None = None
@@ -62,6 +68,7 @@ class Options:
     budget_s: float = 30.0
     quick: bool = False
     out: Path | None = None
+    add: Sequence[Path] = ()
 
     def filled(self) -> Options:
         """With every choice made.
@@ -74,7 +81,7 @@ class Options:
         device = self.device or ("cuda" if torch.cuda.is_available() else "cpu")
         gpu = device.startswith("cuda")
         meshes = ("torus-20000", "rocker-arm")
-        resolutions = (64,) if gpu else (32,)
+        resolutions = (32, 64) if gpu else (16, 32)
         if not self.quick:
             meshes = (*meshes, "stanford-bunny", "nefertiti", *(("torus-1000000",) if gpu else ()))
             resolutions = (64, 128, 256) if gpu else (64,)
@@ -85,9 +92,10 @@ class Options:
             points=self.points,
             peers=self.peers,
             runs=min(self.runs, 3) if self.quick else self.runs,
-            budget_s=min(self.budget_s, 2.0) if self.quick else self.budget_s,
+            budget_s=min(self.budget_s, 1.0) if self.quick else self.budget_s,
             quick=self.quick,
             out=self.out,
+            add=self.add,
         )
 
 
@@ -123,27 +131,27 @@ def run(options: Options) -> int:
     Raises:
         SDMError: A mesh or device that is not there, or no peer left.
     """
+    own = load_own(options.add)
+    if own.cases and not options.meshes:
+        options = replace(options, meshes=tuple(own.cases))
     options = options.filled()
     device = options.device or "cpu"
     choose_device(device)
-    peers = [
-        p for p in all_peers(device) if not options.peers or any(w.lower() in p.name.lower() for w in options.peers)
-    ]
+    known = [*all_peers(device), *own.peers(device)]
+    peers = [p for p in known if not options.peers or any(w.lower() in p.name.lower() for w in options.peers)]
     if not peers:
-        names = ", ".join(peer.name for peer in all_peers(device))
+        names = ", ".join(peer.name for peer in known)
         raise sdm.SDMError(f"no peer's name holds any of {', '.join(options.peers or ())}; there are {names}")
     missing = [note for peer in peers if (note := peer.missing()) is not None]
     peers = [peer for peer in peers if peer.available()]
     left_out = []
     results: list[dict[str, Any]] = []
     for name in options.meshes or ():
-        if (note := missing_note(name)) is not None:
+        if name not in own.cases and (note := missing_note(name)) is not None:
             left_out.append(note)
             continue
-        try:
-            case = load_case(name)
-        except KeyError as error:
-            raise sdm.MeshError(str(error.args[0])) from error
+        case = _case(name, own)
+        upload = _upload(case, device, options)
         brute = Brute(case.vertices, case.faces, device)
         questions = _questions(case, options)
         for question in questions:
@@ -156,7 +164,14 @@ def run(options: Options) -> int:
                     _progress(f"{question.title}: {peer.name}")
                     rows.append(built | _measure(peer, question, options))
         results += [
-            {"title": question.title, "mesh": case.name, "triangles": len(case), "size": question.size, "rows": rows}
+            {
+                "title": question.title,
+                "mesh": case.name,
+                "triangles": len(case),
+                "size": question.size,
+                "upload_ms": upload,
+                "rows": rows,
+            }
             for question, rows in zip(questions, answers, strict=True)
         ]
     _progress("")
@@ -164,11 +179,24 @@ def run(options: Options) -> int:
     report = {**describe(device, packages), "results": results, "missing": missing, "left_out": left_out}
     print_results(report)
     if options.out is not None:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        part = options.out.with_name(options.out.name + ".part")
-        part.write_text(json.dumps(report, indent=1) + "\n")
-        part.replace(options.out)
+        write_results(report, options.out)
     return int(any(row["peer"] == "sdm" and not row["fine"] for result in results for row in result["rows"]))
+
+
+def _case(name: str, own: Own) -> Case:
+    try:
+        return own.cases[name] if name in own.cases else load_case(name)
+    except KeyError as error:
+        raise sdm.MeshError(str(error.args[0])) from error
+
+
+def _upload(case: Case, device: str, options: Options) -> float | None:
+    """Milliseconds of the mesh's way to the device, from pageable memory; None on a CPU, where there is none."""
+    if not device.startswith("cuda"):
+        return None
+    arrays = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
+    once(lambda: [array.to(device) for array in arrays], device)
+    return median(lambda: [array.to(device) for array in arrays], device, options.runs).ms
 
 
 def _progress(text: str) -> None:
@@ -236,6 +264,7 @@ def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]
 
     first, values = once(call, device)
     tally = question.check(values.reshape(-1)[pick].cpu().numpy())
+    download = median(values.cpu, device, options.runs, budget / 4).ms if device.startswith("cuda") else None
     del values
     timing = median(call, device, options.runs, budget)
     row = {
@@ -245,6 +274,7 @@ def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]
         "runs": timing.runs,
         "million_per_second": asked / timing.ms / 1e3,
         "first_call_ms": warm_up + first,
+        "download_ms": download,
         **tally,
         "fine": tally["over_limit"] == 0 and tally["wrong_signs"] == 0,
     }
@@ -283,7 +313,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=5, help="timed calls for each figure")
     parser.add_argument("--budget-s", type=float, default=30.0, help="seconds for one peer, mesh and grid")
     parser.add_argument("--quick", action="store_true", help="small choices: under a minute on two cores")
-    parser.add_argument("--out", type=Path, help="JSON file to write")
+    parser.add_argument("--out", type=Path, help="folder for results, tables and plots, or a .json file")
+    parser.add_argument("--add", nargs="+", type=Path, default=(), metavar="FILE.py", help="meshes and peers of yours")
     try:
         return run(Options(**vars(parser.parse_args(argv))))
     except sdm.SDMError as error:

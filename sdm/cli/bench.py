@@ -21,6 +21,7 @@ def bench(
     budget_s: float = 30.0,
     quick: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    add: tuple[Path, ...] = (),
 ) -> int:
     """Time sdm and every other library that is installed, each checked against a float64 brute force first.
 
@@ -35,7 +36,8 @@ def bench(
         runs: Timed calls for each figure; the median counts.
         budget_s: About how many seconds one peer may take for one mesh and grid; slower ones are asked for less.
         quick: Small choices: under a minute on two cores.
-        out: Also write the results to this JSON file.
+        out: Also write results.json, tables and log-log plots to this folder; only the results if it ends with .json.
+        add: Python files with a class for each mesh or peer of yours to compare too; bench/README.md has an example.
     """
     root = _checkout()
     if root is None:
@@ -55,6 +57,7 @@ def bench(
             budget_s=budget_s,
             quick=quick,
             out=out,
+            add=add,
         )
     )
 

@@ -1,0 +1,36 @@
+"""Where a comparison's results go: one JSON file, or a folder with tables and plots too."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from sdm.errors import FormatError
+from sdm.io.atomic import replacing
+
+
+def write_results(report: dict[str, Any], out: Path) -> list[Path]:
+    """Write a report to `out` if it ends with .json, else to the folder `out`: results.json, report.md, *.png.
+
+    Raises:
+        FormatError: A place that cannot be written.
+    """
+    from bench._tables import results_markdown
+    from bench.plots import draw
+
+    alone = out.suffix == ".json"
+    folder = out.parent if alone else out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"the folder {folder} cannot be made: {error.strerror or error}") from error
+    written = [out if alone else out / "results.json"]
+    with replacing(written[0]) as part:
+        part.write_text(json.dumps(report, indent=1) + "\n")
+    if not alone:
+        written.append(out / "report.md")
+        with replacing(written[1]) as part:
+            part.write_text(results_markdown(report))
+        written += draw(report, out, "results")
+    return written
