@@ -1,14 +1,15 @@
 """Studies of DeepSDF: train, evaluate, compare. Each command goes on where it was cut off.
 
     python -m bench.deepsdf train atria --variant local --budget-s 120 --out runs/atria-local
-    python -m bench.deepsdf evaluate atria --out runs/atria-local [--parts known unseen completion ...]
+    python -m bench.deepsdf evaluate atria --out runs/atria-local [--parts search unseen known ...]
     python -m bench.deepsdf recipe cochlea --budget-s 60 --out runs/recipe
     python -m bench.deepsdf fit cochlea --out runs/cochlea-local
     python -m bench.deepsdf report runs/* --to bench/results
 
 - `train`: the cochlea family (500 shapes) or left atria (72 labels) on exact samples, or on approximate ones.
-- `evaluate`: known shapes; unseen ones by maximum a posteriori estimation; completion from half of the surface and from
-  noisy points; time; a strip of pictures from one code to another. `scores.json` grows part by part.
+- `evaluate`: `search` finds the codes of unseen shapes, of half of their surface and of noisy points, by maximum a
+  posteriori estimation, into `codes.pt`, which another machine may score; then known and unseen shapes, completion,
+  times, and a strip of pictures from one code to another. `scores.json` grows part by part.
 - `recipe`: exact samples against DeepSDF's approximate recipe: one network, one budget, the same shapes.
 - `fit`: a cochlea's map and the fit of one to a label, beside the mesh.
 - `report`: a table (`deepsdf.md`) and all figures (`deepsdf.json`) of some runs.
@@ -32,17 +33,18 @@ import torch
 
 from bench import deepsdf_evaluate as evaluation
 from bench import deepsdf_fit as fitting
-from bench._machine import describe
+from bench._machine import describe, device_name
 from bench.deepsdf_approximate import ApproximateSamples
 from bench.deepsdf_report import report
 from bench.deepsdf_shapes import Shapes, atria, cochleas
 from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
 from sdm.deepsdf.ranks import process_group
 from sdm.deepsdf.settings import VARIANTS, Settings
+from sdm.mesh import TriangleMesh
 from sdm.sampling import SampleSource, ShapeSet
 from sdm.shapes import Cochlea
 
-PARTS = ("unseen", "known", "completion", "speed", "pictures")
+PARTS = ("search", "speed", "pictures", "unseen", "known", "half", "noisy")
 
 
 def main() -> None:
@@ -87,18 +89,34 @@ def trained(source: SampleSource, shapes: ShapeSet, settings: Settings, out: Pat
 def run_evaluate(options: argparse.Namespace) -> None:
     model = DeepSDF.load(options.out, options.device)
     shapes = of_class(options)
-    compiled = options.compile and model.device.type == "cuda"
-    steps, resolution = options.steps, options.resolution
+    resolution = options.resolution
+
+    def searched(name: str) -> evaluation.Found:
+        return evaluation.Found(*torch.load(options.out / "codes.pt", map_location=model.device)[name])
+
     parts: dict[str, Callable[[], Any]] = {
-        "known": lambda: evaluation.known(model, shapes.training, options.known, resolution),
-        "unseen": lambda: evaluation.unseen(model, shapes.test, resolution, steps, compiled),
-        "completion": lambda: evaluation.completion(model, shapes.test, resolution, steps, options.prior),
+        "search": lambda: search(model, shapes.test, options),
         "speed": lambda: evaluation.speed(model, shapes.test[0]),
         "pictures": lambda: pictures(model, options.out, options.size),
+        "unseen": lambda: evaluation.unseen(model, shapes.test, searched("unseen"), resolution),
+        "known": lambda: evaluation.known(model, shapes.training, options.known, resolution),
+        "half": lambda: evaluation.completion(model, shapes.test, searched("half"), resolution),
+        "noisy": lambda: evaluation.completion(model, shapes.test, searched("noisy"), resolution),
     }
-    chosen = {name: parts[name] for name in options.parts}
+    chosen = {name: parts[name] for name in parts if name in options.parts}
     about = {"class": options.shapes, "settings": model.settings.as_dict(), "training": training_of(options.out)}
     in_turn(chosen, options, about)
+
+
+def search(model: DeepSDF, test: list[TriangleMesh], options: argparse.Namespace) -> dict[str, Any]:
+    """Codes into `codes.pt`, so that another machine may score them; their times into the figures."""
+    compiled = options.compile and model.device.type == "cuda"
+    found = evaluation.search(model, test, options.steps, options.prior, compiled)
+    part = options.out / "codes.part"
+    torch.save({name: tuple(each) for name, each in found.items()}, part)
+    part.replace(options.out / "codes.pt")
+    seconds = {name: each.seconds_a_shape for name, each in found.items()}
+    return {"device": device_name(str(model.device)), "shapes": len(test), "prior": options.prior, "seconds": seconds}
 
 
 def run_fit(options: argparse.Namespace) -> None:
@@ -119,13 +137,17 @@ def run_recipe(options: argparse.Namespace) -> None:
     preparation = {"table": options.table, "dense": options.dense, "seconds": time.monotonic() - start}
     result: dict[str, Any] = {"class": options.shapes, "settings": settings.as_dict(), "budget_s": options.budget_s}
     result["recipe"] = {**asdict(table.quality), **preparation}
+
+    def of_unseen(model: DeepSDF) -> evaluation.Found:
+        return evaluation.search(model, shapes.test, options.steps, None, False)["unseen"]
+
     sources: dict[str, SampleSource] = {"exact": found, "approximate": table}
     for name, source in sources.items():
         model = DeepSDF.load(trained(source, found, settings, options.out / name, options), options.device)
         result[name] = {
             "training": training_of(options.out / name),
             "known": evaluation.known(model, shapes.training, options.known, options.resolution),
-            "unseen": evaluation.unseen(model, shapes.test, options.resolution, options.steps, False),
+            "unseen": evaluation.unseen(model, shapes.test, of_unseen(model), options.resolution),
         }
     write({"machine": describe(str(found.device)), "recipe_study": result}, options.out / "scores.json")
 
@@ -160,7 +182,7 @@ def pictures(model: DeepSDF, out: Path, size: int) -> dict[str, Any]:
 def of_class(options: argparse.Namespace) -> Shapes:
     if options.shapes == "cochlea":
         return cochleas(options.count or 500, options.test or 8, triangles=options.triangles)
-    return atria(options.data, options.count, options.test)
+    return atria(options.data, options.count, options.test, cache=options.cache)
 
 
 def settings_of(options: argparse.Namespace) -> Settings:
@@ -200,6 +222,7 @@ def arguments() -> argparse.Namespace:
         command.add_argument("shapes", choices=("cochlea", "atria"))
         command.add_argument("--out", type=Path, required=True, help="folder of the run")
         command.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+        command.add_argument("--cache", type=Path, help="file that keeps the surfaces of the atria")
         command.add_argument("--device", default="auto")
         command.add_argument("--budget-s", type=float, help="seconds of training, or after which no part begins")
         command.add_argument("--count", type=int, help="training shapes")

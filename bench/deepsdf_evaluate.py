@@ -6,7 +6,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,11 +17,12 @@ from sdm.deepsdf import (
     Scan,
     ShapeScores,
     decode_mesh,
-    encode_meshes,
     estimate_codes,
     half_of,
     score_shape,
 )
+from sdm.deepsdf.encode import POINTS
+from sdm.deepsdf.estimate import Draw
 from sdm.engine import signed_distance
 from sdm.errors import SDMError
 from sdm.mesh import TriangleMesh
@@ -30,6 +31,14 @@ from sdm.sampling import Samples, ShapeSet, UnitSphere, surface_points
 # Points of a scan, and the deviation of a noisy one's points in unit-sphere radii.
 SCAN, NOISE = 10_000, 0.01
 UNIT = UnitSphere((0.0, 0.0, 0.0), 1.0)
+
+
+class Found(NamedTuple):
+    """Codes (B,D) of a search, and what it took."""
+
+    codes: Tensor
+    seconds_a_shape: float
+    steps: int
 
 
 def scores_of(
@@ -69,41 +78,71 @@ def known(model: DeepSDF, training: list[TriangleMesh], most: int, resolution: i
     return scores_of(model, model.codes[:most], meshes.__getitem__, [s.radius for s in spheres], resolution)
 
 
-def unseen(model: DeepSDF, test: list[TriangleMesh], resolution: int, steps: int, compiled: bool) -> dict[str, Any]:
-    """Shapes that the training never saw, by maximum a posteriori estimation, all at once."""
-    if compiled:
-        # Compiling is paid once a machine; what users wait for is the search.
-        encode_meshes(model, test, steps=3, compile_network=True)
-    device = str(model.device)
-    ms, found = once(lambda: encode_meshes(model, test, steps=steps, compile_network=compiled), device)
-    spheres = [f.sphere for f in found]
-    meshes = [s.normalised(m) for s, m in zip(spheres, test, strict=True)]
-    codes = torch.stack([f.code for f in found])
-    scores = scores_of(model, codes, meshes.__getitem__, [s.radius for s in spheres], resolution)
-    return {"steps": steps, "seconds_a_shape": ms / 1e3 / len(test), **scores}
+def search(
+    model: DeepSDF, test: list[TriangleMesh], steps: int, prior: float | None, compiled: bool
+) -> dict[str, Found]:
+    """Codes of shapes that the training never saw, by maximum a posteriori estimation, all at once.
 
-
-def completion(
-    model: DeepSDF, test: list[TriangleMesh], resolution: int, steps: int, prior: float | None
-) -> dict[str, Any]:
-    """From half of the surface with its normals, and from noisy points of all of it without normals.
-
-    The half's error is split: on the half that was seen, and on the one that was not.
+    `unseen`: from exact samples of the whole shape. `half`: from points of the half of the surface that faces one
+    direction, with normals. `noisy`: from points of all of it with noise and without normals.
     """
-    shapes = ShapeSet(test, model.device)
+    device = str(model.device)
+    shapes = ShapeSet(test, device)
     truths = [shapes.mesh(n) for n in range(len(shapes))]
-    points, normals = (torch.stack(p) for p in zip(*(surface_points(t, SCAN, seed=9) for t in truths), strict=True))
-    result: dict[str, Any] = {"points": SCAN, "noise": NOISE, "prior": prior}
-    generator = torch.Generator().manual_seed(9)
-    direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0).to(model.device)
-    seen = torch.stack([half_of(p, direction) for p in points])
+    points, normals = _scans(truths)
+    seen = _seen(points)
+    noise = torch.randn(points.shape, generator=torch.Generator().manual_seed(9)).to(points)
     half = Scan(_chosen(points, seen), _chosen(normals, seen), count=4000)
-    noisy = Scan(points + NOISE * torch.randn(points.shape, generator=generator).to(points), count=8000)
-    for name, scan in (("half", half), ("noisy", noisy)):
-        codes = estimate_codes(model, scan, steps=steps, prior=prior).codes
-        rows = list(_parts(model, codes, truths, points, seen, [s.radius for s in shapes.spheres], resolution))
-        result[name] = {**summary(rows), "rows": rows}
-    return result
+    noisy = Scan(points + NOISE * noise, count=8000)
+    every = torch.arange(len(shapes), device=device)
+    draws: dict[str, tuple[Draw, float | None]] = {
+        "unseen": (lambda step: shapes.sample(every, POINTS, step=step), None),
+        "half": (half, prior),
+        "noisy": (noisy, prior),
+    }
+    found = {}
+    for name, (draw, weight) in draws.items():
+        if compiled:
+            # Compiling is paid once a machine; what users wait for is the search.
+            estimate_codes(model, draw, steps=3, prior=weight, compile_network=True)
+        ms, best = once(
+            lambda draw=draw, weight=weight: estimate_codes(
+                model, draw, steps=steps, prior=weight, compile_network=compiled
+            ),
+            device,
+        )
+        found[name] = Found(best.codes.cpu(), ms / 1e3 / len(test), steps)
+    return found
+
+
+def unseen(model: DeepSDF, test: list[TriangleMesh], found: Found, resolution: int) -> dict[str, Any]:
+    """Representation of unseen shapes."""
+    spheres = [UnitSphere.of(m) for m in test]
+    meshes = [s.normalised(m) for s, m in zip(spheres, test, strict=True)]
+    scores = scores_of(model, found.codes, meshes.__getitem__, [s.radius for s in spheres], resolution)
+    return {"steps": found.steps, "seconds_a_shape": found.seconds_a_shape, **scores}
+
+
+def completion(model: DeepSDF, test: list[TriangleMesh], found: Found, resolution: int) -> dict[str, Any]:
+    """Errors on the half of the surface that a scan from one side saw, and on the other one."""
+    spheres = [UnitSphere.of(m) for m in test]
+    truths = [s.normalised(m).to(model.device) for s, m in zip(spheres, test, strict=True)]
+    points, _ = _scans(truths)
+    radii = [s.radius for s in spheres]
+    rows = list(_parts(model, found.codes, truths, points, _seen(points), radii, resolution))
+    about = {"points": SCAN, "noise": NOISE, "steps": found.steps, "seconds_a_shape": found.seconds_a_shape}
+    return {**about, "shapes": len(test), **summary(rows), "rows": rows}
+
+
+def _scans(truths: list[TriangleMesh]) -> tuple[Tensor, Tensor]:
+    """Points (B,N,3) and normals of normalised surfaces."""
+    points, normals = zip(*(surface_points(truth, SCAN, seed=9) for truth in truths), strict=True)
+    return torch.stack(points), torch.stack(normals)
+
+
+def _seen(points: Tensor) -> Tensor:
+    direction = torch.nn.functional.normalize(torch.tensor([1.0, -0.7, 0.4]), dim=0)
+    return torch.stack([half_of(p, direction) for p in points])
 
 
 def _chosen(values: Tensor, seen: Tensor) -> Tensor:

@@ -42,10 +42,9 @@ def report(runs: list[Path], to: Path) -> None:
 
 
 def _tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
-    done = found.get("completion", {})
     made = [(f"{n} shapes, {found[n]['shapes']}", _table(found[n], COLUMNS)) for n in ("known", "unseen") if n in found]
-    made += [(f"completion, {n}", _table(done[n], PARTS)) for n in ("half", "noisy") if n in done]
-    made += [(n, _pairs(found[n])) for n in ("training", "speed", "maps") if n in found]
+    made += [(f"completion, {n}", _table(found[n], PARTS)) for n in ("half", "noisy") if n in found]
+    made += [(n, _pairs(found[n])) for n in ("training", "search", "speed", "maps") if n in found]
     made += [(f"fit by {way}", _rows(fit["rows"], FIT)) for way, fit in found.get("fits", {}).items() if "rows" in fit]
     study = found.get("recipe_study")
     if study is not None:

@@ -9,7 +9,9 @@ for machines that have only that. It holds data of others under their terms (see
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -49,26 +51,43 @@ def cochleas(count: int, test: int, *, triangles: int = 6_000, device: str = "cp
     return Shapes(some(count, COCHLEA_SEED), some(test, TEST_SEED))
 
 
-def atria(source: Path, count: int | None = None, test: int | None = None) -> Shapes:
+def atria(source: Path, count: int | None = None, test: int | None = None, *, cache: Path | None = None) -> Shapes:
     """Smooth surfaces of left atria: the 72 labels of `train` and `labels`, and the 8 of `val`.
 
     Args:
         source: The data folder, or the file that this command packs.
         count: How many to train on; all if not given.
         test: How many to test on.
+        cache: A file that keeps the surfaces for the next time.
     """
-    packed = source.is_file()
-    with np.load(source) if packed else _Folder(source) as file:
-        names = sorted(file.files)
+    if cache is None or not cache.exists():
+        found = _surfaces(source)
+        if cache is not None:
+            cache.parent.mkdir(parents=True, exist_ok=True)
+            part = cache.with_suffix(".part")
+            torch.save([[(m.vertices, m.faces, m.name) for m in group] for group in found], part)
+            part.replace(cache)
+    else:
+        kept = torch.load(cache, weights_only=True)
+        found = [[TriangleMesh(v, f, name, check=False) for v, f, name in group] for group in kept]
+    return Shapes(found[0][:count], found[1][:test])
 
-        def some(groups: tuple[str, ...], most: int | None) -> list[TriangleMesh]:
-            chosen = [n for n in names if n.split("/")[0] in groups and n.endswith("/bits")][:most]
-            return [_mesh(n.split("/")[1], file[n], file[n.replace("bits", "shape")]) for n in chosen]
 
-        found = Shapes(some(TRAINING, count), some(TEST, test))
-    if not found.training or not found.test:
+def _surfaces(source: Path) -> list[list[TriangleMesh]]:
+    """Of the training and of the test labels, on all cores."""
+    with np.load(source) if source.is_file() else _Folder(source) as file:
+        names = sorted(n.removesuffix("/bits") for n in file.files if n.endswith("/bits"))
+        groups = [[n for n in names if n.split("/")[0] in chosen] for chosen in (TRAINING, TEST)]
+        labels = [[(n.split("/")[1], file[f"{n}/bits"], file[f"{n}/shape"]) for n in group] for group in groups]
+    if not all(labels):
         raise FormatError(f"{source} holds no left atria; give the data folder, or a file packed from it")
-    return found
+    cores = len(os.sched_getaffinity(0))
+    if cores <= 2:
+        return [[_mesh(*label) for label in group] for group in labels]
+    # Processes of their own: marching cubes holds the interpreter's lock.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(cores, context, torch.set_num_threads, (1,)) as pool:
+        return [list(pool.map(_mesh, *zip(*group, strict=True), chunksize=1)) for group in labels]
 
 
 def _mesh(name: str, bits: np.ndarray, shape: np.ndarray) -> TriangleMesh:
