@@ -12,7 +12,9 @@ def sdmnn(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     model: Literal["sdmnn-plus", "sdmnn"] = "sdmnn-plus",
-    recipe: Literal["paper", "static", "online"] = "online",
+    modes: int = 208,
+    channels: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the model's)")] = None,
+    recipe: Literal["mostly-online", "paper", "static", "online"] = "mostly-online",
     loss: Literal["surface", "mse"] = "surface",
     budget_s: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="(default: none)")] = None,
     steps: int = 100_000,
@@ -37,7 +39,10 @@ def sdmnn(
     Args:
         out: Folder to write to; made if it is not there.
         model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is smaller, quicker and more accurate.
-        recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random ones alone.
+        modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
+        channels: Feature maps of the network.
+        recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
+            ones alone; mostly-online has a tenth of the 625, so as to be good at the corners of the box too.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
         budget_s: Seconds for all of it; the learning rate follows the clock.
         steps: Steps for all of it, if that is sooner.
@@ -64,6 +69,8 @@ def sdmnn(
     plain = loss == "mse"
     settings = Settings(
         model=model,
+        modes=modes,
+        channels=channels,
         recipe=recipe,
         loss=loss,
         steps=steps,

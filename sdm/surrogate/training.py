@@ -28,7 +28,8 @@ from sdm.surrogate.validation import validation_batches, validation_theta
 from sdm.surrogate.warm_start import warm_start
 
 # Which samples a recipe streams; the paper's is the mixture of 625 static maps and random ones.
-RECIPES = {"paper": "mixture:0.5", "static": "grid:5", "online": "uniform"}
+# "mostly-online" has enough of the static ones, which lie on the faces and corners of the box, to be good there too.
+RECIPES = {"paper": "mixture:0.5", "static": "grid:5", "online": "uniform", "mostly-online": "mixture:0.1"}
 STATIC = 625
 
 
@@ -38,7 +39,10 @@ class Settings:
 
     Args:
         model: "sdmnn" or "sdmnn-plus".
-        recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone) or "online".
+        modes: Modes of SDMNN+.
+        channels: Feature maps of the network; by default its own.
+        recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
+            ones alone) or "mostly-online" (a tenth of the 625).
         loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
@@ -57,7 +61,9 @@ class Settings:
     """
 
     model: str = "sdmnn-plus"
-    recipe: str = "paper"
+    modes: int = 208
+    channels: int | None = None
+    recipe: str = "mostly-online"
     loss: str = "surface"
     steps: int = 100_000
     budget_s: float | None = None
@@ -116,7 +122,7 @@ class Trainer:
         self.family = Cochlea()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            self.model = build(settings.model).to(self.device)
+            self.model = build(settings.model, **_config(settings)).to(self.device)
         self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
         self.step, spent = 0, 0.0
@@ -239,6 +245,11 @@ class Trainer:
 def _identity(settings: Settings) -> dict[str, Any]:
     """The settings that cannot change half-way: all but how long it takes."""
     return {k: v for k, v in asdict(settings).items() if k not in ("steps", "budget_s")}
+
+
+def _config(settings: Settings) -> dict[str, Any]:
+    channels = {} if settings.channels is None else {"channels": settings.channels}
+    return channels | ({"modes": settings.modes} if settings.model == "sdmnn-plus" else {})
 
 
 def _groups(model: nn.Module) -> list[dict[str, Any]]:

@@ -13,11 +13,19 @@ from sdm.stream import SDMStream
 from sdm.surrogate import GRID, Settings, Trainer
 from sdm.surrogate import training as module
 from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
-from sdm.surrogate.models import build
 from sdm.surrogate.replay import Replay
 from sdm.surrogate.schedule import Clock, learning_rate
 
-TINY = {"model": "sdmnn", "loss": "mse", "recipe": "online", "batch_size": 2, "fresh": 1, "store": 3, "ema": 0.5}
+TINY = {
+    "model": "sdmnn",
+    "channels": 2,
+    "loss": "mse",
+    "recipe": "online",
+    "batch_size": 2,
+    "fresh": 1,
+    "store": 3,
+    "ema": 0.5,
+}
 
 
 class Small(Cochlea):
@@ -29,7 +37,6 @@ class Small(Cochlea):
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    monkeypatch.setattr(module, "build", lambda name: build(name, channels=2))
     monkeypatch.setattr(module, "Cochlea", Small)
 
 
