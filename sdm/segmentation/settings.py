@@ -57,6 +57,8 @@ class Settings:
             raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
         if self.batch < 1 or self.steps < 1:
             raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
+        if self.batch * math.prod(n // multiple for n in self.patch) < 2:
+            raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
         if not self.learning_rate > 0:
             raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
 

@@ -101,7 +101,14 @@ def test_the_learning_rate_rises_and_falls_to_zero():
 
 @pytest.mark.parametrize(
     "bad",
-    [{"method": "best"}, {"patch": (20, 16, 16)}, {"batch": 0}, {"learning_rate": 0.0}, {"architecture": "resnet"}],
+    [
+        {"method": "best"},
+        {"batch": 1, "architecture": "vnet"},
+        {"patch": (20, 16, 16)},
+        {"batch": 0},
+        {"learning_rate": 0.0},
+        {"architecture": "resnet"},
+    ],
 )
 def test_settings_that_make_no_sense(bad):
     with pytest.raises(SDMError):

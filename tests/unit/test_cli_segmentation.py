@@ -1,0 +1,124 @@
+"""`sdm train segmentation`, `sdm segment` and `sdm evaluate`, from files to files."""
+
+from __future__ import annotations
+
+import json
+
+import nibabel as nib
+import numpy as np
+import pytest
+
+import sdm
+from sdm.cli import main
+from tests.segmentation_cases import AFFINE, SHAPE, volume, write_hdf5, write_nnunet
+
+QUICK = ["--patch", "16", "16", "16", "--filters", "4", "--network", "unet", "--batch", "2", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("segmentation")
+    write_nnunet(folder / "data")
+    words = ["train", "segmentation", "--data", str(folder / "data"), "--out", str(folder / "net"), "--method", "pwr"]
+    assert main([*words, *QUICK, "--steps", "80", "--learning-rate", "0.01"]) == 0
+    return folder
+
+
+def test_from_images_to_scores(trained, tmp_path, capsys):
+    """The label and its map have the image's geometry; the map is in mm and negative inside."""
+    capsys.readouterr()
+    images = str(trained / "data" / "imagesTs")
+    out = tmp_path / "out"
+    assert main(["segment", images, "--model", str(trained / "net" / "model.pt"), "--out", str(out)]) == 0
+    label = nib.load(out / "case3.nii.gz")
+    assert np.allclose(label.affine, AFFINE)
+    assert label.get_data_dtype() == np.uint8
+    inside = np.asarray(label.dataobj) > 0
+    assert inside.any()
+    field = sdm.load(out / "case3_sdm.nii.gz")
+    assert np.allclose(field.grid.affine, AFFINE)
+    assert np.array_equal(field.numpy() < 0, inside)
+    # Between two voxels across the surface there is half of a voxel's size on either side.
+    assert np.abs(field.numpy()).min() == pytest.approx(0.4, abs=1e-5)
+    capsys.readouterr()
+    scores = tmp_path / "scores.json"
+    truths = str(trained / "data" / "labelsTs")
+    assert main(["evaluate", str(out), truths, "--json", str(scores)]) == 0
+    assert "| case3 |" in capsys.readouterr().out
+    assert json.loads(scores.read_text())["case3"]["dice"] > 0.5
+
+
+def test_scores_of_validation_cases_are_printed(trained, tmp_path, capsys):
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "baseline, 2 steps on 3 cases" in said
+    assert "| baseline |" in said
+
+
+def test_a_training_cut_short_goes_on(trained, tmp_path, capsys):
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path), *QUICK, "--steps", "3"]
+    assert main([*words, "--budget-s", "0"]) == 0
+    assert "0 of 3 steps are done" in capsys.readouterr().out
+    assert not (tmp_path / "model.pt").exists()
+    assert main([*words, "--resume"]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model.pt"]
+
+
+def refused(words, capsys) -> str:
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    return said.err
+
+
+def test_bad_cases_are_refused_before_training(tmp_path, capsys):
+    image, label = volume(0)
+    write_hdf5(tmp_path / "data" / "good.h5", image, label)
+    write_hdf5(tmp_path / "data" / "empty.h5", image, 0 * label)
+    write_hdf5(tmp_path / "data" / "other.h5", image, label[1:])
+    words = ["train", "segmentation", "--data", str(tmp_path / "data"), "--out", str(tmp_path / "net"), *QUICK]
+    said = refused(words, capsys)
+    assert "2 of 3 cases cannot be used: empty has no foreground; other has an image of shape (26, 24, 20)" in said
+    assert not (tmp_path / "net").exists()
+
+
+def test_unknown_methods_and_missing_files(trained, tmp_path, capsys):
+    data, model = str(trained / "data"), str(trained / "net" / "model.pt")
+    out = ["--out", str(tmp_path / "out")]
+    assert "choose one of baseline" in refused(
+        ["train", "segmentation", "--data", data, "--method", "best", *out], capsys
+    )
+    assert "is not there" in refused(["segment", str(tmp_path / "x.nii.gz"), "--model", model, *out], capsys)
+    image = str(trained / "data" / "imagesTs" / "case3_0000.nii.gz")
+    assert "model.pt" in refused(["segment", image, "--model", str(tmp_path / "no.pt"), *out], capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_images_of_another_voxel_size_are_refused(trained, tmp_path, capsys):
+    nib.save(nib.Nifti1Image(volume(0)[0], np.diag([2.0, 2, 2, 1])), tmp_path / "a.nii.gz")
+    words = ["segment", str(tmp_path / "a.nii.gz"), "--model", str(trained / "net" / "model.pt")]
+    assert "a.nii.gz has voxels of 2 x 2 x 2 mm" in refused([*words, "--out", str(tmp_path / "out")], capsys)
+
+
+def test_labels_that_do_not_fit(trained, tmp_path, capsys):
+    truths = trained / "data" / "labelsTr"
+    (tmp_path / "p").mkdir()
+    path = tmp_path / "p" / "case0.nii.gz"
+    nib.save(nib.Nifti1Image(np.ones((3, 3, 3), np.uint8), AFFINE), path)
+    assert "has the shape (3, 3, 3)" in refused(["evaluate", str(path), str(truths)], capsys)
+    moved = AFFINE.copy()
+    moved[2, 3] += 2
+    nib.save(nib.Nifti1Image(np.ones(SHAPE, np.uint8), moved), path)
+    assert "different places" in refused(["evaluate", str(path), str(truths)], capsys)
+    path.rename(tmp_path / "p" / "nobody.nii.gz")
+    assert "no label for nobody" in refused(["evaluate", str(tmp_path / "p"), str(truths)], capsys)
+
+
+def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
+    nib.save(nib.Nifti1Image(np.zeros(SHAPE, np.uint8), AFFINE), tmp_path / "case0.nii.gz")
+    assert main(["evaluate", str(tmp_path), str(trained / "data" / "labelsTr")]) == 0
+    said = capsys.readouterr().out
+    assert "| case0 | 0.00 |" in said
+    assert "failed, for one of the two labels is empty: case0" in said
