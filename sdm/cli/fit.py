@@ -22,7 +22,7 @@ def fit(
     blur: float = 0.2,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
-    fine: float = 0.1,
+    fine: float = 0.15,
     turn: float = 0.5,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
     triangles: int = 5_000,

@@ -17,6 +17,8 @@ from sdm.grid import Grid
 # An answer is trusted from here on. A right shape explains more than 0.95 of what is around it, the best of wrong
 # ones (balls, tubes, blocks) less than 0.8: tests/unit/test_fit_no_cochlea.py.
 LEAST_EXPLAINED = 0.85
+# A fit to the coarse image that explains less than this is not worth a fine one.
+HOPELESS = 0.5
 # Difference of inside and outside, in standard deviations of the noise.
 LEAST_CONTRAST = 0.7
 # Nats that a shape must gain over no shape for each of its unknowns, beyond what the BIC asks.
@@ -34,6 +36,7 @@ class Diagnosis:
         explained: Share of the structure in the shape's neighbourhood that it explains, at most 1: noise is left out.
         contrast: Difference of the mean intensities in standard deviations of the noise.
         gain: Gain in log-likelihood over no shape at all [nats].
+        seen: Whether gain and contrast say that there is something.
         problems: Why the answer is not to be trusted, one sentence each; none if it is.
         warnings: What a reader should know of a trusted answer, one sentence each.
     """
@@ -42,8 +45,14 @@ class Diagnosis:
     explained: float
     contrast: float
     gain: float
+    seen: bool
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether finer steps would be a waste of time."""
+        return not self.seen or self.explained < HOPELESS
 
     @property
     def trusted(self) -> bool:
@@ -63,7 +72,8 @@ def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool
     problems = []
     if not converged:
         problems.append("the steps did not converge, so the estimate is not one")
-    if not math.isfinite(gain) or gain < needed or contrast < LEAST_CONTRAST:
+    seen = math.isfinite(gain) and gain >= needed and contrast >= LEAST_CONTRAST
+    if not seen:
         problems.append(
             f"no shape of this family is to be seen: it gains {gain:.0f} nats over none ({needed:.0f} needed), with a "
             f"contrast of {contrast:.2f} times the noise ({LEAST_CONTRAST} needed)"
@@ -80,7 +90,7 @@ def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool
         for name, value, low, high in zip(names, at.state.theta, prior.low, prior.high, strict=True)
         if float(value - low) < 1e-6 or float(high - value) < 1e-6
     ]
-    return Diagnosis(converged, explained, contrast, gain, tuple(problems), tuple(ends))
+    return Diagnosis(converged, explained, contrast, gain, seen, tuple(problems), tuple(ends))
 
 
 def noise_of(image: Tensor) -> float:

@@ -28,6 +28,8 @@ from sdm.grid import Grid
 
 LARGEST_IMAGE = 1 << 23
 SMALLEST_AXIS = 8
+# Fits to the coarse image: the logistic's length [mm], and steps of how many posterior standard deviations end them.
+COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class FitOptions:
         model: "partial-volume": voxels mix, as in a scanner; "labels": each voxel is inside or outside (Wang et al.).
         components: Gaussians inside and outside.
         blur: Standard deviation of the scanner's point spread function [mm].
-        length: The reference length l_ref of the logistic [mm]; by default a quarter of `fine`, or for "labels" a
+        length: The reference length l_ref of the logistic [mm]; by default a sixth of `fine`, or for "labels" a
             quarter of the voxel.
         fine: Largest distance between the sample points of a voxel [mm]; "labels" has one point for each voxel.
         pose: The expected pose (rotation matrix, translation of the shape's centre [mm]); by default unturned, in the
@@ -54,12 +56,12 @@ class FitOptions:
     components: tuple[int, int] = (1, 1)
     blur: float = 0.2
     length: float | None = None
-    fine: float = 0.1
+    fine: float = 0.15
     pose: tuple[Tensor, Tensor] | None = None
     turn: float = 0.5
     shift: float = 5.0
     starts: int = 3
-    most_steps: int = 60
+    most_steps: int = 40
     tolerance: float = 1e-3
 
 
@@ -103,7 +105,11 @@ def fit_shape(
     values = _as_image(image, grid, backend.device)
     before = _counts(backend, finish)
     prior = Prior.of(backend.parameters, _expected(grid, options, backend), options.turn, options.shift)
-    steps: dict[str, int] = {}
+    names = [p.name for p in backend.parameters]
+    small, wide = coarser(values, grid)
+    start = _begin(small, wide, backend, prior, options)
+    steps = {"start": start.steps}
+    hopeless = diagnose(small, wide, start.point, prior, start.converged, names).hopeless
 
     def stage(name: str, using: Backend, start: State, appearance: Appearance) -> Outcome:
         found = minimise(
@@ -112,20 +118,18 @@ def fit_shape(
             start,
             appearance,
             prior,
-            most_steps=options.most_steps,
+            most_steps=0 if hopeless else options.most_steps,
             tolerance=options.tolerance,
             report=None if report is None else partial(report, name),
         )
         steps[name] = found.steps
         return found
 
-    start = _begin(values, grid, backend, prior, options)
-    steps["start"] = start.steps
     found = stage("fine", backend, start.point.state, start.point.appearance)
     if finish is not None:
         found = stage("finish", finish, found.point.state, found.point.appearance)
     at = found.point
-    diagnosis = diagnose(values, grid, at, prior, found.converged, [p.name for p in backend.parameters])
+    diagnosis = diagnose(values, grid, at, prior, found.converged, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
     after = _counts(backend, finish)
     return FitResult(
@@ -141,18 +145,23 @@ def fit_shape(
     )
 
 
-def _begin(values: Tensor, grid: Grid, backend: Backend, prior: Prior, options: FitOptions) -> Outcome:
+def _begin(small: Tensor, wide: Grid, backend: Backend, prior: Prior, options: FitOptions) -> Outcome:
     """The best of a few fits to a coarse image."""
-    small, wide = coarser(values, grid)
-    found = candidates(backend, small, wide, prior.pose, _turns(options.turn, values.device))
+    found = candidates(backend, small, wide, prior.pose, _turns(options.turn, small.device))
     # The voxel's own box does most of the blurring.
-    renderer = Renderer(wide, backend, blur=options.blur, length=0.1, fine=max(wide.spacing) / 2)
+    renderer = Renderer(wide, backend, blur=options.blur, length=COARSE_LENGTH, fine=max(wide.spacing) / 2)
     best: Outcome | None = None
     for candidate in found[: max(1, options.starts)]:
         share = renderer(candidate.state, derivatives=False).share
         appearance = MODELS[options.model].start(small.flatten(), share.flatten(), options.components)
         outcome = minimise(
-            renderer, small, candidate.state, appearance, prior, most_steps=options.most_steps, tolerance=0.3
+            renderer,
+            small,
+            candidate.state,
+            appearance,
+            prior,
+            most_steps=options.most_steps,
+            tolerance=COARSE_TOLERANCE,
         )
         if best is None or outcome.point.objective < best.point.objective:
             best = outcome
@@ -170,7 +179,7 @@ def _renderer(grid: Grid, backend: Backend, options: FitOptions) -> Renderer:
     if options.model == "labels":
         length = options.length or min(grid.spacing) / 4
         return Renderer(grid, backend, blur=0.0, length=length, fine=max(grid.spacing))
-    return Renderer(grid, backend, blur=options.blur, length=options.length or options.fine / 4, fine=options.fine)
+    return Renderer(grid, backend, blur=options.blur, length=options.length or options.fine / 6, fine=options.fine)
 
 
 def _expected(grid: Grid, options: FitOptions, backend: Backend) -> State:

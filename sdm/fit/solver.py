@@ -17,8 +17,9 @@ from sdm.fit.render import Renderer
 EM_STEPS = 2
 DAMPING = 1e-3
 MOST_DAMPING = 1e6
-# A step of so few posterior standard deviations that fails for rounding is the last.
-FLAT = 0.02
+# Below steps of this many posterior standard deviations, facets make the objective rough by so many nats: steps are
+# then taken as they come, and where they get no shorter the search has converged as far as it can.
+FLAT, ROUGHNESS, PATIENCE = 0.2, 0.01, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,19 +115,20 @@ def minimise(
     """
     at = evaluate(renderer, image, start, appearance, prior, em_steps=2 * EM_STEPS)
     objectives, damping = [at.objective], DAMPING
+    shortest, waited = float("inf"), 0
     for number in range(1, most_steps + 1):
-        step = _step(at, prior, damping)
         newton = _step(at, prior, 0.0)
         length = float((newton @ at.curvature @ newton).clamp_min(0).sqrt())
-        if length < tolerance:
+        waited = 0 if length < 0.5 * shortest or length > FLAT else waited + 1
+        shortest = min(shortest, length)
+        if length < tolerance or waited > PATIENCE:
             return Outcome(at, True, number - 1, tuple(objectives))
-        there = evaluate(renderer, image, at.state.moved(step), at.appearance, prior)
-        if there.objective < at.objective:
+        there = evaluate(renderer, image, at.state.moved(_step(at, prior, damping)), at.appearance, prior)
+        if there.objective < at.objective + (ROUGHNESS if length < FLAT else 0.0):
             at, damping = there, max(damping / 10, 1e-9)
             objectives.append(at.objective)
-        elif damping >= MOST_DAMPING or (length < FLAT and there.objective - at.objective < 1e-9 * abs(at.objective)):
-            # The objective is flat to rounding: no step can be seen to improve it.
-            return Outcome(at, length < FLAT, number, tuple(objectives))
+        elif damping >= MOST_DAMPING:
+            return Outcome(at, False, number, tuple(objectives))
         else:
             damping = max(10 * damping, DAMPING)
         if report is not None:
