@@ -53,7 +53,7 @@ def deepsdf(
     """
     from sdm.cli.meter import Meter
     from sdm.deepsdf import train
-    from sdm.deepsdf.ranks import process_group
+    from sdm.deepsdf.ranks import is_first, process_group
     from sdm.deepsdf.settings import VARIANTS
     from sdm.errors import SDMError
     from sdm.sampling import ShapeSet
@@ -77,7 +77,8 @@ def deepsdf(
                 compile_network=compile,
                 progress=lambda step, steps, _: meter(step, steps),
             )
-    print(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")
+    if is_first():
+        print(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")
 
 
 def _meshes(source: str, count: int) -> list[TriangleMesh]:

@@ -29,3 +29,8 @@ def process_group(device: str | torch.device | None) -> Iterator[torch.device]:
         yield where
     finally:
         torch.distributed.destroy_process_group()
+
+
+def is_first() -> bool:
+    """Whether this is the process that speaks and writes."""
+    return os.environ.get("RANK", "0") == "0"

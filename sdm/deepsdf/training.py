@@ -157,6 +157,9 @@ class Trainer:
         path = self.folder / checkpoint.MODEL
         if self.rank == 0:
             checkpoint.write(self._content(), path)
+        if self.world > 1:
+            # Nobody reads the model before it is there.
+            torch.distributed.barrier()
         return path
 
     def draw(self, step: int) -> tuple[Tensor, Tensor, Tensor]:
