@@ -8,13 +8,15 @@ import sdm
 from sdm.cli.demo import demo
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import DeviceError, FormatError, GridError
+from sdm.surrogate import shipped_weights
 
 
 def test_writes_mesh_map_and_picture_and_says_so(tmp_path, capsys):
     demo(resolution=24, out=tmp_path / "a" / "b")
     said = capsys.readouterr().out
     folder = tmp_path / "a" / "b"
-    assert sorted(path.name for path in folder.iterdir()) == ["demo.nii.gz", "demo.ply", "demo.png"]
+    more = [] if shipped_weights() is None else ["surrogate.png"]
+    assert sorted(path.name for path in folder.iterdir()) == ["demo.nii.gz", "demo.ply", "demo.png", *more]
     assert "20,256 triangles" in said
     assert "24 x 24 x 24 voxels" in said
     assert str(folder / "demo.nii.gz") in said
