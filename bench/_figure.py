@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -70,7 +71,9 @@ def drawing(path: Path, caption: str, size: tuple[float, float] = (12.0, 6.75)) 
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0.085, 0.145, 0.885, 0.755))
         yield figure, axes
-        figure.text(0.012, 0.016, caption, fontsize=8.5, color="0.45")
+        # About fifteen letters of this size to an inch.
+        lines = textwrap.fill(caption, int(15 * size[0]))
+        figure.text(0.012, 0.016, lines, fontsize=8.5, color="0.45", va="bottom")
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as part:
             figure.savefig(part, format="png", dpi=150)

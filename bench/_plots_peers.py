@@ -86,6 +86,8 @@ def growth(report: dict[str, Any], path: Path) -> bool:
     times = {mesh: peers for mesh, peers in times.items() if any(len(found) > 1 for found in peers.values())}
     if not times:
         return False
+    from matplotlib.ticker import FixedLocator, NullLocator
+
     peers = list(dict.fromkeys(peer for found in times.values() for peer in found))
     with drawing(path, "Query alone. " + machine_line(report), (4.4 + 3.8 * (len(times) - 1) + 3.0, 5.6)) as (
         fig,
@@ -94,7 +96,7 @@ def growth(report: dict[str, Any], path: Path) -> bool:
         whole.remove()
         width = fig.get_figwidth()
         panels = fig.subplots(1, len(times), sharey=True, squeeze=False)[0]
-        fig.subplots_adjust(left=0.9 / width, right=1 - 2.75 / width, bottom=0.17, top=0.83, wspace=0.08)
+        fig.subplots_adjust(left=1.15 / width, right=1 - 2.75 / width, bottom=0.17, top=0.83, wspace=0.08)
         for axes, (mesh, found) in zip(panels, times.items(), strict=True):
             log_axes(axes)
             for number, peer in enumerate(peers):
@@ -104,6 +106,10 @@ def growth(report: dict[str, Any], path: Path) -> bool:
                         *zip(*sorted(found[peer]), strict=True), color=shown, marker=MARKERS[number % 8], label=peer
                     )
             axes.set_title(mesh, fontsize=12, pad=8)
+            sizes = sorted({size for points in found.values() for size, _ in points})
+            axes.xaxis.set_major_locator(FixedLocator(sizes))
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.set_xticklabels([f"{round(size ** (1 / 3))}³" for size in sizes])
             axes.set_xlabel("voxels")
             plain_ticks(axes.yaxis)
         panels[0].set_ylabel("milliseconds")
