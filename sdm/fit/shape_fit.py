@@ -62,7 +62,7 @@ class FitOptions:
     shift: float = 5.0
     starts: int = 3
     most_steps: int = 40
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
 
 
 def fit_shape(

@@ -19,7 +19,7 @@ DAMPING = 1e-3
 MOST_DAMPING = 1e6
 # Below steps of this many posterior standard deviations, facets make the objective rough by so many nats: steps are
 # then taken as they come, and where they get no shorter the search has converged as far as it can.
-FLAT, ROUGHNESS, PATIENCE = 0.2, 0.01, 3
+FLAT, ROUGHNESS, PATIENCE = 0.2, 0.01, 2
 
 
 @dataclass(frozen=True, eq=False)
