@@ -23,6 +23,9 @@ Job = dict[str, Any]
 # (time.monotonic()), to the log; None if the deadline came first.
 Work = Callable[[Job, str, Path, dict[str, Any], float], dict[str, Any] | None]
 
+# The process that fills the list may be slower than those that empty it.
+PATIENCE_S = 2.0
+
 
 def devices(count: int | None) -> list[str]:
     """The GPUs of this machine, at most `count`, else the CPU."""
@@ -77,8 +80,7 @@ def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float
         torch.set_float32_matmul_precision("high")
     while time.monotonic() < deadline:
         try:
-            # A process that fills the list may be slower than one that empties it.
-            job = line.get(timeout=2.0)
+            job = line.get(timeout=0.0 if isinstance(line, queue.Queue) else PATIENCE_S)
         except queue.Empty:
             break
         begin = time.monotonic()

@@ -1,0 +1,145 @@
+"""Both studies of segmentation in one page, from their logs: tables, and which distance map helps, when, by how much.
+
+    python -m bench.segmentation_report [--out bench/results/segmentation.md]
+
+A method is compared with the baseline case by case, each case being the mean over the seeds that both have: mean
+difference with its 95 % confidence interval (Student's t over the cases), and Wilcoxon's signed-rank test. With the 8
+validation cases only differences that nearly all cases share can be told from chance. "Hard" is the half of the cases
+in which the baseline has the lower Dice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from bench import segmentation_juhl, segmentation_ma
+from bench._segmentation_jobs import read_logs
+from sdm.segmentation import METHODS
+
+OUT = Path(__file__).parent / "results" / "segmentation.md"
+Values = dict[str, dict[str, float]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ma", type=Path, default=segmentation_ma.LOGS)
+    parser.add_argument("--juhl", type=Path, default=segmentation_juhl.LOGS)
+    parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT.name}")
+    options = parser.parse_args()
+    text = page(options.ma, options.juhl)
+    print(text)
+    if options.out is not None:
+        part = options.out.with_suffix(".part")
+        part.write_text(text + "\n")
+        part.replace(options.out)
+
+
+def page(ma: Path, juhl: Path) -> str:
+    """The page in Markdown."""
+    logs, shape_logs = read_logs(ma), read_logs(juhl)
+    parts = ["# Segmentation guided by distance maps", ""]
+    parts += ["Made by `python -m bench.segmentation_report --out bench/results/segmentation.md`; logs beside it.", ""]
+    parts += ["## Left atrium (Ma et al.)", ""]
+    if logs:
+        parts += [protocol(logs), "", "Largest connected component, mean (sd) over cases and seeds:", ""]
+        parts += [segmentation_ma.table_of(ma, "largest"), "", "As predicted, all components:", ""]
+        parts += [segmentation_ma.table_of(ma, "plain"), ""]
+        parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
+    parts += ["## Simple shapes (Juhl et al.)", ""]
+    if shape_logs:
+        parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
+        parts += [segmentation_juhl.table_of(juhl), ""]
+        parts += ["Published: PWC 92.38, 68.49, 1.573, 1.947; PWR 97.08, 87.69, 0.714, 1.018.", ""]
+    return "\n".join(parts).rstrip()
+
+
+def protocol(logs: list[dict[str, Any]]) -> str:
+    """What all logs have in common, in a sentence."""
+    settings = logs[0]["job"]["settings"]
+    machines = sorted({log["machine"]["device"] for log in logs})
+    seconds = statistics.median(log["training_s"] for log in logs)
+    patch = "x".join(map(str, settings["patch"]))
+    return (
+        f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
+        f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
+        f"{settings['targets']}; median training {seconds:.0f} s on {', '.join(machines)}."
+    )
+
+
+def values_of(logs: list[dict[str, Any]], column: str) -> dict[str, Values]:
+    """Method -> seed -> case -> value; a failed case has the worst value of all that are finite."""
+    found: dict[str, Values] = {}
+    for log in logs:
+        settings = log["job"]["settings"]
+        cases = {name: float(scores[column]) for name, scores in log["largest"].items()}
+        found.setdefault(settings["method"], {})[str(settings["seed"])] = cases
+    finite = [v for m in found.values() for s in m.values() for v in s.values() if np.isfinite(v)]
+    worst = max(finite, default=0.0)
+    return {
+        m: {s: {c: v if np.isfinite(v) else worst for c, v in cases.items()} for s, cases in seeds.items()}
+        for m, seeds in found.items()
+    }
+
+
+def differences(method: Values, baseline: Values) -> dict[str, float]:
+    """Case -> method minus baseline, the mean over the seeds that both have."""
+    seeds = sorted(set(method) & set(baseline))
+    cases = sorted(set.intersection(*(set(v[s]) for v in (method, baseline) for s in seeds))) if seeds else []
+    return {c: statistics.fmean(method[s][c] - baseline[s][c] for s in seeds) for c in cases}
+
+
+def against_baseline(logs: list[dict[str, Any]]) -> str:
+    """A row for each method: the differences in Dice (percent) and 95HD (voxels)."""
+    dice, distance = values_of(logs, "dice"), values_of(logs, "hausdorff95_mm")
+    if "baseline" not in dice:
+        return "The baseline is not there yet."
+    hard = hard_cases(dice["baseline"])
+    lines = ["| method | Dice | p | hard cases | others | 95HD | p |", "|---|---|---|---|---|---|---|"]
+    for name in METHODS:
+        if name == "baseline" or name not in dice:
+            continue
+        first = {c: 100 * v for c, v in differences(dice[name], dice["baseline"]).items()}
+        second = differences(distance[name], distance["baseline"])
+        if not first:
+            continue
+        halves = [[v for c, v in first.items() if (c in hard) == wanted] for wanted in (True, False)]
+        means = [f"{statistics.fmean(half):+.2f}" if half else "-" for half in halves]
+        cells = [interval(first), chance(first), *means, interval(second), chance(second)]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def hard_cases(baseline: Values) -> set[str]:
+    cases = next(iter(baseline.values()))
+    mean = {c: statistics.fmean(seed[c] for seed in baseline.values()) for c in cases}
+    return set(sorted(mean, key=lambda c: mean[c])[: len(mean) // 2])
+
+
+def interval(found: Mapping[str, float]) -> str:
+    """Mean difference with its 95 % confidence interval."""
+    values = list(found.values())
+    mean = statistics.fmean(values)
+    if len(values) < 2:
+        return f"{mean:+.2f}"
+    half = stats.t.ppf(0.975, len(values) - 1) * statistics.stdev(values) / len(values) ** 0.5
+    return f"{mean:+.2f} [{mean - half:+.2f}, {mean + half:+.2f}]"
+
+
+def chance(found: Mapping[str, float]) -> str:
+    """Wilcoxon's p."""
+    values = [v for v in found.values() if v != 0]
+    if len(values) < 2:
+        return "-"
+    _, p = stats.wilcoxon(values)
+    return f"{p:.3f}"
+
+
+if __name__ == "__main__":
+    main()

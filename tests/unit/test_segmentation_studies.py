@@ -1,0 +1,194 @@
+"""The studies' machinery: jobs go on where they were, tables come from logs, shapes and enlargements are right."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from bench import segmentation_juhl, segmentation_ma, segmentation_report
+from bench._juhl_shapes import ShapeBatches, _at_coarse, shapes
+from bench._segmentation_fit import fitted_steps
+from bench._segmentation_jobs import read_logs, run_jobs, write_log
+from bench.segmentation_pack import pack, unpack
+from sdm.segmentation import MA_ROWS, METHODS
+from tests.segmentation_cases import volume, write_hdf5
+
+# Done by the jobs of this test, by name.
+calls: list[str] = []
+
+
+def work(job, device, unfinished, kept, deadline):
+    calls.append(job["name"])
+    if job["name"] == "bad":
+        raise ValueError("no")
+    return None if job["name"] == "slow" else {"value": math.inf, "list": [1.23456789]}
+
+
+def run(tmp_path: Path, *names: str, budget_s: float = 60.0) -> list[str]:
+    calls.clear()
+    run_jobs([{"name": n} for n in names], work, tmp_path / "logs", tmp_path / "work", budget_s=budget_s, on=["cpu"])
+    return list(calls)
+
+
+def test_jobs_that_are_done_are_not_done_again(tmp_path, capsys):
+    assert run(tmp_path, "a", "bad", "slow", "b") == ["a", "bad", "slow", "b"]
+    assert "bad failed on cpu" in capsys.readouterr().out
+    assert sorted(p.name for p in (tmp_path / "logs").iterdir()) == ["a.json", "b.json"]
+    assert run(tmp_path, "a", "bad", "slow", "b", "c") == ["bad", "slow", "c"]
+    log = read_logs(tmp_path / "logs")[0]
+    assert log["value"] == math.inf
+    assert log["list"] == [1.2346]
+
+
+def test_no_job_begins_after_the_budget(tmp_path):
+    assert run(tmp_path, "a", budget_s=-1.0) == []
+
+
+def test_steps_fit_the_budget():
+    steps = fitted_steps(lambda n: 0.1 * n, 8, 4, 100.0, weight=1.0, overhead_s=2.5)
+    assert steps == 400
+
+
+def test_rows_of_the_study_of_left_atria():
+    options = segmentation_ma.parser().parse_args(["run"])
+    jobs = segmentation_ma.jobs(options)
+    assert [j["settings"]["method"] for j in jobs[:16]] == list(MA_ROWS)
+    assert {"pwr", "hausdorff-foreground"} <= {j["settings"]["method"] for j in jobs}
+    assert len({j["name"] for j in jobs}) == len(jobs) == 18 * 3
+    protocols = [{k: v for k, v in j["settings"].items() if k not in ("method", "seed")} for j in jobs]
+    assert all(p == protocols[0] for p in protocols)
+
+
+@pytest.mark.parametrize("method", ["baseline", "pwr"])
+def test_a_study_of_left_atria_in_small(tmp_path, method, capsys):
+    for part, seed in (("train", 0), ("train", 1), ("val", 2)):
+        write_hdf5(tmp_path / "la" / part / f"c{seed}.h5", *volume(seed))
+    words = ["run", "--data", str(tmp_path / "la"), "--logs", str(tmp_path / "logs"), "--work", str(tmp_path / "w")]
+    words += ["--steps", "2", "--patch", "16", "16", "16", "--batch", "2", "--filters", "2", "--seeds", "0"]
+    options = segmentation_ma.parser().parse_args([*words, "--methods", method])
+    jobs = segmentation_ma.jobs(options)
+    run_jobs(jobs, segmentation_ma.work, options.logs, options.work, budget_s=60.0, on=["cpu"])
+    (log,) = read_logs(options.logs)
+    assert set(log["largest"]) == {"c2"}
+    assert f"| {method} (1) |" in segmentation_ma.table_of(options.logs, "largest")
+    assert method in METHODS
+    capsys.readouterr()
+
+
+def test_coarse_centres_lie_between_fine_voxels():
+    """A linear map keeps its values: the mean of the 8 voxels around a centre."""
+    fine = torch.arange(16.0)[:, None, None] + torch.zeros(16, 16, 16)
+    assert _at_coarse(fine, 4)[:, 0, 0].tolist() == [1.5 / 4, 5.5 / 4, 9.5 / 4, 13.5 / 4]
+
+
+def test_enlarging():
+    """Nearest doubles voxels; linear moves the surface to where the values cross zero."""
+    values = torch.tensor([-1.0, 3.0])[:, None, None].expand(2, 2, 2)[None, None]
+    nearest = segmentation_juhl.enlarged(values, 8, "nearest")
+    assert nearest[:, 0, 0].tolist() == [True] * 4 + [False] * 4
+    # Centres of the coarse voxels are at 1.5 and 5.5; the zero is a quarter of the way.
+    linear = segmentation_juhl.enlarged(values, 8, "linear")
+    assert linear[:, 0, 0].tolist() == [True] * 3 + [False] * 5
+
+
+def test_the_maps_of_a_shape_agree():
+    """Mesh, fine and coarse label tell of one surface: to a share of a voxel, each as well as it can."""
+    shape = next(shapes("test", 96, 24, "cpu"))
+    assert shape.truth is not None
+    near = shape.targets["mesh"].abs() < 3
+    assert near.sum() > 100
+    error = {name: (shape.targets[name] - shape.targets["mesh"])[near].abs().mean() for name in ("voxels", "coarse")}
+    assert error["voxels"] < 0.15
+    assert error["voxels"] < error["coarse"] < 0.5
+    assert torch.equal(shape.label, torch.nn.functional.avg_pool3d(shape.truth.float()[None], 4)[0] > 0.5)
+
+
+def test_batches_of_shapes_are_turned_alike():
+    source = [next(shapes("train", 16, 8, "cpu"))]
+    batches = ShapeBatches(source, "mesh")
+    one, again = (batches.batch(2, seed=0, step=s) for s in (3, 3))
+    assert torch.equal(one.image, again.image)
+    assert one.map is not None
+    inside = one.map < 0
+    # Where the exact distance is less than half a voxel, the label may say otherwise.
+    sure = one.map.abs() > 0.2
+    assert torch.equal(inside[sure], one.label[sure])
+
+
+def test_scores_in_a_box_are_those_of_the_volume():
+    from sdm.segmentation import scores_of
+
+    truth = torch.zeros(40, 30, 50, dtype=torch.bool)
+    truth[15:25, 10:20, 20:30] = True
+    prediction = truth.roll((1, 2), (0, 2))
+    assert segmentation_juhl.score(prediction, truth) == pytest.approx(scores_of(prediction, truth, (1.0, 1.0, 1.0)))
+
+
+def test_the_table_of_shapes(tmp_path):
+    case = {"dice": 0.9, "contour_dice": 0.8, "average_surface_distance_mm": 1.0, "rms_surface_distance_mm": 2.0}
+    write_log(tmp_path / "a.json", {"job": {"network": "pwc"}, "nearest": [case], "linear": [case]})
+    lines = segmentation_juhl.table_of(tmp_path).splitlines()
+    assert lines[2] == "| PWC, nearest (as published) (1) | 90.00 | 80.00 | 1.00 | 2.00 |"
+
+
+def test_packed_cases_come_back(tmp_path):
+    import h5py
+
+    whole = np.random.default_rng(0).integers(0, 200, (9, 8, 7)).astype(np.float64)
+    whole.flat[:3] = (0, 1, 199)
+    label = (whole > 100).astype(np.uint8)
+    write_hdf5(tmp_path / "la" / "train" / "a.h5", ((whole - 77) / 31.7).astype(np.float32), label)
+    pack(tmp_path / "la", tmp_path / "la.npz")
+    unpack(tmp_path / "la.npz", tmp_path / "again")
+    with h5py.File(tmp_path / "again" / "train" / "a.h5") as file:
+        assert np.array_equal(file["image"], whole)
+        assert np.array_equal(file["label"], label)
+
+
+def test_work_is_told_the_deadline(tmp_path):
+    seen = []
+    run_jobs(
+        [{"name": "x"}],
+        lambda job, device, unfinished, kept, deadline: seen.append(deadline),
+        tmp_path,
+        tmp_path,
+        budget_s=5.0,
+        on=["cpu"],
+    )
+    assert 0 < seen[0] - time.monotonic() <= 5.0
+
+
+def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float]) -> None:
+    job = {"settings": segmentation_ma.Settings(method=method, seed=seed).record()}
+    cases = {
+        name: {
+            "dice": value,
+            "jaccard": value,
+            "contour_dice": value,
+            "hausdorff95_mm": 10 * (1 - value),
+            "average_surface_distance_mm": 1.0,
+        }
+        for name, value in dice.items()
+    }
+    log = {"job": job, "training_s": 1.0, "machine": {"device": "abacus"}, "largest": cases, "plain": cases}
+    write_log(folder / f"{method}-{seed}.json", log)
+
+
+def test_the_report_compares_case_by_case(tmp_path):
+    """Differences of 0.01 to 0.04: mean 2.5 %, of the hard half 3.5 %."""
+    for seed in (0, 1):
+        ma_log(tmp_path, "baseline", seed, {"a": 0.8, "b": 0.82, "c": 0.9, "d": 0.92})
+        ma_log(tmp_path, "pwr", seed, {"a": 0.84, "b": 0.85, "c": 0.92, "d": 0.93})
+    ma_log(tmp_path, "boundary", 7, {"a": 0.5})
+    text = segmentation_report.page(tmp_path, tmp_path / "none")
+    (row,) = [line for line in text.splitlines() if line.startswith("| pwr | +")]
+    assert row.startswith("| pwr | +2.50 [+0.45, +4.55] | 0.125 | +3.50 | +1.50 | -0.25 [")
+    # No seed in common: no comparison, but a row in the table.
+    assert "| boundary |" not in text
+    assert "| boundary (1) |" in text
+    assert "on abacus." in text
