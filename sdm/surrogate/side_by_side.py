@@ -52,7 +52,7 @@ def _figure(exact: SDM, predicted: SDM, title: str) -> Figure:
     wanted, found = exact.numpy(), predicted.numpy()
     error = found - wanted
     end = max(float(np.quantile(np.abs(error), 0.99)), ERROR_MM)
-    cells = figure.add_gridspec(2, 3, left=0.05, right=0.99, bottom=0.07, top=0.88, wspace=0.12, hspace=0.2)
+    cells = figure.add_gridspec(2, 3, left=0.05, right=0.99, bottom=0.07, top=0.88, wspace=0.22, hspace=0.2)
     columns = (("exact", wanted, MAP_MM), ("surrogate", found, MAP_MM), ("surrogate - exact", error, end))
     for row, plane in enumerate(ROWS):
         normal = 3 - sum(plane)
