@@ -29,9 +29,9 @@ def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -
     return state, simulate(truth, state, SCANNERS[scanner], seed=2 * number + (scanner == "0.2"))
 
 
-def backends_by_name(name: str, device: str) -> tuple[Backend, Backend | None]:
+def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
     """Ours by `make_backends`, or a stock library's."""
-    return (StockBackend(name), None) if name in STOCK else make_backends(name, device=device)
+    return (StockBackend(name), None) if name in STOCK else make_backends(name, weights=weights, device=device)
 
 
 def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None]) -> FitResult:

@@ -30,6 +30,8 @@ def main() -> None:
     for name, study in each.items():
         study.add_argument("--out", type=Path, default=RESULTS / f"fit-{name}.json", help="results, JSON")
         study.add_argument("--device", default="cpu", help="cpu, cuda or cuda:N, for our own backends")
+    for name in ("cases", "coverage", "real"):
+        each[name].add_argument("--weights", type=Path, default=None, help="a surrogate's; the shipped ones by default")
     each["cases"].add_argument("--backends", default="exact,libigl", help="of exact,surrogate,hybrid,libigl,warp")
     each["cases"].add_argument("--count", type=int, default=9)
     each["cases"].add_argument("--quick", action="store_true", help="two cases")

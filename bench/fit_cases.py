@@ -24,7 +24,7 @@ def cases(options: argparse.Namespace) -> None:
     if "exact" not in names:
         names.insert(0, "exact")
     truth = truth_backend()
-    backends = {name: backends_by_name(name, options.device) for name in names}
+    backends = {name: backends_by_name(name, options.device, options.weights) for name in names}
     rows: list[dict[str, Any]] = []
     for number in range(2 if options.quick else options.count):
         # Two thirds as a clinical scanner sees them, the others as a cone-beam scanner does.

@@ -8,6 +8,7 @@ import math
 import multiprocessing
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,33 +23,35 @@ EDGE = 0.05
 NAMES = ("a", "alpha", "b", "phi", "turn x", "turn y", "turn z", "shift x", "shift y", "shift z")
 
 
+@dataclass(frozen=True)
+class _Job:
+    scanner: str
+    number: int
+    options: argparse.Namespace
+    path: Path
+    deadline: float
+
+
 def coverage(options: argparse.Namespace) -> None:
     """Fit every case that has no file yet, then sum up what there is."""
-    begin = time.monotonic()
+    begin, budget = time.monotonic(), options.budget_s
     options.folder.mkdir(parents=True, exist_ok=True)
     jobs = [
-        (
-            scanner,
-            number,
-            options.backend,
-            options.device,
-            options.folder / f"{options.backend}-{scanner}-{number}.json",
-        )
+        _Job(scanner, number, options, options.folder / f"{options.backend}-{scanner}-{number}.json", begin + budget)
         for number in range(options.count)
         for scanner in ("0.3", "0.2")
     ]
-    open_jobs = [job for job in jobs if not job[-1].is_file()]
-    deadline = begin + options.budget_s
+    open_jobs = [job for job in jobs if not job.path.is_file()]
     if options.workers > 1:
         # One thread each; set before a worker imports anything.
         os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            for _ in pool.imap_unordered(_run, [(*job, deadline) for job in open_jobs]):
+            for _ in pool.imap_unordered(_run, open_jobs):
                 pass
     else:
         for job in open_jobs:
-            _run((*job, deadline))
-    records = [json.loads(job[-1].read_text()) for job in jobs if job[-1].is_file()]
+            _run(job)
+    records = [json.loads(job.path.read_text()) for job in jobs if job.path.is_file()]
     summary = {scanner: summarise([r for r in records if r["scanner"] == scanner]) for scanner in ("0.3", "0.2")}
     summary = {"backend": options.backend, "wanted": options.count, **summary, "machine": describe(options.device)}
     write(options.out, summary)
@@ -83,23 +86,24 @@ def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
 _KEPT: dict[tuple[str, str], Any] = {}
 
 
-def _run(job: tuple[str, int, str, str, Path, float]) -> None:
-    scanner, number, backend, device, path, deadline = job
-    if time.monotonic() > deadline:
+def _run(job: _Job) -> None:
+    options = job.options
+    if time.monotonic() > job.deadline:
         return
     import torch
 
     torch.set_num_threads(1)
-    if (backend, device) not in _KEPT:
-        _KEPT[backend, device] = truth_backend(device), backends_by_name(backend, device)
-    truth, backends = _KEPT[backend, device]
-    state, image = case(truth, scanner, number, edge=EDGE)
-    result = fit_case(image, scanner, backends)
+    key = options.backend, options.device
+    if key not in _KEPT:
+        _KEPT[key] = truth_backend(options.device), backends_by_name(*key, options.weights)
+    truth, backends = _KEPT[key]
+    state, image = case(truth, job.scanner, job.number, edge=EDGE)
+    result = fit_case(image, job.scanner, backends)
     write(
-        path,
+        job.path,
         {
-            "scanner": scanner,
-            "number": number,
+            "scanner": job.scanner,
+            "number": job.number,
             "truth": state.theta.tolist(),
             "estimate": result.state.theta.tolist(),
             "z": result.posterior.standardised(state).tolist(),

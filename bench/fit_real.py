@@ -83,7 +83,7 @@ def real(options: argparse.Namespace) -> None:
     mesh = real_mesh(options.data)
     found: dict[str, Any] = {}
     for scanner, made in SCANNERS.items():
-        backends = backends_by_name(options.backend, options.device)
+        backends = backends_by_name(options.backend, options.device, options.weights)
         result = fit_case(scan(mesh, made, seed=7), scanner, backends)
         found[scanner] = result.record() | {"residual": residual(mesh, result, backends[1] or backends[0])}
         found[scanner].pop("covariance")

@@ -21,6 +21,7 @@ COMMANDS = (
     "generate",
     "train",
     "predict",
+    "fit",
     "encode",
     "decode",
     "segment",

@@ -26,6 +26,7 @@ def fit(
     turn: float = 0.5,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
     triangles: int = 5_000,
+    weights: Path | None = None,
     device: str = "auto",
 ) -> None:
     """Fit the cochlea family to a CT image: shape parameters and pose with 90 % intervals.
@@ -46,6 +47,7 @@ def fit(
         turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
         backend: exact distances; the surrogate's; or hybrid, the surrogate first and exact to finish.
         triangles: Triangles of the exact backend's meshes.
+        weights: A surrogate's weights; those that come with the package if not given.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
@@ -57,7 +59,7 @@ def fit(
         if target is not None:
             try_to_write(target)
     scan = sdm.load(image)
-    first, finish = make_backends(backend, triangles=triangles, device=device)
+    first, finish = make_backends(backend, triangles=triangles, weights=weights, device=device)
     options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
     result = fit_shape(scan.values, scan.grid, first, finish=finish, options=options)
     result.save(out)

@@ -1,0 +1,52 @@
+"""`sdm fit`: a report, a surface and a picture, or one sentence and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.cli import main
+from sdm.fit import ExactBackend, Scanner, random_state, simulate
+from sdm.shapes import Cochlea
+
+QUICK = ["--triangles", "1000", "--fine", "0.5", "--device", "cpu"]
+
+
+def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    backend = ExactBackend(Cochlea(1_000), "cpu")
+    truth = random_state(backend, 8, edge=0.3)
+    image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.3, noise=100.0), seed=0)
+    # Any image will do; that its header calls it distances is no matter.
+    sdm.SDM(image.values, image.grid).save(tmp_path / "scan.nii.gz")
+    words = ["fit", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "fit.json"), "--blur", "0.3", *QUICK]
+    words += ["--mesh", str(tmp_path / "fit.ply"), "--picture", str(tmp_path / "fit.png")]
+    assert main(words) == 0
+    record = json.loads((tmp_path / "fit.json").read_text())
+    assert record["trusted"]
+    assert abs(record["theta"]["a"]["estimate"] - float(truth.theta[0])) < 0.15
+    mesh = sdm.load_mesh(tmp_path / "fit.ply")
+    middle = (mesh.vertices.amin(0) + mesh.vertices.amax(0)) / 2
+    assert torch.linalg.vector_norm(middle.double() - truth.translation) < 1.5
+    assert (tmp_path / "fit.png").stat().st_size > 10_000
+    assert "90 % within" in capsys.readouterr().out
+
+
+def test_noise_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = sdm.Grid((-6, -5, -4), (0.6, 0.6, 0.6), (20, 18, 14))
+    noise = torch.from_numpy(np.random.default_rng(0).standard_normal(grid.shape).astype(np.float32))
+    sdm.SDM(noise, grid).save(tmp_path / "noise.nii.gz")
+    words = ["fit", str(tmp_path / "noise.nii.gz"), "-o", str(tmp_path / "fit.json"), *QUICK]
+    assert main([*words, "--mesh", str(tmp_path / "fit.ply")]) == 2
+    assert "the fit gives no answer" in capsys.readouterr().err
+    assert json.loads((tmp_path / "fit.json").read_text())["trusted"] is False
+    assert not (tmp_path / "fit.ply").exists()
+
+
+def test_a_missing_image_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(tmp_path / "none.nii.gz"), "-o", str(tmp_path / "fit.json")]) == 2
+    assert "there is no file" in capsys.readouterr().err
