@@ -92,7 +92,8 @@ def by_code(model: DeepSDF, label: Tensor, grid: Grid, steps: int) -> TriangleMe
     points = grid.points().to(model.device).reshape(-1, 3)
     inside = label.reshape(-1)
     start = UnitSphere.of(points[inside > 0])
-    code = model.codes.mean(0).clone().requires_grad_()
+    middle = model.codes.mean(0)
+    code = middle.clone().requires_grad_()
     centre = torch.tensor(start.centre, device=model.device, requires_grad=True)
     size = torch.zeros((), device=model.device, requires_grad=True)
     published = model.settings.variant == "published"
@@ -106,7 +107,7 @@ def by_code(model: DeepSDF, label: Tensor, grid: Grid, steps: int) -> TriangleMe
         radius = start.radius * size.exp()
         unit = (points[chosen] - centre) / radius
         distance = radius * model.signed_distance(unit, code)
-        loss = cross_entropy(-distance / LENGTH_MM, inside[chosen]) + prior * code.square().sum()
+        loss = cross_entropy(-distance / LENGTH_MM, inside[chosen]) + prior * (code - middle).square().sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -48,7 +48,9 @@ def estimate_codes(
         steps: Of Adam; the rate is a tenth from the middle on for the "published" variant, as in the original, and
             falls along a cosine for the "local" one.
         rate: Adam's learning rate; 5e-3 as published, or 2e-2 for the "local" variant.
-        prior: Weight of a code's squared length; 1e-4 as published, or that of the training for the "local" variant.
+        prior: Weight of the squared distance of a code from the prior's mean. As published the mean is 0 and the weight
+            1e-4; for the "local" variant they are the mean of the training's codes and the training's weight, so that
+            parts of which nothing was seen are as they are on average.
         compile_network: By torch.compile, which pays for many steps on a GPU.
 
     Returns:
@@ -65,7 +67,9 @@ def estimate_codes(
     prior = (1e-4 if published else settings.code_weight) if prior is None else prior
     points, values = draw(0)
     # From the middle of what was learned, whatever the order of the shapes.
-    codes = model.codes.mean(0).repeat(points.shape[0], 1).requires_grad_()
+    start = model.codes.mean(0)
+    mean = torch.zeros_like(start) if published else start
+    codes = start.repeat(points.shape[0], 1).requires_grad_()
     optimizer = torch.optim.Adam([codes], lr=rate)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda s: _rate_at(s / steps, published))
 
@@ -80,7 +84,7 @@ def estimate_codes(
                 points, values = draw(step)
             losses = of(codes, points, values)
             # Sums over shapes: each shape's gradient is what it would be alone.
-            (losses.sum() + prior * codes.square().sum()).backward()
+            (losses.sum() + prior * (codes - mean).square().sum()).backward()
             optimizer.step()
             optimizer.zero_grad()
             schedule.step()

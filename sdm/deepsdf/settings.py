@@ -78,7 +78,7 @@ def published(**changes: Any) -> Settings:
 
 
 def local(**changes: Any) -> Settings:
-    """Ours: codes of the whole shape and on grids of 4^3 and 8^3, a small network, no dropout, a fading loss.
+    """Ours: codes of the whole shape and on grids of 4^3 and 12^3, a small network, no dropout, a fading loss.
 
     Unseen shapes are put together from parts that were seen, so a code is found for shapes unlike any of a small set.
     """
@@ -87,8 +87,8 @@ def local(**changes: Any) -> Settings:
         "width": 192,
         "layers": 4,
         "global_size": 64,
-        "grids": ((4, 16), (8, 12)),
-        "frequencies": 5,
+        "grids": ((4, 16), (12, 8)),
+        "frequencies": 4,
         "dropout": 0.0,
         "code_deviation": 0.01,
         "code_bound": None,
@@ -96,8 +96,8 @@ def local(**changes: Any) -> Settings:
         "shapes": 32,
         "points": 4096,
         "epochs": 1_000_000,
-        "decoder_rate": 2e-3,
-        "code_rate": 4e-3,
+        "decoder_rate": 3e-3,
+        "code_rate": 2e-2,
         "schedule": "cosine",
         "precision": "tf32",
     }

@@ -8,7 +8,7 @@ import trimesh
 from torch import Tensor, nn
 
 from sdm import TriangleMesh
-from sdm.deepsdf import DeepSDF, Scan, encode_meshes, encode_scan, estimate_codes, half_of, local
+from sdm.deepsdf import DeepSDF, Scan, encode_meshes, encode_scan, estimate_codes, half_of, local, published
 from sdm.errors import SDMError
 from sdm.sampling import UnitSphere
 
@@ -62,10 +62,13 @@ def test_noisy_points_without_normals_are_enough_and_place_and_size_come_back(ba
     assert found.sphere == sphere
 
 
-def test_a_strong_prior_pulls_codes_to_zero(balls: DeepSDF) -> None:
-    scan = Scan(some(200, 0.4))
-    weak, strong = (float(estimate_codes(balls, scan, steps=100, prior=p).codes) for p in (0.0, 10.0))
-    assert strong < 0.1 < weak
+def test_a_strong_prior_pulls_codes_to_the_mean_of_the_training_and_the_papers_to_zero(balls: DeepSDF) -> None:
+    scan = Scan(some(200, 0.7))
+    weak, strong = (float(estimate_codes(balls, scan, steps=100, prior=p).codes) for p in (0.0, 100.0))
+    assert weak == pytest.approx(0.7, abs=0.01)
+    assert strong == pytest.approx(0.4, abs=0.01)
+    paper = DeepSDF(published(global_size=1), Balls(), balls.codes, [], [])
+    assert abs(float(estimate_codes(paper, scan, steps=400, prior=100.0).codes)) < 0.02
 
 
 def test_the_decoder_stays_what_it_is() -> None:
