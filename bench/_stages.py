@@ -1,0 +1,90 @@
+"""The stages of the fast dense path in the plane, in NumPy: the test of kernels/cull.py, on segments.
+
+Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; bricks of 4x4 filter their cell's list
+once more; the pixels of a brick are measured from what is left. The same names as in the kernels: c and a are a cell's
+centre and half-widths, y the known nearest surface point (the witness), u points from T's closest point to c.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+CELL, BRICK = 8, 4
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cell or brick: centre c (2,), half-widths a (2,), of its pixels' centres."""
+
+    centre: np.ndarray
+    half: np.ndarray
+
+
+def boxes(low: float, step: float, count: int, edge: int) -> list[Box]:
+    """Boxes of `edge` x `edge` pixels of a square of `count` x `count`, pixel (0,0) at (low, low), row by row."""
+    middles = low + step * (edge * np.arange(count // edge) + (edge - 1) / 2)
+    half = np.full(2, step * (edge - 1) / 2)
+    return [Box(np.array([x, y]), half) for x in middles for y in middles]
+
+
+def closest_points(p: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """Closest points (S,2) of segments (S,2,2) to p (2,)."""
+    a, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    t = ((p - a) * along).sum(1) / np.maximum((along * along).sum(1), 1e-300)
+    return a + np.clip(t, 0, 1)[:, None] * along
+
+
+def witness(box: Box, segments: np.ndarray) -> np.ndarray:
+    """y: the surface point nearest to the box's centre, among these segments."""
+    near = closest_points(box.centre, segments)
+    return near[((near - box.centre) ** 2).sum(1).argmin()]
+
+
+def too_far(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """Distance alone: T is further from the centre than y by twice the box's radius. (S,) bool."""
+    far = np.linalg.norm(closest_points(box.centre, segments) - box.centre, axis=1)
+    return far > np.linalg.norm(y - box.centre) + 2 * np.linalg.norm(box.half)
+
+
+def is_behind(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """The direction-aware test: T can be dropped for the box. (S,) bool.
+
+    With x T's closest point and u = c - x, T lies behind the line through x across u, so from c + d it is at least
+    (|u|^2 + d.u) / |u| away, if that is positive. Squared, less the squared distance |c + d - y|^2 of the witness,
+    that is at least |u|^2 - |c - y|^2 - 2 sum_i a_i |u - (c - y)|_i - sum_i a_i^2 for all |d_i| <= a_i.
+    """
+    u = box.centre - closest_points(box.centre, segments)
+    to_surface = box.centre - y
+    squared = (u * u).sum(1)
+    positive = squared > (box.half * np.abs(u)).sum(1)
+    spread = (box.half * np.abs(u - to_surface)).sum(1)
+    return positive & (squared - to_surface @ to_surface - 2 * spread - box.half @ box.half > 0)
+
+
+def kept(box: Box, segments: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Numbers of those of the segments `among` that the box keeps."""
+    some = segments[among]
+    return among[~is_behind(box, witness(box, some), some)]
+
+
+def pixel_distances(box: Box, step: float, edge: int, segments: np.ndarray) -> np.ndarray:
+    """Distances (edge, edge) of a box's pixels from segments, and nothing else."""
+    offsets = step * (np.arange(edge) - (edge - 1) / 2)
+    found = np.empty((edge, edge))
+    for i, x in enumerate(offsets):
+        for j, z in enumerate(offsets):
+            p = box.centre + np.array([x, z])
+            found[i, j] = np.sqrt(((closest_points(p, segments) - p) ** 2).sum(1).min())
+    return found
+
+
+def is_inside(p: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """Whether points (N,2) are inside closed curves, by crossings to the right."""
+    inside = np.zeros(len(p), bool)
+    for a, b in segments:
+        spans = (a[1] <= p[:, 1]) != (b[1] <= p[:, 1])
+        if a[1] != b[1]:
+            inside ^= spans & (p[:, 0] < a[0] + (p[:, 1] - a[1]) * (b[0] - a[0]) / (b[1] - a[1]))
+    return inside

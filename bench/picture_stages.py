@@ -1,0 +1,255 @@
+"""Draw the stages of the fast dense path on a slice of the built-in mesh: `python -m bench.picture_stages`.
+
+Every list and every value in the picture is computed by bench/_stages.py, the test of kernels/cull.py in the plane.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench import _stages as stages
+from bench._figure import STYLE
+from sdm.io.atomic import replacing
+from sdm.picture import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PIXELS = 96
+# The normal of the cut: nearly along the spiral's axis, so that the tube is met lengthwise and across.
+PLANE = (0.45, 0.15, 1.0)
+KEPT, PASSED, PICKED = "#c2341d", "#e8a33d", "#1f5a96"
+OUT = Path(__file__).resolve().parents[1] / "docs" / "stages.png"
+
+
+def outline() -> np.ndarray:
+    """Segments (S,2,2) where a plane cuts the built-in mesh, scaled to 1.7 in the square from -1 to 1."""
+    import trimesh
+
+    from sdm.demo_mesh import demo_mesh
+
+    vertices, faces = demo_mesh(rings=121, segments=40, cap_rings=5).numpy()
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    cut: Any = trimesh.intersections.mesh_plane(mesh, np.array(PLANE), vertices.mean(0))
+    flat = np.asarray(cut)[:, :, :2]
+    low, high = flat.reshape(-1, 2).min(0), flat.reshape(-1, 2).max(0)
+    return (flat - (low + high) / 2) / (high - low).max() * 1.7
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw into the file given, else docs/stages.png."""
+    parser = argparse.ArgumentParser("python -m bench.picture_stages", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--out", type=Path, default=OUT, help="PNG file to write")
+    draw(parser.parse_args(argv).out)
+    return 0
+
+
+def draw(path: Path) -> None:
+    """Draw the four panels."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    segments = outline()
+    step = 2.0 / PIXELS
+    low = -1 + step / 2
+    everything = np.arange(len(segments))
+    cells = stages.boxes(low, step, PIXELS, stages.CELL)
+    lists = [stages.kept(cell, segments, everything) for cell in cells]
+    bricks = stages.boxes(low, step, PIXELS, stages.BRICK)
+    across = PIXELS // stages.BRICK
+    per_cell = stages.CELL // stages.BRICK
+    owner = [(n // across // per_cell) * (PIXELS // stages.CELL) + n % across // per_cell for n in range(len(bricks))]
+    short = [stages.kept(brick, segments, lists[cell]) for brick, cell in zip(bricks, owner, strict=True)]
+    # The cell where direction tells apart most of what distance alone would keep; the brick in it likewise.
+    gains = [_passed(cell, segments, everything) - len(found) for cell, found in zip(cells, lists, strict=True)]
+    picked_cell = int(np.argmax(gains))
+    inner = [n for n in range(len(bricks)) if owner[n] == picked_cell]
+    picked_brick = max(inner, key=lambda n: _passed(bricks[n], segments, lists[picked_cell]) - len(short[n]))
+
+    with mpl.rc_context({**STYLE, "font.size": 10.5, "axes.titlesize": 12.5, "axes.titlepad": 9.0}):
+        figure = Figure(figsize=(13.0, 13.6), facecolor="white")
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(2, 2)
+        figure.subplots_adjust(left=0.03, right=0.97, top=0.925, bottom=0.035, wspace=0.06, hspace=0.16)
+        figure.text(0.03, 0.965, "From all triangles to exact distances, on a slice", fontsize=18, weight="bold")
+        _lists(panels[0, 0], segments, cells, lists, picked_cell, everything)
+        _title(panels[0, 0], "1  Cells of 8³", lists, len(segments))
+        _lists(panels[0, 1], segments, bricks, short, picked_brick, lists[owner[picked_brick]])
+        _title(panels[0, 1], "2  Bricks of 4³", short, len(segments))
+        _proof(panels[1, 0], segments, cells[picked_cell])
+        _values(panels[1, 1], segments, bricks, short, step)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as part:
+            figure.savefig(part, format="png", dpi=110)
+
+
+def _passed(box: stages.Box, segments: np.ndarray, among: np.ndarray) -> int:
+    """How many of the segments `among` distance alone would keep."""
+    some = segments[among]
+    return int((~stages.too_far(box, stages.witness(box, some), some)).sum())
+
+
+def _title(axes: Axes, text: str, lists: list[np.ndarray], total: int) -> None:
+    mean = np.mean([len(found) for found in lists])
+    axes.set_title(f"{text}: {mean:.1f} of {total} can be nearest, on average")
+
+
+def _frame(axes: Axes) -> None:
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for side in axes.spines.values():
+        side.set_visible(False)
+
+
+def _draw_segments(axes: Axes, segments: np.ndarray, **look: Any) -> None:
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(list(segments), capstyle="round", **look))
+
+
+def _pair(place: np.ndarray) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
+
+
+def _edges(box: stages.Box, edge: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lower corner and size of a box with the whole of its pixels, not their centres alone."""
+    half = box.half * edge / (edge - 1)
+    return box.centre - half, 2 * half
+
+
+def _lists(
+    axes: Axes, segments: np.ndarray, boxes: list[stages.Box], lists: list[np.ndarray], picked: int, before: np.ndarray
+) -> None:
+    """Shade boxes by the length of their lists, and show one box with what it keeps of what it was given."""
+    from matplotlib.patches import Circle, Rectangle
+
+    edge = stages.CELL if len(boxes) == (PIXELS // stages.CELL) ** 2 else stages.BRICK
+    longest = np.log(max(len(found) for found in lists))
+    for box, found in zip(boxes, lists, strict=True):
+        corner, size = _edges(box, edge)
+        shade = 0.62 * np.log(len(found)) / longest
+        axes.add_patch(
+            Rectangle(_pair(corner), *size, facecolor=(0.45, 0.6, 0.8, shade), edgecolor="white", linewidth=0.8)
+        )
+        if edge == stages.CELL:
+            axes.text(*_pair(corner + 0.07 * size), str(len(found)), fontsize=7.5, color="0.35", ha="left", va="bottom")
+    box, chosen = boxes[picked], lists[picked]
+    corner, size = _edges(box, edge)
+    y = stages.witness(box, segments[before])
+    given = segments[before]
+    passed = before[~stages.too_far(box, y, given)]
+    _draw_segments(axes, segments, color="0.45", linewidth=1.0)
+    _draw_segments(axes, segments[passed], color=PASSED, linewidth=3.2)
+    _draw_segments(axes, segments[chosen], color=KEPT, linewidth=3.6)
+    axes.add_patch(Rectangle(_pair(corner), *size, fill=False, edgecolor=PICKED, linewidth=2.2))
+    cx, cy = box.centre
+    for radius in (0.0, 2 * float(np.linalg.norm(box.half))):
+        circle = Circle(
+            (cx, cy),
+            float(np.linalg.norm(y - box.centre)) + radius,
+            fill=False,
+            edgecolor=PICKED,
+            linewidth=1.0,
+            linestyle="-" if radius == 0 else (0, (4, 3)),
+        )
+        axes.add_patch(circle)
+    axes.plot(*y, "o", color=PICKED, markersize=5)
+    said = f"blue: one {'cell' if edge == stages.CELL else 'brick'}; distance alone keeps {len(passed)} (orange), "
+    said += f"with direction {len(chosen)} (red)"
+    axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
+    axes.set_xlim(-1, 1)
+    axes.set_ylim(-1, 1)
+    _frame(axes)
+
+
+def _proof(axes: Axes, segments: np.ndarray, box: stages.Box) -> None:
+    """One cell, its witness, and a segment that is dropped: why nothing behind its plane can be nearest."""
+    from matplotlib.patches import Polygon, Rectangle
+
+    y = stages.witness(box, segments)
+    passed = ~stages.too_far(box, y, segments)
+    behind = stages.is_behind(box, y, segments) & passed
+    near = stages.closest_points(box.centre, segments)
+    # The one that distance would keep and that shows the plane best: across from the witness.
+    score = ((near - box.centre) @ (y - box.centre)) / np.linalg.norm(near - box.centre, axis=1)
+    number = int(np.where(behind, score, np.inf).argmin())
+    x, c = near[number], box.centre
+    u = c - x
+    axes.add_patch(
+        Rectangle(_pair(c - box.half), *(2 * box.half), facecolor="#dbe7f3", edgecolor=PICKED, linewidth=1.8, zorder=1)
+    )
+    across = np.array([-u[1], u[0]]) / np.linalg.norm(u)
+    reach = 1.6
+    back = -u / np.linalg.norm(u) * 0.10
+    corners = [x - reach * across, x + reach * across, x + reach * across + back, x - reach * across + back]
+    axes.add_patch(Polygon(corners, closed=True, facecolor=KEPT, alpha=0.13, edgecolor="none"))
+    axes.plot(*zip(x - reach * across, x + reach * across, strict=True), color=KEPT, linewidth=1.4)
+    _draw_segments(axes, segments, color="0.6", linewidth=1.3)
+    _draw_segments(axes, segments[number : number + 1], color=KEPT, linewidth=5)
+    # The corner of the cell that comes nearest to losing: the least of the last line of the proof.
+    signs = np.array([[i, j] for i in (-1, 1) for j in (-1, 1)])
+    slack = [(u @ u + d @ u) ** 2 / (u @ u) - ((c + d - y) ** 2).sum() for d in signs * box.half]
+    d = (signs * box.half)[int(np.argmin(slack))]
+    p = c + d
+    foot = p - u * ((p - x) @ u) / (u @ u)
+    for start, end, colour in ((p, foot, KEPT), (p, y, PICKED), (c, x, "0.45")):
+        axes.annotate(
+            "",
+            _pair(end),
+            _pair(start),
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.5, "shrinkA": 0},
+        )
+    axes.plot(*c, "o", color="black", markersize=5)
+    axes.plot(*p, "s", color="black", markersize=5)
+    axes.plot(*y, "o", color=PICKED, markersize=7)
+    axes.plot(*x, "o", color=KEPT, markersize=7)
+    outward = {"c": (c, (7, -12)), "c + d": (p, (8, 6)), "y": (y, (9, -4)), "x": (x, (-15, 6))}
+    for name, (place, offset) in outward.items():
+        axes.annotate(name, _pair(place), xytext=offset, textcoords="offset points", fontsize=13, fontstyle="italic")
+    everything = np.array([c - box.half, c + box.half, x, y, foot])
+    low, high = everything.min(0), everything.max(0)
+    middle, half = (low + high) / 2, 0.68 * (high - low).max()
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_title("3  Why: all of T is behind a plane, and y is nearer")
+    said = "dropped if (s + d·u)²/|u|² > |c + d − y|² for every |dᵢ| ≤ aᵢ, u = c − x, s = |u|²;\n"
+    said += f"at the worst corner here {np.linalg.norm(p - foot):.3f} against {np.linalg.norm(p - y):.3f}"
+    axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
+    _frame(axes)
+
+
+def _values(axes: Axes, segments: np.ndarray, bricks: list[stages.Box], lists: list[np.ndarray], step: float) -> None:
+    """The signed distances of all pixels, each measured from its brick's list alone, with the zero contour."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    across = PIXELS // stages.BRICK
+    values = np.empty((PIXELS, PIXELS))
+    for number, (brick, found) in enumerate(zip(bricks, lists, strict=True)):
+        i, j = stages.BRICK * (number // across), stages.BRICK * (number % across)
+        distances = stages.pixel_distances(brick, step, stages.BRICK, segments[found])
+        values[i : i + stages.BRICK, j : j + stages.BRICK] = distances
+    at = -1 + step * (np.arange(PIXELS) + 0.5)
+    centres = np.stack(np.meshgrid(at, at, indexing="ij"), -1).reshape(-1, 2)
+    values = np.where(stages.is_inside(centres, segments).reshape(values.shape), -values, values)
+    limit = 2 * float(-values.min())
+    shades = LinearSegmentedColormap.from_list("inside_outside", COLOURS)
+    axes.imshow(
+        values.T, origin="lower", extent=(-1, 1, -1, 1), cmap=shades, vmin=-limit, vmax=limit, interpolation="none"
+    )
+    axes.contour(at, at, values.T, levels=np.arange(-0.9, 0.91, 0.1), colors="0.2", linewidths=0.4, alpha=0.5)
+    axes.contour(at, at, values.T, levels=[0.0], colors="black", linewidths=2.0)
+    axes.set_title("4  Voxels are measured from their brick's list alone")
+    said = "negative (red) inside; black: the zero contour of the voxels"
+    axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
+    _frame(axes)
+
+
+if __name__ == "__main__":
+    main()
