@@ -102,9 +102,9 @@ def fit_shape(
     backend = ExactBackend() if backend is None else backend
     if options.model not in MODELS:
         raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
-    values = _as_image(image, grid, backend.device)
+    values = image_tensor(image, grid, backend.device)
     before = _counts(backend, finish)
-    prior = Prior.of(backend.parameters, _expected(grid, options, backend), options.turn, options.shift)
+    prior = prior_of(grid, backend, options)
     names = [p.name for p in backend.parameters]
     small, wide = coarser(values, grid)
     start = _begin(small, wide, backend, prior, options)
@@ -113,7 +113,7 @@ def fit_shape(
 
     def stage(name: str, using: Backend, start: State, appearance: Appearance) -> Outcome:
         found = minimise(
-            _renderer(grid, using, options),
+            renderer_of(grid, using, options),
             values,
             start,
             appearance,
@@ -175,11 +175,17 @@ def _turns(turn: float, device: torch.device) -> list[Tensor]:
     return [rotation_from_vector(v.double().to(device)) for v in steps]
 
 
-def _renderer(grid: Grid, backend: Backend, options: FitOptions) -> Renderer:
+def renderer_of(grid: Grid, backend: Backend, options: FitOptions) -> Renderer:
+    """The renderer of a model."""
     if options.model == "labels":
         length = options.length or min(grid.spacing) / 4
         return Renderer(grid, backend, blur=0.0, length=length, fine=max(grid.spacing))
     return Renderer(grid, backend, blur=options.blur, length=options.length or options.fine / 6, fine=options.fine)
+
+
+def prior_of(grid: Grid, backend: Backend, options: FitOptions) -> Prior:
+    """The prior of the options, about the expected pose."""
+    return Prior.of(backend.parameters, _expected(grid, options, backend), options.turn, options.shift)
 
 
 def _expected(grid: Grid, options: FitOptions, backend: Backend) -> State:
@@ -197,7 +203,8 @@ def _counts(*backends: Backend | None) -> dict[str, int]:
     return {b.name: b.evaluations for b in backends if b is not None}
 
 
-def _as_image(image: Any, grid: Grid, device: torch.device) -> Tensor:
+def image_tensor(image: Any, grid: Grid, device: torch.device) -> Tensor:
+    """The image (nx,ny,nz) float64 on a device, if it can be fitted."""
     values = torch.as_tensor(np.asarray(image) if not isinstance(image, Tensor) else image)
     if tuple(values.shape) != grid.shape:
         raise GridError(f"an image of shape {tuple(values.shape)} does not fit a grid of shape {grid.shape}")
