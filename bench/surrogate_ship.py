@@ -72,8 +72,9 @@ the exact engine (`sdm predict --exact`), which the surrogate imitates.
 
 ## Errors
 
-On the fixed validation set `{facts["validation"]}` (uniform shapes that no training has, and the corners of the box), against
-exact maps; lengths in mm, "near" is within 0.5 mm of the surface. Means over shapes; "max" and "worst" over all.
+On the fixed validation set `{facts["validation"]}` (uniform shapes that no training has, and
+the corners of the box), against exact maps; lengths in mm, "near" is within 0.5 mm of the surface. Means over
+shapes; "max" and "worst" over all.
 The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{results}`).
 
 | measure | value |
