@@ -156,14 +156,17 @@ def check_map(job: Job, case: Case, grid: sdm.Grid, values: Tensor, count: int) 
 
 
 def slabs_of(case: Case, grid: sdm.Grid, share: float) -> list[tuple[int, int]]:
-    """Layers (begin, end) along x that hold about `share` of a grid: one random slab in each of `SLABS` equal parts."""
+    """Layers (begin, end) along x that hold about `share` of a grid: one random slab in each of `SLABS` equal parts.
+
+    A slab has at least two layers: some peers do not know a grid of one.
+    """
     if share >= 1:
         return [(0, grid.shape[0])]
-    edges = np.linspace(0, grid.shape[0], min(SLABS, grid.shape[0]) + 1).round().astype(int)
+    edges = np.linspace(0, grid.shape[0], max(1, min(SLABS, grid.shape[0] // 2)) + 1).round().astype(int)
     rng = generator(case, f"slabs {grid.shape}")
     chosen = []
     for low, high in itertools.pairwise(edges):
-        layers = max(1, round(share * (high - low)))
+        layers = min(high - low, max(2, round(share * (high - low))))
         begin = int(rng.integers(low, high - layers + 1))
         chosen.append((begin, begin + layers))
     return chosen

@@ -22,7 +22,7 @@ from bench.peers import Peer
 
 
 class OwnMesh(ABC):
-    """A mesh from code; one from a file needs no class: `sdm bench part.stl`.
+    """A mesh from code; one from a file needs no class: `sdm bench --meshes part.stl`.
 
     Attributes:
         name: What tables call it.

@@ -29,7 +29,7 @@ def bench(
 
     Args:
         meshes: Mesh files, names from bench/meshes.py, or torus-N for a torus of N triangles; a choice if not given.
-        resolutions: Voxels along each axis of the grids; 32 to 256 if not given, as the device and --quick suggest.
+        resolutions: Voxels along each axis of the grids; 16 to 256 if not given, as the device and --quick suggest.
         points: Also query this many scattered points, half of them near the surface.
         peers: Only peers whose name holds one of these words, for example sdm warp libigl.
         device: cpu, cuda or cuda:N; by default a GPU if there is one.

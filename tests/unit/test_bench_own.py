@@ -70,3 +70,13 @@ def test_commands_of_the_page_exist(root):
     page = (root / "bench" / "README.md").read_text()
     for module in re.findall(r"python -m (bench\.\w+)", page):
         assert importlib.util.find_spec(module), module
+
+
+def test_the_pages_command_runs(root, tmp_path, monkeypatch):
+    from sdm.cli import main
+
+    page = (root / "bench" / "README.md").read_text()
+    (line,) = re.search(r"```sh\n(.*?)```", page, re.DOTALL)[1].splitlines()
+    monkeypatch.chdir(tmp_path)
+    assert main(line.split()[1:]) == 0
+    assert (tmp_path / "comparison" / "report.md").is_file()
