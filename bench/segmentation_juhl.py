@@ -10,8 +10,8 @@ asked: PWC with linearly enlarged probabilities, so that both are enlarged alike
 and on the transform of the coarse label, beside that of the fine label.
 
 How the paper's images were made and what PWC minimised is not known here. An image's voxel is the share of it that is
-inside, with Gaussian noise of 0.1. PWC minimises (cross-entropy + Dice) / 2: small shapes are lost by cross-entropy alone
-in trainings as short as these.
+inside, with Gaussian noise of 0.1. PWC minimises (cross-entropy + Dice) / 2: in trainings as short as these, small
+shapes are lost by cross-entropy alone.
 Distances are in voxels of 512^3. Overlap near the contour: 5^3 band.
 """
 
