@@ -55,7 +55,7 @@ def score_shape(
     seed: int = 0,
     resolution: int = 128,
 ) -> ShapeScores:
-    """Compare a surface with the true one; both in one unit and on one device.
+    """Compare a surface with the true one; both in one unit, on the truth's device.
 
     Args:
         mesh: What was found.
@@ -66,8 +66,8 @@ def score_shape(
         resolution: Voxels along each axis of the grid for the overlap.
     """
     sphere = sphere or UnitSphere.of(truth)
-    own, index = MeshIndex(mesh, mesh.device), MeshIndex(truth, mesh.device)
-    found = surface_points(mesh, points, seed=seed)[0]
+    own, index = MeshIndex(mesh, truth.device), MeshIndex(truth, truth.device)
+    found = surface_points(own.mesh, points, seed=seed)[0]
     right, again = (surface_points(index.mesh, points, seed=seed + n)[0] for n in (1, 2))
     there, back = index.signed_distance(found).abs().double(), own.signed_distance(right).abs().double()
     squares = float(there.square().mean() + back.square().mean()) / sphere.radius**2

@@ -49,7 +49,8 @@ def train(
         folder: For the checkpoint and the model; made if it is not there.
         names: The shapes' names.
         spheres: Their normalisations.
-        budget_s: Seconds of training at most, over all restarts. The schedule fits itself to what ends first.
+        budget_s: Seconds of training at most, over all restarts, compiling apart. The schedule fits itself to what ends
+            first.
         device: Where to train; by default a GPU if there is one.
         resume: Go on from the folder's checkpoint if there is one.
         checkpoint_every_s: Seconds between checkpoints.
@@ -106,6 +107,7 @@ class Trainer:
         self.step, self.seconds = 0, 0.0
         self.history: list[tuple[int, float, float]] = []
         self._network: Any = self.model
+        self._compiled = False
 
     def prepare(self, compile_network: bool) -> None:
         """Share the network among the ranks, and compile it."""
@@ -114,6 +116,7 @@ class Trainer:
             ids = [self.device.index] if self.device.type == "cuda" else None
             network = DistributedDataParallel(network, device_ids=ids)
         self._network = torch.compile(network) if compile_network else network
+        self._compiled = compile_network
 
     def restore(self) -> None:
         """Go back to the folder's checkpoint, if there is one."""
@@ -125,13 +128,17 @@ class Trainer:
             raise FormatError(
                 f"{folder} was begun with other settings or shapes; go on with those, or train in another folder"
             )
-        more = checkpoint.read(folder / checkpoint.OPTIMIZER, self.device)
+        # Adam counts its steps on the host; the rest goes where the weights are by itself.
+        more = checkpoint.read(folder / checkpoint.OPTIMIZER)
         self.model.load_state_dict(saved["state"])
         self.optimizer.load_state_dict(more["state"])
         self.step, self.seconds, self.history = saved["step"], saved["seconds"], saved["history"]
 
     def go(self, budget_s: float | None, every_s: float, progress: Callable[[int, int, float], None] | None) -> None:
-        """Train to the end of the steps or of the budget."""
+        """Train to the end of the steps or of the budget, which does not count the time to compile."""
+        if self._compiled:
+            self._loss(*self.draw(self.step), 0.0)[1].backward()
+            self.optimizer.zero_grad(set_to_none=True)
         before, saved_at = time.monotonic() - self.seconds, self.seconds
         done = self._done(budget_s)
         while done < 1:
@@ -172,15 +179,20 @@ class Trainer:
         """One step of Adam when a share `done` of the training is over; gives the loss of the data."""
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor(self.settings, done)
+        loss, total = self._loss(shapes, points, values, done)
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        self.optimizer.step()
+        return loss.detach()
+
+    def _loss(self, shapes: Tensor, points: Tensor, values: Tensor, done: float) -> tuple[Tensor, Tensor]:
+        """The loss of the data, and with that of the codes."""
         # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
         torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
         self.model.train()
         with _autocast(self.settings, self.device):
             loss, length = self._network(shapes, points, values)
-        self.optimizer.zero_grad(set_to_none=True)
-        (loss + code_weight(self.settings, done) * length).backward()
-        self.optimizer.step()
-        return loss.detach()
+        return loss, loss + code_weight(self.settings, done) * length
 
     def _done(self, budget_s: float | None) -> float:
         done = share_done(self.step, self.steps, self.seconds, budget_s)
