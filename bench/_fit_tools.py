@@ -14,7 +14,7 @@ from sdm.io.atomic import replacing
 from sdm.shapes import Cochlea
 
 # Meshes of simulated truth are four times as fine as those of the fit.
-TRUTH_TRIANGLES = 20_000
+TRUTH_TRIANGLES = 80_000
 STOCK = ("libigl", "warp")
 
 

@@ -25,7 +25,7 @@ def fit(
     fine: float = 0.15,
     turn: float = 0.5,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
-    triangles: int = 5_000,
+    triangles: int = 20_000,
     weights: Path | None = None,
     device: str = "auto",
 ) -> None:

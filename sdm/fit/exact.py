@@ -19,7 +19,8 @@ from sdm.shapes import Cochlea, Family
 
 # Nearer to the surface than this [mm], the direction is that of the face: a difference of equal numbers has none.
 ON_SURFACE = 1e-5
-TRIANGLES = 5_000
+# With 5,000, chords of the sections leave biases of half a posterior standard deviation at 0.2 mm; with 20,000, 0.2.
+TRIANGLES = 20_000
 
 
 class ExactBackend:
@@ -27,7 +28,7 @@ class ExactBackend:
 
     Args:
         family: Its vertices must be known to torch's forward-mode differentiation, as `Cochlea`'s are; by default
-            `Cochlea(5_000)`.
+            `Cochlea(20_000)`.
         device: Where to compute; by default a GPU if there is one.
 
     The closest triangles are found in float32; the distances to them and their derivatives are float64.
