@@ -200,12 +200,7 @@ def _proof(axes: Axes, segments: np.ndarray, box: stages.Box) -> None:
     p = c + d
     foot = p - u * ((p - x) @ u) / (u @ u)
     for start, end, colour in ((p, foot, KEPT), (p, y, PICKED), (c, x, "0.45")):
-        axes.annotate(
-            "",
-            _pair(end),
-            _pair(start),
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.5, "shrinkA": 0},
-        )
+        axes.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.5)
     axes.plot(*c, "o", color="black", markersize=5)
     axes.plot(*p, "s", color="black", markersize=5)
     axes.plot(*y, "o", color=PICKED, markersize=7)
