@@ -28,7 +28,7 @@ from torch.nn import functional
 
 from bench._juhl_shapes import TARGETS, Shape, ShapeBatches, shapes
 from bench._machine import describe
-from bench._segmentation_fit import fitted_steps, known_steps
+from bench._segmentation_fit import fitted_steps, known_steps, shared
 from bench._segmentation_jobs import Job, devices, read_logs, run_jobs
 from sdm.segmentation import Settings, cell, scores_of, table, train
 
@@ -54,7 +54,7 @@ OVERHEAD_S = 8.0
 def main() -> None:
     options = parser().parse_args()
     if options.what == "run":
-        on = devices(options.gpus)
+        on = devices(options.gpus) * options.per_gpu
         # Compiled once, before several processes want it at the same time.
         few = list(_few(options, on[0]))
         if options.fit:
@@ -70,6 +70,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-juhl"), help="unfinished trainings")
     parser.add_argument("--budget-s", type=float, default=3600.0)
     parser.add_argument("--gpus", type=int, default=None, help="default: all")
+    parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--networks", nargs="+", default=list(NETWORKS), choices=list(NETWORKS))
     parser.add_argument("--steps", type=int, default=1000)
@@ -131,7 +132,7 @@ def fit(options: argparse.Namespace, few: list[Shape], on: list[str]) -> int:
 
     count = len(options.networks) * len(options.seeds)
     left = options.budget_s - STARTING_S
-    steps = fitted_steps(measure, count, len(on), left, weight=1.0, overhead_s=OVERHEAD_S)
+    steps = fitted_steps(measure, count, len(on), left, weight=shared(options.per_gpu), overhead_s=OVERHEAD_S)
     options.budget_s -= time.monotonic() - begin
     return steps
 

@@ -27,7 +27,7 @@ from typing import Any
 import torch
 
 from bench._machine import describe
-from bench._segmentation_fit import fitted_steps, known_steps
+from bench._segmentation_fit import fitted_steps, known_steps, shared
 from bench._segmentation_jobs import Job, devices, read_logs, run_jobs
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
@@ -57,7 +57,7 @@ def main() -> None:
     if options.what == "table":
         print(table_of(options.logs, options.parts))
         return
-    on = devices(options.gpus)
+    on = devices(options.gpus) * options.per_gpu
     # Compiled once, before several processes want it at the same time.
     for device in on[:1]:
         euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
@@ -76,6 +76,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
     parser.add_argument("--budget-s", type=float, default=3600.0)
     parser.add_argument("--gpus", type=int, default=None, help="default: all")
+    parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
     parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=1500)
@@ -141,7 +142,7 @@ def fit(options: argparse.Namespace, on: list[str]) -> int:
     measure(2)
     left = options.budget_s - (time.monotonic() - begin) - STARTING_S
     count = len(options.methods) * len(options.seeds)
-    steps = fitted_steps(measure, count, len(on), left, weight=1.2, overhead_s=OVERHEAD_S)
+    steps = fitted_steps(measure, count, len(on), left, weight=1.2 * shared(options.per_gpu), overhead_s=OVERHEAD_S)
     options.budget_s -= time.monotonic() - begin
     torch.cuda.empty_cache()
     return steps
