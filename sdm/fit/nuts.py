@@ -6,6 +6,7 @@ unknowns have about the same width, with the appearance held at its estimate.
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -64,7 +65,7 @@ def sample_posterior(
         SDMError: Pyro is not installed.
     """
     try:
-        from pyro.infer import MCMC, NUTS
+        infer = importlib.import_module("pyro.infer")
     except ImportError as error:
         raise SDMError('sampling needs Pyro: pip install "warp-sdm[nuts]"') from error
     options = FitOptions() if options is None else options
@@ -78,9 +79,9 @@ def sample_posterior(
         # Pyro's own use of torch.
         warnings.simplefilter("ignore")
         torch.manual_seed(seed)
-        kernel = NUTS(potential_fn=potential, step_size=0.5, adapt_mass_matrix=False, max_tree_depth=4)
+        kernel = infer.NUTS(potential_fn=potential, step_size=0.5, adapt_mass_matrix=False, max_tree_depth=4)
         start = {"z": torch.zeros(size, dtype=torch.float64, device=backend.device)}
-        chain = MCMC(kernel, count, warmup_steps=warm_up, initial_params=start, disable_progbar=True)
+        chain = infer.MCMC(kernel, count, warmup_steps=warm_up, initial_params=start, disable_progbar=True)
         chain.run()
         drawn = chain.get_samples()["z"]
         said = chain.diagnostics()
