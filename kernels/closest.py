@@ -8,7 +8,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.geometry import nearest_part, part_distance2
-from sdm.kernels.tree import Tree, box_distance2, first_triangle
+from sdm.kernels.lanes import load4_of_vectors
+from sdm.kernels.tree import Tree, first_triangle, node_distance2
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,8 +25,15 @@ CLOSE = wp.constant(6.0e-7)
 @wp.func
 def slot_part(tree: Tree, slot: int, p: wp.vec3):
     """`nearest_part` for the triangle in a slot."""
+    r0 = load4_of_vectors(tree.corners, 3 * slot)
+    r1 = load4_of_vectors(tree.corners, 3 * slot + 1)
+    r2 = load4_of_vectors(tree.corners, 3 * slot + 2)
     return nearest_part(
-        p, tree.corners[4 * slot], tree.corners[4 * slot + 1], tree.corners[4 * slot + 2], tree.corners[4 * slot + 3]
+        p,
+        wp.vec3(r0[0], r0[1], r0[2]),
+        wp.vec3(r0[3], r1[0], r1[1]),
+        wp.vec3(r1[2], r1[3], r2[0]),
+        wp.vec3(r2[1], r2[2], r2[3]),
     )
 
 
@@ -94,8 +102,8 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
         else:
             near = 2 * node
             far = near + 1
-            near2 = box_distance2(p, tree.low[base + near], tree.high[base + near])
-            far2 = box_distance2(p, tree.low[base + far], tree.high[base + far])
+            near2 = node_distance2(tree, base + near, p)
+            far2 = node_distance2(tree, base + far, p)
             if far2 < near2:
                 near = far
                 far = 2 * node

@@ -13,7 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import NodeStack
-from sdm.kernels.tree import LATTICE_SLACK, Tree, first_triangle, to_lattice
+from sdm.kernels.tree import LATTICE_SLACK, Tree, first_triangle, node_box, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,8 +74,9 @@ def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
 
 
 @wp.func
-def meets_ray(low: wp.vec3, high: wp.vec3, p: wp.vec3d):
-    """Whether the ray from p along +x can meet something in a box, with a lattice step of slack."""
+def meets_ray(tree: Tree, node: int, p: wp.vec3d):
+    """Whether the ray from p along +x can meet something in a node's box, with a lattice step of slack."""
+    low, high = node_box(tree, node)
     return (
         wp.float64(high[0]) > p[0]
         and p[1] >= wp.float64(low[1]) - LATTICE_SLACK
@@ -94,7 +95,7 @@ def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
     total = int(0)
     nodes = NodeStack()
     waiting = int(0)
-    node = wp.where(meets_ray(tree.low[base + 1], tree.high[base + 1], p), 1, 0)
+    node = wp.where(meets_ray(tree, base + 1, p), 1, 0)
     while node > 0:
         if node >= leaves:
             leaf = node - leaves
@@ -109,8 +110,8 @@ def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
         else:
             left = 2 * node
             right = left + 1
-            hit_left = meets_ray(tree.low[base + left], tree.high[base + left], p)
-            hit_right = meets_ray(tree.low[base + right], tree.high[base + right], p)
+            hit_left = meets_ray(tree, base + left, p)
+            hit_right = meets_ray(tree, base + right, p)
             node = wp.where(hit_left, left, wp.where(hit_right, right, 0))
             if hit_left and hit_right:
                 nodes[waiting] = right

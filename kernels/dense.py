@@ -7,14 +7,16 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bricks import measure_bricks
-from sdm.kernels.cells import CELL, CHUNK, COUNTS, STACK, Lists, list_cells
+from sdm.kernels.blocks import VOXELS, measure_blocks
+from sdm.kernels.cells import list_cells
 from sdm.kernels.features import ROWS, Features
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.launch import threads
+from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
 from sdm.kernels.points import Winding
+from sdm.kernels.regions import STACK, list_regions
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.tree import Tree
@@ -23,12 +25,14 @@ from sdm.kernels.tree import Tree
 GPU_WORKERS = 132 * 16
 # Entries of the pool of lists: 64 to 256 MiB.
 SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
-MOST_CELLS = 1 << 17
+MOST_REGIONS = 1 << 15
+# Cells with more triangles are measured brick by brick.
+LONGEST_OF_CELL = 64
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
-LONGEST_LIST = {"cuda": 3000, "cpu": 600}
-# So do shorter ones where there are too few bricks to keep a GPU busy until the longest is done.
+LONGEST_LIST = {"cuda": 4000, "cpu": 1500}
+# So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.
 FEW_VOXELS = 1 << 19
-LONGEST_LIST_OF_FEW = 500
+LONGEST_LIST_OF_FEW = 1000
 
 
 def expected_list(triangles: int, shape: Sequence[int]) -> float:
@@ -39,10 +43,10 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
     return 1.8 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
 
 
-def search_is_faster(meshes: int, triangles: int, shape: Sequence[int], gpu: bool) -> bool:
-    """Whether the plain path is expected to be the faster one."""
+def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
+    """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
     length = expected_list(triangles, shape)
-    if gpu and meshes * (shape[1] * shape[2]) ** 1.5 < FEW_VOXELS and length > LONGEST_LIST_OF_FEW:
+    if gpu and (shape[1] * shape[2]) ** 1.5 < FEW_VOXELS and length > LONGEST_LIST_OF_FEW:
         return True
     return length > LONGEST_LIST["cuda" if gpu else "cpu"]
 
@@ -78,7 +82,7 @@ def query_slab(
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
-        method = "search" if search_is_faster(meshes, tree.count, shape, gpu) else "cells"
+        method = "search" if search_is_faster(tree.count, shape, gpu) else "cells"
     out = Output()
     out.values = values
     out.ambiguous = ambiguous
@@ -88,26 +92,32 @@ def query_slab(
         return
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
-    lists.cells = wp.vec3i(*(-(-n // int(CELL)) for n in shape))
-    total = meshes * lists.cells[0] * lists.cells[1] * lists.cells[2]
+    lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
+    total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
     room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL)
-    # A pass has room for half as much again as is expected.
-    expected = 1.5 * expected_list(tree.count, shape) + 2 * CHUNK
-    share = min(total, MOST_CELLS, max(128, int(room / expected)))
+    # A pass has room for a quarter more than is expected, and every list for one more chunk.
+    cells = expected_list(tree.count, shape)
+    expected = 8 * (1.25 * cells + CHUNK) + 4 * cells + 2 * CHUNK
+    share = min(total, MOST_REGIONS, max(16, int(room / expected)))
     lists.chunks = room // CHUNK
-    lists.heads = empty(share, wp.int32)
-    lists.lengths = empty(share, wp.int32)
+    lists.region_heads = empty(share, wp.int32)
+    lists.region_lengths = empty(share, wp.int32)
+    lists.heads = empty(8 * share, wp.int32)
+    lists.lengths = empty(8 * share, wp.int32)
+    lists.heavy = empty(8 * share, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
     features = Features()
     features.rows = empty(workers * ROWS * 4, wp.float32)
-    features.least = empty(workers * 64, wp.float32)
+    features.least = empty(workers * VOXELS, wp.float32)
+    features.places = empty(workers * 24, wp.float32)
     out.missed.zero_()
     for first in range(0, total, share):
         lists.first = first
         lists.count = min(share, total - first)
         lists.counts.zero_()
-        list_cells(tree, frames, parts, slab, lists, stacks, workers, lanes, launch)
-        measure_bricks(tree, frames, parts, slab, lists, features, out, workers, lanes, launch)
+        list_regions(tree, frames, slab, lists, stacks, workers, lanes, launch)
+        list_cells(tree, frames, parts, slab, lists, LONGEST_OF_CELL, stacks, workers, lanes, launch)
+        measure_blocks(tree, frames, parts, slab, lists, LONGEST_OF_CELL, features, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

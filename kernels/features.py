@@ -1,6 +1,6 @@
-"""The parts of triangles that can be nearest to a brick's voxels, written so that measuring one takes a few products.
+"""The parts of triangles that can be nearest to a block's voxels, written so that measuring one takes a few products.
 
-Let c be the brick's centre, p a voxel from there, R the distance of c from the surface, and m the point of a part's
+Let c be the block's centre, p a voxel from there, R the distance of c from the surface, and m the point of a part's
 plane, line or corner that is closest to c, seen from c. With w = |m|^2 - R^2, the squared distances less R^2 + |p|^2
 are
 
@@ -9,7 +9,7 @@ are
     plane   w + (p.n) (2 h + p.n) - |p|^2      at height h = -m.n above it
 
 Only w comes from long distances, and it is found in float64 and is small, as all parts that are left are nearly
-equally far from c; the rest is of the brick's size. So float32 is more accurate here than it could be with the squared
+equally far from c; the rest is of the block's size. So float32 is more accurate here than it could be with the squared
 distances themselves, of which the least is made only at the end. Near the surface it is the other way round: there the
 distances are smaller than the brick, and are taken from p - m, its part across the line, or the height.
 
@@ -41,13 +41,13 @@ _EDGE_ROWS, _FACE_ROWS = wp.constant(EDGE_ROWS), wp.constant(FACE_ROWS)
 _EDGE_ROW = wp.constant(CORNERS * CORNER_ROWS)
 _FACE_ROW = wp.constant(CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS)
 _INVERSES = wp.constant(INVERSES)
-# Room for rounding in "between the ends" and "inside the planes", in units of the sum of the brick's half-widths.
+# Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
 
 
 @wp.struct
 class Counts:
-    """How many of each kind are in a brick's lists."""
+    """How many of each kind are in a block's lists."""
 
     corners: wp.int32
     edges: wp.int32
@@ -56,10 +56,11 @@ class Counts:
 
 @wp.struct
 class Features:
-    """The lists of all workers, each in its own part, and the least values for its 64 voxels so far."""
+    """The lists of all workers, each in its own part, and what else they note."""
 
     rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4)
-    least: wp.array(dtype=wp.float32)  # (workers * 64)
+    least: wp.array(dtype=wp.float32)  # (workers * 512) the least values of a block's voxels so far
+    places: wp.array(dtype=wp.float32)  # (workers * 24) coordinates of a block's voxels along each axis
 
 
 @wp.func
@@ -152,7 +153,7 @@ def add_features(
 
 @wp.func
 def is_near(radius2: float, half2: float):
-    """Whether a brick of squared half-diagonal `half2` is so near to the surface that plain distances tell more."""
+    """Whether a block of squared half-diagonal `half2` is so near to the surface that plain distances tell more."""
     return radius2 < 16.0 * half2
 
 
@@ -198,7 +199,7 @@ def face_value(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, r3: wp.vec4, w: float, p: 
 def least_values(
     least: wp.vec2, features: Features, worker: int, counts: Counts, p: wp.vec3, q: wp.vec3, room: float, near: bool
 ):
-    """`least`, or the lesser values of a worker's lists for the voxels p and q (from the brick's centre)."""
+    """`least`, or the lesser values of a worker's lists for the voxels p and q (from the block's centre)."""
     row = worker * _ROWS
     of_p = least[0]
     of_q = least[1]
@@ -226,9 +227,9 @@ def least_values(
 
 
 @wp.func
-def least_distance(value: float, p: wp.vec3, radius2: wp.float64, near: bool):
-    """The distance of voxel p (from the brick's centre) that belongs to its least value."""
+def least_distance(value: float, p: wp.vec3, radius2: float, near: bool):
+    """The distance of voxel p (from the block's centre) that belongs to its least value."""
     if near:
         return wp.sqrt(value)
-    # Rounded once: what is added to R^2 is small.
-    return wp.sqrt(float(wp.max(radius2 + wp.float64(value + wp.dot(p, p)), wp.float64(0.0))))
+    # What is added to R^2 is small, and so is its rounding.
+    return wp.sqrt(wp.max(radius2 + (value + wp.dot(p, p)), 0.0))

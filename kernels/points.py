@@ -12,7 +12,7 @@ from sdm.kernels.crossings import count_crossings
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.solid_angle import soup_winding
-from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree, node_box
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,8 +65,9 @@ def _point_keys(
     i = begin + wp.tid()
     p = float(tree.frame[_SCALE]) * points[i]
     # Twice the mesh's box: most points that people ask for are inside it.
-    middle = 0.5 * (tree.low[1] + tree.high[1])
-    keys[i] = wp.int64(curve_code(p, 2.0 * tree.low[1] - middle, 2.0 * tree.high[1] - middle))
+    low, high = node_box(tree, 1)
+    middle = 0.5 * (low + high)
+    keys[i] = wp.int64(curve_code(p, 2.0 * low - middle, 2.0 * high - middle))
     order[i] = i
 
 

@@ -13,10 +13,10 @@ import warp as wp
 
 from sdm.kernels.boundary import Boundary, boundary_winding
 from sdm.kernels.caps import cap_lattice, caps_are_far, count_caps
-from sdm.kernels.cells import CELL, make_cell
 from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, voxel
 from sdm.kernels.lanes import GPU_LANES, fetch_add
+from sdm.kernels.lists import CELL, make_cell
 from sdm.kernels.points import CLOSED, OPEN, SOUP, Winding
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice

@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.closest import NodeStack
 from sdm.kernels.geometry import solid_angle
-from sdm.kernels.tree import Tree, first_triangle
+from sdm.kernels.tree import Tree, first_triangle, node_box
 
 wp.set_module_options({"enable_backward": False})
 
@@ -38,12 +38,11 @@ def write_moments(
     vector: wp.vec3d,
     first: wp.mat33d,
 ):
-    low = wp.vec3d(tree.low[node])
-    high = wp.vec3d(tree.high[node])
+    low, high = node_box(tree, node)
     at = node * _SIZE
     # The radius is taken about the centre as stored, so that rounding cannot make it too small.
     c = wp.vec3(centre)
-    reach = wp.max(wp.vec3d(c) - low, high - wp.vec3d(c))
+    reach = wp.max(wp.vec3d(c) - wp.vec3d(low), wp.vec3d(high) - wp.vec3d(c))
     for i in range(3):
         moments[at + i] = c[i]
         moments[at + 5 + i] = float(vector[i])
@@ -76,7 +75,8 @@ def _leaf_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32)):
         area = area + size
         weighted = weighted + size * third * (a + b + c)
         vector = vector + n
-    centre = half * (wp.vec3d(tree.low[node]) + wp.vec3d(tree.high[node]))
+    low, high = node_box(tree, node)
+    centre = half * (wp.vec3d(low) + wp.vec3d(high))
     if area > wp.float64(0.0):
         centre = weighted / area
     centre = wp.vec3d(wp.vec3(centre))
@@ -115,7 +115,8 @@ def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), 
     vector_l = wp.vec3d(read_vector(moments, left + 5))
     vector_r = wp.vec3d(read_vector(moments, right + 5))
     area = area_l + area_r
-    centre = wp.float64(0.5) * (wp.vec3d(tree.low[node]) + wp.vec3d(tree.high[node]))
+    low, high = node_box(tree, node)
+    centre = wp.float64(0.5) * (wp.vec3d(low) + wp.vec3d(high))
     if area > wp.float64(0.0):
         centre = (area_l * centre_l + area_r * centre_r) / area
     centre = wp.vec3d(wp.vec3(centre))

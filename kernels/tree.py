@@ -18,10 +18,12 @@ import warp as wp
 
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import unit_normal
+from sdm.kernels.lanes import load4, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
 TRIANGLES_PER_LEAF = 4
+BOX_FLOATS = 8
 LEVELS_AT_ONCE = 3
 # The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
 LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
@@ -45,8 +47,7 @@ class Tree:
     corners: wp.array(dtype=wp.vec3)  # (4 * slots) corner a, b, c and unit normal, scaled
     lattice: wp.array(dtype=wp.vec2i)  # (3 * slots) corners' (y,z) on the lattice
     face: wp.array(dtype=wp.int32)  # (slots) index of the face before sorting
-    low: wp.array(dtype=wp.vec3)  # (meshes * 2^(depth+1)) boxes, scaled
-    high: wp.array(dtype=wp.vec3)
+    boxes: wp.array(dtype=wp.float32)  # (meshes * 2^(depth+1) * BOX_FLOATS) low (3), 0, high (3), 0, scaled
     frame: wp.array(dtype=wp.float64)  # (meshes * FRAME_SIZE) scale, its inverse, lattice's origin and steps per unit
     count: wp.int32  # triangles of each mesh
     depth: wp.int32
@@ -65,8 +66,7 @@ def sizes(meshes: int, faces: int) -> dict[str, tuple[tuple[int, ...], Any]]:
         "corners": ((4 * slots, 3), wp.float32),
         "lattice": ((3 * slots, 2), wp.int32),
         "face": ((slots,), wp.int32),
-        "low": ((nodes, 3), wp.float32),
-        "high": ((nodes, 3), wp.float32),
+        "boxes": ((nodes * BOX_FLOATS,), wp.float32),
         "frame": ((meshes * FRAME_SIZE,), wp.float64),
     }
 
@@ -78,12 +78,33 @@ def first_triangle(tree: Tree, leaf: int):
 
 
 @wp.func
+def node_box(tree: Tree, node: int):
+    """The lowest and the highest corner of a node's box (scaled); `node` counts through the batch."""
+    low = load4(tree.boxes, 2 * node)
+    high = load4(tree.boxes, 2 * node + 1)
+    return wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2])
+
+
+@wp.func
 def box_distance2(p: wp.vec3, low: wp.vec3, high: wp.vec3):
     """Squared distance of p from a box."""
     dx = wp.max(wp.max(low[0] - p[0], p[0] - high[0]), 0.0)
     dy = wp.max(wp.max(low[1] - p[1], p[1] - high[1]), 0.0)
     dz = wp.max(wp.max(low[2] - p[2], p[2] - high[2]), 0.0)
     return dx * dx + dy * dy + dz * dz
+
+
+@wp.func
+def node_distance2(tree: Tree, node: int, p: wp.vec3):
+    """Squared distance of p from a node's box."""
+    low, high = node_box(tree, node)
+    return box_distance2(p, low, high)
+
+
+@wp.func
+def write_box(tree: Tree, node: int, low: wp.vec3, high: wp.vec3):
+    write4(tree.boxes, 2 * node, low[0], low[1], low[2], 0.0)
+    write4(tree.boxes, 2 * node + 1, high[0], high[1], high[2], 0.0)
 
 
 @wp.func
@@ -222,8 +243,7 @@ def _bound_leaves(begin: int, tree: Tree):
             low = wp.min(low, v)
             high = wp.max(high, v)
     node = mesh * 2 * leaves + leaves + leaf
-    tree.low[node] = low
-    tree.high[node] = high
+    write_box(tree, node, low, high)
 
 
 @wp.kernel
@@ -236,9 +256,10 @@ def _bound_levels(begin: int, tree: Tree, width: int, levels: int):
     for back in range(levels):
         down = levels - 1 - back
         for node in range(top << down, (top + 1) << down):
-            left = base + 2 * node
-            tree.low[base + node] = wp.min(tree.low[left], tree.low[left + 1])
-            tree.high[base + node] = wp.max(tree.high[left], tree.high[left + 1])
+            left = 2 * (base + 2 * node)
+            low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
+            high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
+            write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
 
 
 def build(

@@ -24,13 +24,12 @@ from sdm.topology import boundary_edges, loops, neighbours
 MOST_BOUNDARY_EDGES = 1024
 
 _TORCH_TYPE = {wp.float32: torch.float32, wp.int32: torch.int32, wp.float64: torch.float64}
-_FIELDS = ("corners", "lattice", "face", "low", "high", "frame")
+_FIELDS = ("corners", "lattice", "face", "boxes", "frame")
 _ELEMENT = {
     "corners": wp.vec3,
     "lattice": wp.vec2i,
     "face": wp.int32,
-    "low": wp.vec3,
-    "high": wp.vec3,
+    "boxes": wp.float32,
     "frame": wp.float64,
 }
 
@@ -93,7 +92,7 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
 
     tensors = [empty(shape, _TORCH_TYPE[dtype]) for shape, dtype in tree.sizes(meshes, count).values()]
     ends = 2 * meshes * edges.shape[0] if kind == points.OPEN else 0
-    nodes = tensors[_FIELDS.index("low")].shape[0] if kind == points.SOUP else 0
+    nodes = tensors[_FIELDS.index("boxes")].shape[0] // tree.BOX_FLOATS if kind == points.SOUP else 0
     tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
     tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
     tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]

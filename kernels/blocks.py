@@ -1,0 +1,316 @@
+"""Third stage of the dense query: the distances themselves, block by block.
+
+A block is a cell of 8^3 voxels whose list is short, or one of the eight bricks of 4^3 of a cell whose list is long.
+One group of lanes takes one block. It filters the cell's list once more, for the block, lists the parts of the
+triangles that are left, and measures the block's voxels from those.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cull import Cell, agree, no_witness, remember, triangle_is_behind
+from sdm.kernels.features import (
+    NEAR_ENDS,
+    Counts,
+    Features,
+    add_features,
+    are_full,
+    is_near,
+    least_distance,
+    least_values,
+)
+from sdm.kernels.frames import load_frame, see
+from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
+from sdm.kernels.lanes import fetch_add, fetch_add_once, wait_for_lanes
+from sdm.kernels.lists import (
+    BRICK,
+    CHUNK,
+    HEAVY,
+    NEXT_BLOCK,
+    NEXT_BRICK,
+    ROOM,
+    Lists,
+    cell_start,
+    is_coarse,
+    is_within,
+    make_cell,
+    octant,
+)
+from sdm.kernels.parts import Parts, parts_that_matter
+from sdm.kernels.regions import seen_from
+from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+
+wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
+BLOCKS = 4
+# Voxels of the largest block.
+VOXELS = 512
+
+# Squares beyond this one may overflow.
+LARGEST_SQUARE = wp.constant(1.0e36)
+
+_CHUNK = wp.constant(CHUNK)
+_ROOM = wp.constant(ROOM)
+_VOXELS = wp.constant(VOXELS)
+_HEAVY = wp.constant(HEAVY)
+_NEXT_BLOCK = wp.constant(NEXT_BLOCK)
+_NEXT_BRICK = wp.constant(NEXT_BRICK)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_UNSCALE = wp.constant(UNSCALE)
+
+
+@wp.struct
+class Block:
+    """Up to 8^3 or 4^3 voxels of a mesh's map."""
+
+    mesh: wp.int32
+    start: wp.vec3i  # its first voxel
+    bits: wp.int32  # 3 or 2: the voxels along each edge are 2^bits
+    cell: Cell
+    radius2: float  # squared distance of its centre from the surface
+
+
+@wp.func
+def nearest_of_chain(
+    frames: wp.array(dtype=wp.float32), lists: Lists, item: int, centre: wp.vec3, lane: int, lanes: int
+):
+    """The surface point nearest to a block's centre, from its cell's list."""
+    known = no_witness()
+    chunk = lists.heads[item]
+    left = lists.lengths[item]
+    while left > 0:
+        taken = wp.min(left, _ROOM)
+        i = lane
+        while i < taken:
+            known = remember(known, seen_from(frames, lists.pool[chunk * _CHUNK + i], centre))
+            i = i + lanes
+        left = left - taken
+        if left > 0:
+            chunk = lists.pool[chunk * _CHUNK + _ROOM]
+    return agree(known, lane)
+
+
+@wp.func
+def index_in(block: Block, v: int):
+    """Voxel v of a block: its indices from the block's first."""
+    mask = (1 << block.bits) - 1
+    return wp.vec3i(v >> (2 * block.bits), (v >> block.bits) & mask, v & mask)
+
+
+@wp.func
+def note_places(tree: Tree, slab: Slab, features: Features, worker: int, block: Block, lane: int, lanes: int):
+    """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple."""
+    scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
+    at = lane
+    while at < 24:
+        axis = at / 8
+        p = scale * wp.float64(along(slab, axis, block.start[axis] + at % 8))
+        features.places[24 * worker + at] = float(p - wp.float64(block.cell.centre[axis]))
+        at = at + lanes
+
+
+@wp.func
+def local_voxel(tree: Tree, slab: Slab, features: Features, worker: int, block: Block, v: int):
+    """Voxel v of a block, from the block's centre."""
+    at = index_in(block, v)
+    if slab.turned != 0:
+        scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
+        p = voxel(slab, block.start[0] + at[0], block.start[1] + at[1], block.start[2] + at[2])
+        return wp.vec3(scale * wp.vec3d(p) - wp.vec3d(block.cell.centre))
+    first = 24 * worker
+    return wp.vec3(
+        features.places[first + at[0]], features.places[first + 8 + at[1]], features.places[first + 16 + at[2]]
+    )
+
+
+@wp.func
+def finish_voxel(tree: Tree, slab: Slab, out: Output, block: Block, v: int, p: wp.vec3, least: float):
+    """Write the distance of a voxel; 1 if its winding number is unclear."""
+    at = block.start + index_in(block, v)
+    if not is_within(slab, at):
+        return 0
+    near = is_near(block.radius2, block.cell.half2)
+    distance = least_distance(least, p, block.radius2, near)
+    if not (least < LARGEST_SQUARE and distance < LARGEST_SQUARE):
+        # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
+        distance = float(wp.inf)
+        fetch_add(out.missed, 0, 1)
+    unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    return write_distance(out, block.mesh, at[0], at[1], at[2], distance * unscale)
+
+
+@wp.func
+def measure_voxels(
+    tree: Tree,
+    slab: Slab,
+    out: Output,
+    features: Features,
+    worker: int,
+    counts: Counts,
+    block: Block,
+    again: bool,
+    last: bool,
+    lane: int,
+    lanes: int,
+):
+    """Measure all voxels of a block from the features listed now, and those before if `again`.
+
+    What was found is written if this is the `last` time, else noted. Returns the unclear voxels that were written.
+    """
+    unclear = int(0)
+    near = is_near(block.radius2, block.cell.half2)
+    half = block.cell.half
+    room = NEAR_ENDS * (half[0] + half[1] + half[2])
+    # Two voxels at a time: each feature is loaded once for both.
+    total = 1 << (3 * block.bits)
+    v = lane
+    while v < total / 2:
+        w = v + total / 2
+        p = local_voxel(tree, slab, features, worker, block, v)
+        q = local_voxel(tree, slab, features, worker, block, w)
+        least = wp.vec2(wp.inf, wp.inf)
+        if again:
+            least = wp.vec2(features.least[_VOXELS * worker + v], features.least[_VOXELS * worker + w])
+        least = least_values(least, features, worker, counts, p, q, room, near)
+        if last:
+            unclear = unclear + finish_voxel(tree, slab, out, block, v, p, least[0])
+            unclear = unclear + finish_voxel(tree, slab, out, block, w, q, least[1])
+        else:
+            features.least[_VOXELS * worker + v] = least[0]
+            features.least[_VOXELS * worker + w] = least[1]
+        v = v + lanes
+    return unclear
+
+
+@wp.func
+def measure_block(
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    item: int,
+    features: Features,
+    worker: int,
+    out: Output,
+    block: Block,
+    lane: int,
+    lanes: int,
+):
+    """Measure a block of the cell `item`."""
+    chunk = lists.heads[item]
+    left = int(0)
+    known = no_witness()
+    if chunk >= 0 and not is_coarse(block.cell):
+        left = lists.lengths[item]
+        known = nearest_of_chain(frames, lists, item, block.cell.centre, lane, lanes)
+    block.radius2 = known.distance2
+    if not block.radius2 < LARGEST_SQUARE:
+        left = int(0)
+    note_places(tree, slab, features, worker, block, lane, lanes)
+    wait_for_lanes()
+    counts = Counts()
+    unclear = int(0)
+    again = bool(False)
+    at = int(0)
+    more = bool(True)
+    while more:
+        which = int(0)
+        slot = int(0)
+        taken = wp.min(left, _ROOM)
+        if at + lane < taken:
+            slot = lists.pool[chunk * _CHUNK + at + lane]
+            f = load_frame(frames, slot)
+            if not triangle_is_behind(block.cell, known, f, see(f, block.cell.centre)):
+                which = parts_that_matter(block.cell, tree, parts, slot)
+        counts = add_features(
+            features, worker, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane
+        )
+        at = at + lanes
+        if at >= taken:
+            at = int(0)
+            left = left - taken
+            if left > 0:
+                chunk = lists.pool[chunk * _CHUNK + _ROOM]
+        more = left > 0
+        if not more or are_full(counts):
+            wait_for_lanes()
+            unclear = unclear + measure_voxels(
+                tree, slab, out, features, worker, counts, block, again, not more, lane, lanes
+            )
+            counts = Counts()
+            again = True
+            wait_for_lanes()
+    if unclear > 0:
+        fetch_add(out.ambiguous, block.mesh, unclear)
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS))
+def _measure_blocks(
+    begin: int,
+    lanes: int,
+    longest: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    features: Features,
+    out: Output,
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    worker = thread / lanes
+    bits = int(2)
+    total = 8 * lists.counts[_HEAVY]
+    counter = _NEXT_BRICK
+    if longest > 0:
+        bits = int(3)
+        total = 8 * lists.count
+        counter = _NEXT_BLOCK
+    item = fetch_add_once(lists.counts, counter, 1, lane)
+    while item < total:
+        cell = item
+        if longest == 0:
+            cell = lists.heavy[item / 8]
+        mesh, start = cell_start(lists, cell)
+        if longest == 0:
+            start = start + BRICK * octant(item)
+        if is_within(slab, start):
+            if longest == 0 or (lists.heads[cell] >= 0 and lists.lengths[cell] <= longest):
+                block = Block()
+                block.mesh = mesh
+                block.start = start
+                block.bits = bits
+                block.cell = make_cell(slab, start, 1 << bits, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+                if longest == 0 or not is_coarse(block.cell):
+                    measure_block(tree, frames, parts, slab, lists, cell, features, worker, out, block, lane, lanes)
+        item = fetch_add_once(lists.counts, counter, 1, lane)
+
+
+def measure_blocks(
+    tree: Tree,
+    frames: wp.array,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    longest: int,
+    features: Features,
+    out: Output,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Distances of every voxel of one pass: cells of up to `longest` triangles whole, the heavy ones brick by brick.
+
+    `features` is scratch. Voxels of cells whose list found no room become infinite with their sign, and are counted in
+    `out.missed`.
+    """
+    for most in (longest, 0):
+        inputs = [lanes, most, tree, frames, parts, slab, lists, features, out]
+        launch(_measure_blocks, workers * lanes, inputs, frames.device, smallest=1)

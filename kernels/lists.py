@@ -1,0 +1,145 @@
+"""Regions, cells and bricks of voxels, and lists of what may be nearest to each.
+
+A region has 16^3 voxels, a cell 8^3, a brick 4^3. Lists have no length known before, so they are chains of chunks from
+a pool. Whoever finds the pool empty is marked, and its voxels are searched one by one later: slower, never wrong.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.cull import Cell
+from sdm.kernels.grid import Slab, voxel
+from sdm.kernels.lanes import ballot, fetch_add_once, members, rank
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels along the edge.
+REGION, CELL, BRICK = wp.constant(16), wp.constant(8), wp.constant(4)
+# Half-width of a box of voxels, scaled, beyond which it is not measured as a whole.
+COARSEST = wp.constant(0.125)
+CHUNK = 64
+ROOM = 63  # entries of a chunk; the last place names the next chunk
+# Places of the shared counts.
+NEXT_REGION, NEXT_CELL, NEXT_BLOCK, NEXT_BRICK, NEXT_CHUNK, HEAVY, COUNTS = 0, 1, 2, 3, 4, 5, 8
+
+_CHUNK = wp.constant(CHUNK)
+_ROOM = wp.constant(ROOM)
+_NEXT_CHUNK = wp.constant(NEXT_CHUNK)
+
+
+@wp.struct
+class Lists:
+    """The regions of one pass, their eight cells each, and the lists of both."""
+
+    regions: wp.vec3i  # regions along each axis of the slab
+    first: wp.int32  # first region of this pass, counting through the meshes
+    count: wp.int32  # regions of this pass
+    # A chain each: its first chunk, or -1 where the pool ran out, and its number of entries.
+    region_heads: wp.array(dtype=wp.int32)  # (count) leaves of the tree
+    region_lengths: wp.array(dtype=wp.int32)
+    heads: wp.array(dtype=wp.int32)  # (8 * count) triangles (slots)
+    lengths: wp.array(dtype=wp.int32)
+    heavy: wp.array(dtype=wp.int32)  # (8 * count) the cells that are measured brick by brick
+    pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
+    chunks: wp.int32
+    counts: wp.array(dtype=wp.int32)  # (COUNTS) shared counters, zero at the start
+
+
+@wp.func
+def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
+    """The box of up to size^3 voxels from `start`, in scaled coordinates."""
+    last = wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1)
+    low = voxel(slab, start[0], start[1], start[2])
+    high = voxel(slab, last[0], last[1], last[2])
+    if slab.turned != 0:
+        # The box around all corners of a turned cell.
+        for corner in range(8):
+            p = voxel(
+                slab,
+                wp.where((corner & 1) != 0, last[0], start[0]),
+                wp.where((corner & 2) != 0, last[1], start[1]),
+                wp.where((corner & 4) != 0, last[2], start[2]),
+            )
+            low = wp.min(low, p)
+            high = wp.max(high, p)
+    low = scale * low
+    high = scale * high
+    cell = Cell()
+    cell.centre = 0.5 * (low + high)
+    half = wp.max(high - cell.centre, cell.centre - low)
+    # A rounding more than the voxels need, so that none sticks out.
+    cell.half = half * 1.000001
+    cell.half2 = wp.dot(cell.half, cell.half)
+    return cell
+
+
+@wp.func
+def is_coarse(cell: Cell):
+    """Whether a box is so wide that float32 rounds a place in it too much."""
+    return wp.max(cell.half) > COARSEST
+
+
+@wp.func
+def region_start(lists: Lists, item: int):
+    """The mesh, and the first voxel, of a region."""
+    per_mesh = lists.regions[0] * lists.regions[1] * lists.regions[2]
+    index = lists.first + item
+    mesh = index / per_mesh
+    index = index - mesh * per_mesh
+    k = index % lists.regions[2]
+    rest = index / lists.regions[2]
+    return mesh, REGION * wp.vec3i(rest / lists.regions[1], rest % lists.regions[1], k)
+
+
+@wp.func
+def octant(item: int):
+    """Which of eight parts: 0 or 1 along each axis."""
+    return wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
+
+
+@wp.func
+def cell_start(lists: Lists, item: int):
+    """The mesh, and the first voxel, of a cell."""
+    mesh, start = region_start(lists, item / 8)
+    return mesh, start + CELL * octant(item)
+
+
+@wp.func
+def is_within(slab: Slab, start: wp.vec3i):
+    return start[0] < slab.shape[0] and start[1] < slab.shape[1] and start[2] < slab.shape[2]
+
+
+@wp.struct
+class Chain:
+    """A list that grows."""
+
+    chunk: wp.int32  # its last chunk; `lists.chunks` or more if the pool ran out
+    fill: wp.int32  # entries of that chunk
+    length: wp.int32  # entries of all
+
+
+@wp.func
+def append(lists: Lists, chain: Chain, keep: bool, entry: int, lane: int):
+    """Add the lanes' entries to a chain, which is returned."""
+    if chain.chunk >= lists.chunks:
+        return chain
+    mask = ballot(keep)
+    added = members(mask)
+    at = chain.fill + rank(mask, lane)
+    fresh = chain.chunk
+    if chain.fill + added > _ROOM:
+        fresh = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+        if fresh < lists.chunks and lane == 0:
+            lists.pool[chain.chunk * _CHUNK + _ROOM] = fresh
+    if keep:
+        if at < _ROOM:
+            lists.pool[chain.chunk * _CHUNK + at] = entry
+        elif fresh < lists.chunks:
+            lists.pool[fresh * _CHUNK + at - _ROOM] = entry
+    chain.fill = chain.fill + added
+    if chain.fill > _ROOM:
+        chain.fill = chain.fill - _ROOM
+    chain.chunk = fresh
+    chain.length = chain.length + added
+    return chain
