@@ -162,12 +162,11 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     scale = wp.float64(1.0)
     half = wp.float64(0.5)
     two = wp.float64(2.0)
-    if largest > wp.float64(0.0):
-        while largest * scale > wp.float64(1.0):
-            scale = scale * half
-        # It stays a float32 even for the smallest numbers.
-        while largest * scale <= half and scale < LARGEST_SCALE:
-            scale = scale * two
+    while largest * scale > wp.float64(1.0):
+        scale = scale * half
+    # It stays a float32 even for the smallest numbers.
+    while largest * scale <= half and scale < LARGEST_SCALE:
+        scale = scale * two
     base = mesh * _FRAME_SIZE
     frame[base + _SCALE] = scale
     frame[base + _UNSCALE] = wp.float64(1.0) / scale
