@@ -52,7 +52,7 @@ class MeshIndex:
     Raises:
         DeviceError: The device is not there.
 
-    Takes about 230 bytes a triangle of memory on the device (300 for a mesh with more than 1024 boundary edges).
+    Takes about 330 bytes a triangle of memory on the device (400 for a mesh with more than 1024 boundary edges).
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
     """
 
@@ -129,7 +129,7 @@ class MeshIndex:
 
         Args:
             grid: The whole grid, of any size.
-            max_bytes: Most memory for one slab, which has a multiple of 8 layers; at least 8 are always taken.
+            max_bytes: Most memory for one slab, which has a multiple of 16 layers; at least 16 are always taken.
             ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
 
         The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid
@@ -168,7 +168,7 @@ def signed_distance_map(
         DeviceError: The device is not there.
         GridError: The map does not fit into memory.
 
-    Memory beyond the map itself: about 230 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
+    Memory beyond the map itself: about 330 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
     whatever the grid. Maps larger than memory: `MeshIndex.slabs`.
     """
     return MeshIndex(mesh, device, orient=orient).signed_distance_map(grid)
@@ -261,8 +261,8 @@ def _at_points(
 
 
 def _slabs(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
-    # The kernels work in cells of 8^3: whole ones, so that a slab's voxels are treated as those of the whole map.
-    layers = max(8, voxels // (grid.shape[1] * grid.shape[2]) // 8 * 8)
+    # The kernels work in regions of 16^3: whole ones, so that a slab's voxels are treated as those of the whole map.
+    layers = max(16, voxels // (grid.shape[1] * grid.shape[2]) // 16 * 16)
     for begin in range(0, grid.shape[0], layers):
         yield begin, min(begin + layers, grid.shape[0])
 

@@ -45,14 +45,14 @@ def test_slabs_and_map(mesh, shape, layers):
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     whole = index.signed_distance_map(grid).values
     begins = []
-    # Slabs are made of whole cells of 8 layers.
-    layers = max(8, layers // 8 * 8)
+    # Slabs are made of whole regions of 16 layers.
+    layers = max(16, layers // 16 * 16)
     for begin, end, values in index.slabs(grid, 4 * layers * shape[1] * shape[2]):
         assert values.shape == (end - begin, *shape[1:])
         assert end - begin <= max(8, layers)
         assert torch.equal(values, whole[begin:end])
         begins.append(begin)
-    assert begins == list(range(0, shape[0], max(8, layers // 8 * 8)))
+    assert begins == list(range(0, shape[0], max(16, layers // 16 * 16)))
 
 
 @pytest.mark.parametrize("name", ["nested shells", "open hemisphere", "random soup", "needle fan"])
