@@ -78,13 +78,15 @@ def _as_number(text: str) -> str | float:
 
 
 def commit() -> str:
-    """The checkout's commit, with `+` if tracked files differ from it; SDM_COMMIT where there is no git."""
+    """The checkout's commit, with `+` if tracked files differ from it; SDM_COMMIT where git cannot know it."""
+    if "SDM_COMMIT" in os.environ:
+        return os.environ["SDM_COMMIT"]
     try:
         head = _git("rev-parse", "--short=12", "HEAD").strip()
         changed = _git("status", "--porcelain", "--untracked-files=no", "--", "sdm", "kernels", "bench")
         changed = [line for line in changed.splitlines() if "bench/results/" not in line]
     except (OSError, subprocess.CalledProcessError):
-        return os.environ.get("SDM_COMMIT", "unknown")
+        return "unknown"
     return head + ("+" if changed else "")
 
 
