@@ -29,7 +29,7 @@ MOST_REGIONS = 1 << 15
 # Cells with more triangles are measured brick by brick.
 LONGEST_OF_CELL = 64
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
-LONGEST_LIST = {"cuda": 4000, "cpu": 1500}
+LONGEST_LIST = {"cuda": 8000, "cpu": 4000}
 # So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.
 FEW_VOXELS = 1 << 19
 LONGEST_LIST_OF_FEW = 1000
