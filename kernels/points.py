@@ -22,8 +22,6 @@ _UNSCALE = wp.constant(UNSCALE)
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
 CPU_RUN = 8
-# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
-BLOCKS = 4
 
 
 @wp.struct
@@ -73,7 +71,7 @@ def _point_keys(
     order[i] = i
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS))
+@wp.kernel
 def _query(
     begin: int,
     length: int,

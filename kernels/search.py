@@ -17,8 +17,6 @@ wp.set_module_options({"enable_backward": False})
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
-# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
-BLOCKS = 4
 # The tile of (x,y) that neighbouring threads share.
 TILE = wp.constant(4)
 # Voxels along z that one thread takes one after the other, each from the answer before it. A GPU would rather have
@@ -40,7 +38,7 @@ def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
     return float(wp.sqrt(hit.distance2) * tree.frame[mesh * _FRAME_SIZE + _UNSCALE]), slot
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS))
+@wp.kernel
 def _measure(
     begin: int,
     tree: Tree,
