@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +16,6 @@ from sdm.errors import MeshError
 
 # What is known of faces seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
-_seen_neighbours: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _seen_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 
@@ -35,43 +35,62 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     Raises:
         MeshError: A face index out of range.
     """
-
-    def find() -> Tensor:
-        _check_range(faces, vertices.shape[-2])
-        return _unpaired(faces.long(), vertices.shape[-2])
-
-    edges = _remembered(_seen, faces, find)
+    edges, _ = _paired(faces, vertices.shape[-2])
     if edges.shape[0] == 0:
         return edges
     same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))
-    return _unpaired(same[faces.long()], vertices.shape[-2])
+    return _pair_up(same[faces.long()], vertices.shape[-2])[0]
 
 
 def neighbours(faces: Tensor, count: int) -> Tensor:
     """For each face its neighbours, and which of its edges and corners it lists for them all.
 
     Args:
-        faces: (F,3) int32, indices in range.
+        faces: (F,3) int32.
         count: Number of vertices.
 
     Returns:
         (F,4) int32. Column k < 3: another face at the edge from corner k to the next, as 3 * face + edge, or -1. Column
         3: bits of what the face owns, 2, 4 and 8 for its edges, 16, 32 and 64 for its corners; the first face at an
         edge or a corner owns it. Of an edge from a vertex to itself nobody needs to know.
+
+    Raises:
+        MeshError: A face index out of range.
     """
-    return _remembered(_seen_neighbours, faces, lambda: _neighbours(faces.long(), count))
+    return _paired(faces, count)[1]
 
 
-def _neighbours(faces: Tensor, count: int) -> Tensor:
+def _paired(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    def find() -> tuple[Tensor, Tensor]:
+        _check_range(faces, count)
+        return _pair_up(faces.long(), count)
+
+    return _remembered(_seen, faces, find)
+
+
+def _pair_up(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Boundary edges by vertex indices, and `neighbours`, from one sort of all edges."""
     start = faces.reshape(-1)
     end = faces.roll(-1, 1).reshape(-1)
     here = torch.arange(start.shape[0], device=faces.device)
     key, order = ((torch.minimum(start, end) << 32) + torch.maximum(start, end)).sort(stable=True)
     leads = torch.ones_like(key, dtype=torch.bool)
     leads[1:] = key[1:] != key[:-1]
-    # The next one at the same edge; after the last comes the first.
+    lead = torch.where(leads, here, 0).cummax(0).values
     ends = leads.roll(-1)
-    following = torch.where(ends, torch.where(leads, here, 0).cummax(0).values, here + 1)
+
+    # What is left over when the directions of an edge's faces are added up, known at the last of them.
+    direction = (end - start).sign()[order]
+    total = direction.cumsum(0)
+    left_over = torch.where(ends, total - total[lead] + direction[lead], 0)
+    times = left_over.nonzero().squeeze(1)
+    forward = left_over[times] > 0
+    low, high = key[times] >> 32, key[times] & 0xFFFFFFFF
+    edges = torch.stack([torch.where(forward, low, high), torch.where(forward, high, low)], 1)
+    edges = edges.repeat_interleave(left_over[times].abs(), 0).int()
+
+    # The next face at the same edge; after the last comes the first.
+    following = torch.where(ends, lead, here + 1)
     other = torch.empty_like(start)
     other[order] = order[following]
     other = torch.where((other == here) | (start == end), -1, other)
@@ -83,13 +102,13 @@ def _neighbours(faces: Tensor, count: int) -> Tensor:
     owns_corner = (first[start] == here // 3).long()
     shift = here % 3
     bits = ((owns_edge << (shift + 1)) + (owns_corner << (shift + 4))).reshape(-1, 3).sum(1)
-    return torch.cat([other.reshape(-1, 3), bits[:, None]], 1).int()
+    return edges, torch.cat([other.reshape(-1, 3), bits[:, None]], 1).int()
 
 
-def _remembered(seen: WeakIdKeyDictionary, faces: Tensor, find: Callable[[], Tensor]) -> Tensor:
+def _remembered(seen: WeakIdKeyDictionary, faces: Tensor, find: Callable[[], Any]) -> Any:
     # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
     now = None if faces.is_inference() else faces._version
-    known: tuple[int | None, Tensor] | None = seen.get(faces)
+    known: tuple[int | None, Any] | None = seen.get(faces)
     if known is None or known[0] is None or known[0] != now:
         known = (now, find())
         seen[faces] = known
@@ -117,24 +136,6 @@ def _check_range(faces: Tensor, count: int) -> None:
     if low < 0 or high >= count:
         bad = low if low < 0 else high
         raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
-
-
-def _unpaired(faces: Tensor, count: int) -> Tensor:
-    start = faces.reshape(-1)
-    end = faces.roll(-1, 1).reshape(-1)
-    low, high = torch.minimum(start, end), torch.maximum(start, end)
-    keep = low != high
-    key = (low * count + high)[keep]
-    direction = torch.where(start < end, 1, -1)[keep].int()
-    key, order = key.sort()
-    key, which = torch.unique_consecutive(key, return_inverse=True)
-    left_over = torch.zeros_like(key, dtype=torch.int32).index_add_(0, which, direction[order])
-    open_ = left_over.nonzero().squeeze(1)
-    times = left_over[open_]
-    low, high = key[open_] // count, key[open_] % count
-    forward = times > 0
-    edges = torch.stack([torch.where(forward, low, high), torch.where(forward, high, low)], 1)
-    return edges.repeat_interleave(times.abs(), 0).int()
 
 
 def _first_with_position(vertices: Tensor) -> Tensor:

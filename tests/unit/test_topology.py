@@ -137,8 +137,8 @@ def test_the_same_faces_are_sorted_once(monkeypatch):
     import sdm.topology
 
     calls = []
-    plain = sdm.topology._unpaired
-    monkeypatch.setattr(sdm.topology, "_unpaired", lambda *args: calls.append(1) or plain(*args))
+    plain = sdm.topology._pair_up
+    monkeypatch.setattr(sdm.topology, "_pair_up", lambda *args: calls.append(1) or plain(*args))
     vertices, faces = (torch.tensor(array) for array in sphere(6))
     for _ in range(5):
         assert boundary_edges(vertices, faces).shape == (0, 2)
