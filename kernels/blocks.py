@@ -11,9 +11,10 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, agree, no_witness, remember, triangle_is_behind
+from sdm.kernels.cull import Cell, Witness, agree, ball_is_behind, no_witness, remember, triangle_is_behind
 from sdm.kernels.features import (
     NEAR_ENDS,
+    VOXELS,
     Counts,
     Features,
     add_features,
@@ -21,10 +22,11 @@ from sdm.kernels.features import (
     is_near,
     least_distance,
     least_values,
+    lessen_values,
 )
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
-from sdm.kernels.lanes import fetch_add, fetch_add_once, wait_for_lanes
+from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, wait_for_lanes
 from sdm.kernels.lists import (
     BRICK,
     CHUNK,
@@ -47,8 +49,6 @@ wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
 BLOCKS = 4
-# Voxels of the largest block.
-VOXELS = 512
 
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
@@ -76,8 +76,16 @@ class Block:
 
 
 @wp.func
+def may_be_nearer(parts: Parts, slot: int, centre: wp.vec3, known: Witness):
+    """Whether the ball of a triangle reaches nearer to a centre than what is known."""
+    ball = load4(parts.balls, slot)
+    reach = wp.length(centre - wp.vec3(ball[0], ball[1], ball[2])) - ball[3]
+    return reach <= 0.0 or reach * reach < known.distance2
+
+
+@wp.func
 def nearest_of_chain(
-    frames: wp.array(dtype=wp.float32), lists: Lists, item: int, centre: wp.vec3, lane: int, lanes: int
+    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, item: int, centre: wp.vec3, lane: int, lanes: int
 ):
     """The surface point nearest to a block's centre, from its cell's list."""
     known = no_witness()
@@ -87,7 +95,9 @@ def nearest_of_chain(
         taken = wp.min(left, _ROOM)
         i = lane
         while i < taken:
-            known = remember(known, seen_from(frames, lists.pool[chunk * _CHUNK + i], centre))
+            slot = lists.pool[chunk * _CHUNK + i]
+            if not on_cpu() or may_be_nearer(parts, slot, centre, known):
+                known = remember(known, seen_from(frames, slot, centre))
             i = i + lanes
         left = left - taken
         if left > 0:
@@ -166,8 +176,36 @@ def measure_voxels(
     near = is_near(block.radius2, block.cell.half2)
     half = block.cell.half
     room = NEAR_ENDS * (half[0] + half[1] + half[2])
-    # Two voxels at a time: each feature is loaded once for both.
     total = 1 << (3 * block.bits)
+    if on_cpu():
+        first = _VOXELS * worker
+        if not again:
+            for v in range(total):
+                p = local_voxel(tree, slab, features, worker, block, v)
+                for axis in range(3):
+                    features.points[3 * first + axis * _VOXELS + v] = p[axis]
+                features.least[first + v] = float(wp.inf)
+        lessen_values(
+            features.rows,
+            worker,
+            counts.corners,
+            counts.edges,
+            counts.faces,
+            features.points,
+            3 * first,
+            features.least,
+            first,
+            total,
+            room,
+            near,
+        )
+        if last:
+            for v in range(total):
+                at = 3 * first + v
+                p = wp.vec3(features.points[at], features.points[at + _VOXELS], features.points[at + 2 * _VOXELS])
+                unclear = unclear + finish_voxel(tree, slab, out, block, v, p, features.least[first + v])
+        return unclear
+    # Two voxels at a time: each feature is loaded once for both.
     v = lane
     while v < total / 2:
         w = v + total / 2
@@ -208,7 +246,7 @@ def measure_block(
     known = no_witness()
     if chunk >= 0 and not is_coarse(block.cell):
         left = lists.lengths[item]
-        known = nearest_of_chain(frames, lists, item, block.cell.centre, lane, lanes)
+        known = nearest_of_chain(frames, parts, lists, item, block.cell.centre, lane, lanes)
     block.radius2 = known.distance2
     if not block.radius2 < LARGEST_SQUARE:
         left = int(0)
@@ -225,9 +263,10 @@ def measure_block(
         taken = wp.min(left, _ROOM)
         if at + lane < taken:
             slot = lists.pool[chunk * _CHUNK + at + lane]
-            f = load_frame(frames, slot)
-            if not triangle_is_behind(block.cell, known, f, see(f, block.cell.centre)):
-                which = parts_that_matter(block.cell, tree, parts, slot)
+            if not on_cpu() or not ball_is_behind(block.cell, known, load4(parts.balls, slot)):
+                f = load_frame(frames, slot)
+                if not triangle_is_behind(block.cell, known, f, see(f, block.cell.centre)):
+                    which = parts_that_matter(block.cell, tree, parts, slot)
         counts = add_features(
             features, worker, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane
         )

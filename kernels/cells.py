@@ -10,10 +10,20 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import agree, away, box_is_behind, no_witness, remember, triangle_is_behind
+from sdm.kernels.cull import agree, away, ball_is_behind, box_is_behind, no_witness, remember, triangle_is_behind
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import ballot, fetch_add, fetch_add_once, group_of_least, members, rank, wait_for_lanes
+from sdm.kernels.lanes import (
+    ballot,
+    fetch_add,
+    fetch_add_once,
+    group_of_least,
+    load4,
+    members,
+    on_cpu,
+    rank,
+    wait_for_lanes,
+)
 from sdm.kernels.lists import (
     CELL,
     CHUNK,
@@ -152,11 +162,13 @@ def _list_cells(
                             t = first_triangle(tree, leaf) + i % _LEAF
                             if t < first_triangle(tree, leaf + 1):
                                 slot = mesh * tree.count + t
-                                f = load_frame(frames, slot)
-                                seen = see(f, cell.centre)
-                                if not triangle_is_behind(cell, known, f, seen):
-                                    keep = parts_that_matter(cell, tree, parts, slot) != 0
-                                mine = remember(mine, away(f, seen))
+                                # Lanes that skip a triangle wait for those that do not, so this is for a CPU.
+                                if not on_cpu() or not ball_is_behind(cell, known, load4(parts.balls, slot)):
+                                    f = load_frame(frames, slot)
+                                    seen = see(f, cell.centre)
+                                    if not triangle_is_behind(cell, known, f, seen):
+                                        keep = parts_that_matter(cell, tree, parts, slot) != 0
+                                    mine = remember(mine, away(f, seen))
                         chain = append(lists, chain, keep, slot, lane)
                         i = i + lanes
                     known = agree(mine, lane)

@@ -77,6 +77,15 @@ def box_is_behind(cell: Cell, known: Witness, low: wp.vec3, high: wp.vec3):
 
 
 @wp.func
+def ball_is_behind(cell: Cell, known: Witness, ball: wp.vec4):
+    """`is_behind` for a ball: its centre and its radius."""
+    u = cell.centre - wp.vec3(ball[0], ball[1], ball[2])
+    d2 = wp.dot(u, u)
+    s = d2 - ball[3] * wp.sqrt(d2)
+    return s > 0.0 and is_behind(cell, known, u, s)
+
+
+@wp.func
 def away(f: Frame, seen: Local):
     """The vector from the triangle's closest point to the point that was seen."""
     return seen.height * f.normal + (seen.x - seen.near_x) * f.x_axis + (seen.y - seen.near_y) * f.y_axis

@@ -7,9 +7,9 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.blocks import VOXELS, measure_blocks
+from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import list_cells
-from sdm.kernels.features import ROWS, Features
+from sdm.kernels.features import ROWS, VOXELS, Features
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.launch import threads
@@ -27,9 +27,9 @@ GPU_WORKERS = 132 * 16
 SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
 MOST_REGIONS = 1 << 15
 # Cells with more triangles are measured brick by brick.
-LONGEST_OF_CELL = 64
+LONGEST_OF_CELL = {"cuda": 64, "cpu": 256}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
-LONGEST_LIST = {"cuda": 8000, "cpu": 4000}
+LONGEST_LIST = {"cuda": 8000, "cpu": 5000}
 # So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.
 FEW_VOXELS = 1 << 19
 LONGEST_LIST_OF_FEW = 1000
@@ -90,6 +90,7 @@ def query_slab(
     if method == "search":
         search_slab(tree, slab, out, launch)
         return
+    longest = LONGEST_OF_CELL["cuda" if gpu else "cpu"]
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
@@ -111,6 +112,7 @@ def query_slab(
     features = Features()
     features.rows = empty(workers * ROWS * 4, wp.float32)
     features.least = empty(workers * VOXELS, wp.float32)
+    features.points = empty(1 if gpu else workers * 3 * VOXELS, wp.float32)
     features.places = empty(workers * 24, wp.float32)
     out.missed.zero_()
     for first in range(0, total, share):
@@ -118,6 +120,6 @@ def query_slab(
         lists.count = min(share, total - first)
         lists.counts.zero_()
         list_regions(tree, frames, slab, lists, stacks, workers, lanes, launch)
-        list_cells(tree, frames, parts, slab, lists, LONGEST_OF_CELL, stacks, workers, lanes, launch)
-        measure_blocks(tree, frames, parts, slab, lists, LONGEST_OF_CELL, features, out, workers, lanes, launch)
+        list_cells(tree, frames, parts, slab, lists, longest, stacks, workers, lanes, launch)
+        measure_blocks(tree, frames, parts, slab, lists, longest, features, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

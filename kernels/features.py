@@ -30,6 +30,8 @@ wp.set_module_options({"enable_backward": False})
 # Room of each list. One more batch of 32 triangles must fit before lists are measured and begun anew.
 FACES, EDGES, CORNERS = 64, 192, 192
 LANES_ROOM = wp.constant(32)
+# Voxels of the largest block.
+VOXELS = 512
 # Rows of four floats: corner (-2m, w); edge (-2m, w) (e, from a) (to b, 0, 0, 0); face (n, 2h) and three planes
 # (inward, height), then (w, 0, 0, 0).
 CORNER_ROWS, EDGE_ROWS, FACE_ROWS = 1, 3, 5
@@ -60,6 +62,7 @@ class Features:
 
     rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4)
     least: wp.array(dtype=wp.float32)  # (workers * 512) the least values of a block's voxels so far
+    points: wp.array(dtype=wp.float32)  # (workers * 3 * 512) x, y and z of a block's voxels from its centre (CPU)
     places: wp.array(dtype=wp.float32)  # (workers * 24) coordinates of a block's voxels along each axis
 
 
@@ -224,6 +227,96 @@ def least_values(
         of_p = wp.min(of_p, face_value(r0, r1, r2, r3, w, p, room, near))
         of_q = wp.min(of_q, face_value(r0, r1, r2, r3, w, q, room, near))
     return wp.vec2(of_p, of_q)
+
+
+@wp.func_native(
+    snippet=f"""
+#if !defined(__CUDA_ARCH__)
+    const float* row = rows.data + 4 * (size_t)worker * {ROWS};
+    const float* __restrict x = points.data + point;
+    const float* __restrict y = x + {VOXELS};
+    const float* __restrict z = y + {VOXELS};
+    float* __restrict best = least.data + value;
+    for (int i = 0; i < corners; ++i) {{
+        const float* r = row + 4 * i;
+        const float mx = r[0], my = r[1], mz = r[2], w = r[3];
+        if (near)
+            for (int v = 0; v < total; ++v) {{
+                float dx = x[v] + 0.5f * mx, dy = y[v] + 0.5f * my, dz = z[v] + 0.5f * mz;
+                float d = dx * dx + dy * dy + dz * dz;
+                best[v] = d < best[v] ? d : best[v];
+            }}
+        else
+            for (int v = 0; v < total; ++v) {{
+                float d = w + (x[v] * mx + y[v] * my + z[v] * mz);
+                best[v] = d < best[v] ? d : best[v];
+            }}
+    }}
+    row += 4 * {CORNERS * CORNER_ROWS};
+    for (int i = 0; i < edges; ++i) {{
+        const float* r = row + 4 * {EDGE_ROWS} * i;
+        const float mx = r[0], my = r[1], mz = r[2], w = r[3];
+        const float ex = r[4], ey = r[5], ez = r[6], from = r[7] + room, to = r[8] + room;
+        if (near)
+            for (int v = 0; v < total; ++v) {{
+                float along = x[v] * ex + y[v] * ey + z[v] * ez;
+                float dx = x[v] + 0.5f * mx - along * ex, dy = y[v] + 0.5f * my - along * ey;
+                float dz = z[v] + 0.5f * mz - along * ez;
+                float d = dx * dx + dy * dy + dz * dz;
+                bool beside = (from + along < 0.0f) | (to - along < 0.0f);
+                d = beside ? INFINITY : d;
+                best[v] = d < best[v] ? d : best[v];
+            }}
+        else
+            for (int v = 0; v < total; ++v) {{
+                float along = x[v] * ex + y[v] * ey + z[v] * ez;
+                float d = w + (x[v] * mx + y[v] * my + z[v] * mz) - along * along;
+                bool beside = (from + along < 0.0f) | (to - along < 0.0f);
+                d = beside ? INFINITY : d;
+                best[v] = d < best[v] ? d : best[v];
+            }}
+    }}
+    row += 4 * {EDGES * EDGE_ROWS};
+    for (int i = 0; i < faces; ++i) {{
+        const float* r = row + 4 * {FACE_ROWS} * i;
+        const float nx = r[0], ny = r[1], nz = r[2], h2 = r[3], w = r[16];
+        const float ax = r[4], ay = r[5], az = r[6], a = r[7] + room;
+        const float bx = r[8], by = r[9], bz = r[10], b = r[11] + room;
+        const float cx = r[12], cy = r[13], cz = r[14], c = r[15] + room;
+        for (int v = 0; v < total; ++v) {{
+            float height = x[v] * nx + y[v] * ny + z[v] * nz;
+            float far = w + height * (h2 + height) - (x[v] * x[v] + y[v] * y[v] + z[v] * z[v]);
+            float plain = (height + 0.5f * h2) * (height + 0.5f * h2);
+            float d = near ? plain : far;
+            bool beside = (a + (x[v] * ax + y[v] * ay + z[v] * az) < 0.0f)
+                | (b + (x[v] * bx + y[v] * by + z[v] * bz) < 0.0f)
+                | (c + (x[v] * cx + y[v] * cy + z[v] * cz) < 0.0f);
+            d = beside ? INFINITY : d;
+            best[v] = d < best[v] ? d : best[v];
+        }}
+    }}
+#endif
+"""
+)
+def lessen_values(
+    rows: wp.array(dtype=wp.float32),
+    worker: int,
+    corners: int,
+    edges: int,
+    faces: int,
+    points: wp.array(dtype=wp.float32),
+    point: int,
+    least: wp.array(dtype=wp.float32),
+    value: int,
+    total: int,
+    room: float,
+    near: bool,
+):
+    """`least_values` on a CPU, for all voxels of a block: loops over voxels that a compiler turns into vectors.
+
+    Voxel v is at points[point + v], + VOXELS and + 2 * VOXELS; its value is least[value + v].
+    """
+    ...
 
 
 @wp.func

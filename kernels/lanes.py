@@ -16,6 +16,20 @@ GPU_LANES = 32
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return false;
+#else
+    return true;
+#endif
+"""
+)
+def on_cpu() -> bool:
+    """Whether this is a CPU. Known when a kernel is compiled, so that what is not for the device costs it nothing."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return __ballot_sync(0xffffffffu, keep);
 #else
     return keep ? 1u : 0u;

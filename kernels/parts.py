@@ -24,7 +24,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, load4_of_vectors
+from sdm.kernels.lanes import load4, load4_of_vectors, write4
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -50,6 +50,7 @@ class Parts:
 
     rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
+    balls: wp.array(dtype=wp.float32)  # (slots * 4) a ball around each triangle: its centre and its radius
 
 
 @wp.func
@@ -192,6 +193,12 @@ def _make_parts(
         parts.inverses[_INVERSES * slot + k] = inverse_length(ab)
     parts.rows[at + 18] = float(neighbours[face, 3])
     parts.rows[at + 19] = 0.0
+    middle = (tree.corners[4 * slot] + tree.corners[4 * slot + 1] + tree.corners[4 * slot + 2]) / 3.0
+    radius = float(0.0)
+    for k in range(3):
+        radius = wp.max(radius, wp.length(tree.corners[4 * slot + k] - middle))
+    # A little more than rounding can take from it.
+    write4(parts.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
     ab = wp.vec3d(tree.corners[4 * slot + 1]) - wp.vec3d(tree.corners[4 * slot])
     ac = wp.vec3d(tree.corners[4 * slot + 2]) - wp.vec3d(tree.corners[4 * slot])
     parts.inverses[_INVERSES * slot + 3] = inverse_length(wp.cross(ab, ac))

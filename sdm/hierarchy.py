@@ -96,6 +96,7 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
     tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
     tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]
+    tensors += [empty((meshes * count * 4,), torch.float32)]
     tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32), empty((ends // 2, 3), torch.float32)]
     tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
     scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
@@ -130,7 +131,7 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.
     hierarchy = tree.Tree()
     for name, tensor in zip(_FIELDS, tensors, strict=False):
         setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    local, rows, inverses, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
+    local, rows, inverses, balls, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
     hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
     boundary = Boundary()
@@ -145,6 +146,7 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.
     pieces = parts.Parts()
     pieces.rows = as_warp(rows, wp.float32)
     pieces.inverses = as_warp(inverses, wp.float64)
+    pieces.balls = as_warp(balls, wp.float32)
     return hierarchy, winding, as_warp(local, wp.float32), pieces
 
 
