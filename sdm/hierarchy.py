@@ -15,11 +15,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.errors import MeshError
 from sdm.kernels import frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.topology import boundary_edges, loops, neighbours
 
+# Kernels count up to 20 numbers a triangle with 32 bits.
+MOST_TRIANGLES = 100_000_000
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
 
@@ -81,7 +84,15 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
 
     Returns:
         The tensors that `unpack` understands, and the kind of mesh.
+
+    Raises:
+        MeshError: More triangles in all than the kernels can count.
     """
+    if vertices.shape[0] * faces.shape[0] > MOST_TRIANGLES:
+        raise MeshError(
+            f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that one "
+            "call can take; use smaller batches, or a coarser mesh"
+        )
     if edges is None:
         edges = boundary_edges(vertices, faces)
     kind = kind_of(edges)
