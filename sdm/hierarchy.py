@@ -90,8 +90,8 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     """
     if vertices.shape[0] * faces.shape[0] > MOST_TRIANGLES:
         raise MeshError(
-            f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that one "
-            "call can take; use smaller batches, or a coarser mesh"
+            f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
+            "one call can take; use smaller batches, or a coarser mesh"
         )
     if edges is None:
         edges = boundary_edges(vertices, faces)
