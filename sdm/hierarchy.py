@@ -19,10 +19,9 @@ from sdm.errors import MeshError
 from sdm.kernels import frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
+from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
 
-# Kernels count up to 20 numbers a triangle with 32 bits.
-MOST_TRIANGLES = 100_000_000
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
 

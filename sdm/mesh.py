@@ -13,6 +13,8 @@ from sdm.errors import MeshError
 
 # Squared lengths, areas and volumes of a mesh within this bound stay finite in float64, lengths in float32.
 LARGEST_COORDINATE = 1e30
+# Kernels count up to 20 numbers a triangle with 32 bits.
+MOST_TRIANGLES = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +132,8 @@ def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
         raise MeshError(f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed")
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise MeshError(f"the faces of {name} have shape {tuple(faces.shape)}; (F, 3) is needed: triangulate first")
-    if faces.shape[0] > 2**28:
-        raise MeshError(f"{name} has {faces.shape[0]} triangles; at most {2**28} are supported: split it")
+    if faces.shape[0] > MOST_TRIANGLES:
+        raise MeshError(f"{name} has {faces.shape[0]:,} triangles; at most {MOST_TRIANGLES:,} are supported: split it")
 
 
 def _check_values(vertices: Tensor, faces: Tensor, name: str) -> None:
