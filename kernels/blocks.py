@@ -26,7 +26,7 @@ from sdm.kernels.features import (
 )
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
-from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, wait_for_lanes
+from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, load4, on_cpu, wait_for_lanes
 from sdm.kernels.lists import (
     BRICK,
     CHUNK,
@@ -46,9 +46,6 @@ from sdm.kernels.regions import seen_from
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
-
-# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
-BLOCKS = 4
 
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
@@ -289,7 +286,7 @@ def measure_block(
         fetch_add(out.ambiguous, block.mesh, unclear)
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS))
+@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
 def _measure_blocks(
     begin: int,
     lanes: int,

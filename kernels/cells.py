@@ -10,10 +10,11 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import agree, away, ball_is_behind, box_is_behind, no_witness, remember, triangle_is_behind
+from sdm.kernels.cull import agree, away, ball_is_behind, no_witness, remember, triangle_is_behind
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import (
+    GPU_BLOCKS,
     ballot,
     fetch_add,
     fetch_add_once,
@@ -40,13 +41,10 @@ from sdm.kernels.lists import (
     make_cell,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.regions import STACK, seen_from
-from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, first_triangle, node_box, node_distance2
+from sdm.kernels.regions import STACK, node_matters, seen_from
+from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, first_triangle, node_distance2
 
 wp.set_module_options({"enable_backward": False})
-
-# A multiprocessor of a GPU holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
-BLOCKS = 4
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -83,7 +81,7 @@ def nearest_box(tree: Tree, base: int, lists: Lists, item: int, centre: wp.vec3,
     return best, best2
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS))
+@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
 def _list_cells(
     begin: int,
     lanes: int,
@@ -136,9 +134,7 @@ def _list_cells(
                         leaf = lists.pool[chunk * _CHUNK + at + lane]
                     keep = False
                     if leaf >= 0:
-                        node = base + leaves + leaf
-                        low, high = node_box(tree, node)
-                        keep = not box_is_behind(cell, known, low, high)
+                        keep = node_matters(cell, known, tree, base + leaves + leaf)
                     mask = ballot(keep)
                     if keep:
                         stacks[stack + ripe + rank(mask, lane)] = leaf

@@ -8,8 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.geometry import nearest_part, part_distance2
-from sdm.kernels.lanes import load4_of_vectors
-from sdm.kernels.tree import Tree, first_triangle, node_distance2
+from sdm.kernels.tree import Tree, first_triangle, load_corners, node_distance2
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,16 +24,8 @@ CLOSE = wp.constant(6.0e-7)
 @wp.func
 def slot_part(tree: Tree, slot: int, p: wp.vec3):
     """`nearest_part` for the triangle in a slot."""
-    r0 = load4_of_vectors(tree.corners, 3 * slot)
-    r1 = load4_of_vectors(tree.corners, 3 * slot + 1)
-    r2 = load4_of_vectors(tree.corners, 3 * slot + 2)
-    return nearest_part(
-        p,
-        wp.vec3(r0[0], r0[1], r0[2]),
-        wp.vec3(r0[3], r1[0], r1[1]),
-        wp.vec3(r1[2], r1[3], r2[0]),
-        wp.vec3(r2[1], r2[2], r2[3]),
-    )
+    a, b, c, n = load_corners(tree, slot)
+    return nearest_part(p, a, b, c, n)
 
 
 @wp.func

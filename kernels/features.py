@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.lanes import ballot, load4_of_vectors, members, rank, read4, write4
+from sdm.kernels.lanes import ballot, members, rank, read4, write4
 from sdm.kernels.parts import CORNER, EDGE, FACE, INVERSES, Parts
-from sdm.kernels.tree import Tree
+from sdm.kernels.tree import Tree, load_corners
 
 wp.set_module_options({"enable_backward": False})
 
@@ -99,14 +99,12 @@ def add_features(
     c = a
     normal = wp.vec3(0.0, 0.0, 0.0)
     if which != 0:
-        c0 = load4_of_vectors(tree.corners, 3 * slot)
-        c1 = load4_of_vectors(tree.corners, 3 * slot + 1)
-        c2 = load4_of_vectors(tree.corners, 3 * slot + 2)
         middle = wp.vec3d(centre)
-        a = wp.vec3d(wp.vec3(c0[0], c0[1], c0[2])) - middle
-        b = wp.vec3d(wp.vec3(c0[3], c1[0], c1[1])) - middle
-        c = wp.vec3d(wp.vec3(c1[2], c1[3], c2[0])) - middle
-        normal = wp.vec3(c2[1], c2[2], c2[3])
+        corner_a, corner_b, corner_c, unit = load_corners(tree, slot)
+        a = wp.vec3d(corner_a) - middle
+        b = wp.vec3d(corner_b) - middle
+        c = wp.vec3d(corner_c) - middle
+        normal = unit
 
     face = (which & FACE) != 0
     mask = ballot(face)

@@ -54,6 +54,16 @@ def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
     return index
 
 
+@wp.func
+def unravel(number: int, shape: wp.vec3i):
+    """The mesh and the indices that `number` stands for, counting through a batch of this shape, k fastest."""
+    k = number % shape[2]
+    rest = number / shape[2]
+    j = rest % shape[1]
+    rest = rest / shape[1]
+    return rest / shape[0], wp.vec3i(rest % shape[0], j, k)
+
+
 @wp.struct
 class Output:
     """Where distances go: the values hold winding numbers before."""

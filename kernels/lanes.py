@@ -11,6 +11,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 GPU_LANES = 32
+# A multiprocessor holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
+GPU_BLOCKS = 4
 
 
 @wp.func_native(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell
-from sdm.kernels.grid import Slab, voxel
+from sdm.kernels.grid import Slab, unravel, voxel
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank
 
 wp.set_module_options({"enable_backward": False})
@@ -83,13 +83,8 @@ def is_coarse(cell: Cell):
 @wp.func
 def region_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a region."""
-    per_mesh = lists.regions[0] * lists.regions[1] * lists.regions[2]
-    index = lists.first + item
-    mesh = index / per_mesh
-    index = index - mesh * per_mesh
-    k = index % lists.regions[2]
-    rest = index / lists.regions[2]
-    return mesh, REGION * wp.vec3i(rest / lists.regions[1], rest % lists.regions[1], k)
+    mesh, at = unravel(lists.first + item, lists.regions)
+    return mesh, REGION * at
 
 
 @wp.func

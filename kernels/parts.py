@@ -24,8 +24,8 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, load4_of_vectors, write4
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.lanes import load4, write4
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
 
 wp.set_module_options({"enable_backward": False})
 
@@ -73,18 +73,15 @@ def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
 @wp.func
 def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
     """The owned parts of a triangle that can be nearest to some point of the cell, as bits."""
-    c0 = load4_of_vectors(tree.corners, 3 * slot)
-    c1 = load4_of_vectors(tree.corners, 3 * slot + 1)
-    c2 = load4_of_vectors(tree.corners, 3 * slot + 2)
+    corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     r0 = load4(parts.rows, _ROWS * slot)
     r1 = load4(parts.rows, _ROWS * slot + 1)
     r2 = load4(parts.rows, _ROWS * slot + 2)
     r3 = load4(parts.rows, _ROWS * slot + 3)
     r4 = load4(parts.rows, _ROWS * slot + 4)
-    a = wp.vec3(c0[0], c0[1], c0[2]) - cell.centre
-    b = wp.vec3(c0[3], c1[0], c1[1]) - cell.centre
-    c = wp.vec3(c1[2], c1[3], c2[0]) - cell.centre
-    normal = wp.vec3(c2[1], c2[2], c2[3])
+    a = corner_a - cell.centre
+    b = corner_b - cell.centre
+    c = corner_c - cell.centre
     beyond_ab = wp.vec3(r2[1], r2[2], r2[3]) - cell.centre
     beyond_bc = wp.vec3(r3[0], r3[1], r3[2]) - cell.centre
     beyond_ca = wp.vec3(r3[3], r4[0], r4[1]) - cell.centre

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import agree, away, box_is_behind, no_witness, remember
+from sdm.kernels.cull import Cell, Witness, agree, away, box_is_behind, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
@@ -58,6 +58,13 @@ def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
     """The vector from a triangle's closest point to a centre."""
     f = load_frame(frames, slot)
     return away(f, see(f, centre))
+
+
+@wp.func
+def node_matters(cell: Cell, known: Witness, tree: Tree, node: int):
+    """Whether something in a node's box can be nearest to a voxel of the cell."""
+    low, high = node_box(tree, node)
+    return not box_is_behind(cell, known, low, high)
 
 
 @wp.kernel
@@ -118,8 +125,7 @@ def _list_regions(
                     child = 2 * node + side
                     keep = False
                     if node > 0:
-                        low, high = node_box(tree, base + child)
-                        keep = not box_is_behind(cell, known, low, high)
+                        keep = node_matters(cell, known, tree, base + child)
                     mask = ballot(keep and child < leaves)
                     if keep and child < leaves:
                         stacks[stack + waiting + rank(mask, lane)] = child
@@ -142,9 +148,7 @@ def _list_regions(
                 known = agree(mine, lane)
                 keep = False
                 if leaf >= 0:
-                    node = base + leaves + leaf
-                    low, high = node_box(tree, node)
-                    keep = not box_is_behind(cell, known, low, high)
+                    keep = node_matters(cell, known, tree, base + leaves + leaf)
                 chain = append(lists, chain, keep, leaf, lane)
             wait_for_lanes()
         if lane == 0:

@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.boundary import Boundary, boundary_winding
 from sdm.kernels.caps import cap_lattice, caps_are_far, count_caps
 from sdm.kernels.crossings import count_crossings, covers, crossing_of
-from sdm.kernels.grid import Slab, along, count_below, voxel
+from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
 from sdm.kernels.lanes import GPU_LANES, fetch_add
 from sdm.kernels.lists import CELL, make_cell
 from sdm.kernels.points import CLOSED, OPEN, SOUP, Winding
@@ -130,12 +130,9 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
 @wp.func
 def numbered_voxel(tree: Tree, slab: Slab, number: int):
     """The mesh and the indices of a voxel of a batch, counted with k fastest, and its centre (scaled)."""
-    k = number % slab.shape[2]
-    j = (number / slab.shape[2]) % slab.shape[1]
-    row = number / (slab.shape[1] * slab.shape[2])
-    mesh = row / slab.shape[0]
-    i = row % slab.shape[0]
-    return mesh, i, j, k, tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, i, j, k))
+    mesh, at = unravel(number, slab.shape)
+    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
+    return mesh, at[0], at[1], at[2], p
 
 
 @wp.kernel
@@ -162,13 +159,8 @@ def _find_far_cells(
 ):
     """Whether the caps are far from each cell of 8^3 voxels, counted with k fastest."""
     item = begin + wp.tid()
-    k = item % cells[2]
-    rest = item / cells[2]
-    j = rest % cells[1]
-    rest = rest / cells[1]
-    i = rest % cells[0]
-    mesh = rest / cells[0]
-    cell = make_cell(slab, CELL * wp.vec3i(i, j, k), CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+    mesh, at = unravel(item, cells)
+    cell = make_cell(slab, CELL * at, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
     far[item] = wp.where(caps_are_far(boundary, mesh, cell), 1, 0)
 
 

@@ -8,7 +8,7 @@ import warp as wp
 
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.geometry import closest_point
-from sdm.kernels.grid import Output, Slab, voxel, write_distance
+from sdm.kernels.grid import Output, Slab, unravel, voxel, write_distance
 from sdm.kernels.lanes import fetch_add
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
@@ -86,15 +86,11 @@ def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
     if out.missed[0] == 0:
         return
     while number < total:
-        k = number % slab.shape[2]
-        j = (number / slab.shape[2]) % slab.shape[1]
-        row = number / (slab.shape[1] * slab.shape[2])
-        mesh = row / slab.shape[0]
-        i = row % slab.shape[0]
-        value = out.values[mesh, i, j, k]
+        mesh, at = unravel(number, slab.shape)
+        value = out.values[mesh, at[0], at[1], at[2]]
         if value == wp.inf or value == -wp.inf:
-            distance, _slot = searched_distance(tree, mesh, voxel(slab, i, j, k), mesh * tree.count)
-            out.values[mesh, i, j, k] = wp.where(value < 0.0, -distance, distance)
+            distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
+            out.values[mesh, at[0], at[1], at[2]] = wp.where(value < 0.0, -distance, distance)
         number = number + step
 
 

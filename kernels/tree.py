@@ -18,7 +18,7 @@ import warp as wp
 
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, read4, write4
+from sdm.kernels.lanes import load4, load4_of_vectors, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -75,6 +75,18 @@ def sizes(meshes: int, faces: int) -> dict[str, tuple[tuple[int, ...], Any]]:
 def first_triangle(tree: Tree, leaf: int):
     """The first triangle (in curve order) of a leaf; its end is the first of the next."""
     return int((wp.int64(leaf) * wp.int64(tree.count)) >> wp.int64(tree.depth))
+
+
+@wp.func
+def load_corners(tree: Tree, slot: int):
+    """The corners a, b and c of the triangle in a slot, and its unit normal (scaled)."""
+    r0 = load4_of_vectors(tree.corners, 3 * slot)
+    r1 = load4_of_vectors(tree.corners, 3 * slot + 1)
+    r2 = load4_of_vectors(tree.corners, 3 * slot + 2)
+    a = wp.vec3(r0[0], r0[1], r0[2])
+    b = wp.vec3(r0[3], r1[0], r1[1])
+    c = wp.vec3(r1[2], r1[3], r2[0])
+    return a, b, c, wp.vec3(r2[1], r2[2], r2[3])
 
 
 @wp.func
