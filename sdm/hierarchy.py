@@ -16,7 +16,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import frames, parts, points, solid_angle, tree
+from sdm.kernels import cones, frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.mesh import MOST_TRIANGLES
@@ -107,6 +107,8 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
     tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]
     tensors += [empty((meshes * count * 4,), torch.float32)]
+    tensors += [empty((meshes * count * 4,), torch.float32)]
+    tensors += [empty((meshes << (tree.depth_for(count) + 3),), torch.float32)]
     tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32), empty((ends // 2, 3), torch.float32)]
     tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
     scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
@@ -114,7 +116,7 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     shared = neighbours(faces, vertices.shape[1])
     around = loops(edges) if kind == points.OPEN else edges
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
-        hierarchy, winding, local, pieces = unpack(tensors, kind, meshes)
+        hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
         tree.build(
             hierarchy,
@@ -126,7 +128,8 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             launch,
         )
         frames.make_frames(hierarchy, local, launch)
-        parts.make_parts(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), pieces, launch)
+        for make, out in ((parts.make_parts, pieces), (cones.make_cones, facing)):
+            make(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), out, launch)
         if kind == points.OPEN:
             gather_boundary(
                 winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
@@ -136,12 +139,12 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     return tensors, kind
 
 
-def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, and their `Parts`."""
+def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any, Any]:
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Parts` and `Cones`."""
     hierarchy = tree.Tree()
     for name, tensor in zip(_FIELDS, tensors, strict=False):
         setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    local, rows, inverses, balls, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
+    local, rows, inverses, balls, of_triangles, of_nodes, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
     hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
     boundary = Boundary()
@@ -157,7 +160,10 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.
     pieces.rows = as_warp(rows, wp.float32)
     pieces.inverses = as_warp(inverses, wp.float64)
     pieces.balls = as_warp(balls, wp.float32)
-    return hierarchy, winding, as_warp(local, wp.float32), pieces
+    facing = cones.Cones()
+    facing.triangles = as_warp(of_triangles, wp.float32)
+    facing.nodes = as_warp(of_nodes, wp.float32)
+    return hierarchy, winding, as_warp(local, wp.float32), pieces, facing
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

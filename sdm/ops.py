@@ -186,7 +186,7 @@ def distance_map(
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, *hierarchy):
-        tree, winding, frames, parts = unpack(hierarchy, kind, meshes)
+        tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
         slab = Slab()
         slab.origin = wp.vec3d(*origin)
         slab.spacing = wp.vec3d(*spacing)
@@ -201,6 +201,7 @@ def distance_map(
             tree,
             frames,
             parts,
+            cones,
             winding,
             slab,
             as_warp(values, wp.float32),
