@@ -19,11 +19,14 @@ from sdm.kernels.features import (
     Counts,
     Features,
     add_features,
-    are_full,
+    has_room,
     is_near,
     least_distance,
     least_values,
     lessen_values,
+    read_place,
+    rows_of,
+    write_place,
 )
 from sdm.kernels.grid import Output, Slab, along, lessen_distance, voxel, write_distance
 from sdm.kernels.lanes import (
@@ -142,29 +145,26 @@ def index_in(block: Block, v: int):
 
 
 @wp.func
-def note_places(tree: Tree, slab: Slab, features: Features, worker: int, block: Block, lane: int, lanes: int):
+def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple."""
     scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
     at = lane
     while at < 24:
         axis = at / 8
         p = scale * wp.float64(along(slab, axis, block.start[axis] + at % 8))
-        features.places[24 * worker + at] = float(p - wp.float64(block.cell.centre[axis]))
+        write_place(rows, at, float(p - wp.float64(block.cell.centre[axis])))
         at = at + lanes
 
 
 @wp.func
-def local_voxel(tree: Tree, slab: Slab, features: Features, worker: int, block: Block, v: int):
+def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, v: int):
     """Voxel v of a block, from the block's centre."""
     at = index_in(block, v)
     if slab.turned != 0:
         scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
         p = voxel(slab, block.start[0] + at[0], block.start[1] + at[1], block.start[2] + at[2])
         return wp.vec3(scale * wp.vec3d(p) - wp.vec3d(block.cell.centre))
-    first = 24 * worker
-    return wp.vec3(
-        features.places[first + at[0]], features.places[first + 8 + at[1]], features.places[first + 16 + at[2]]
-    )
+    return wp.vec3(read_place(rows, at[0]), read_place(rows, 8 + at[1]), read_place(rows, 16 + at[2]))
 
 
 @wp.func
@@ -194,6 +194,7 @@ def measure_voxels(
     out: Output,
     features: Features,
     worker: int,
+    rows: wp.uint64,
     counts: Counts,
     block: Block,
     again: bool,
@@ -214,13 +215,12 @@ def measure_voxels(
         first = _VOXELS * worker
         if not again:
             for v in range(total):
-                p = local_voxel(tree, slab, features, worker, block, v)
+                p = local_voxel(tree, slab, rows, block, v)
                 for axis in range(3):
                     features.points[3 * first + axis * _VOXELS + v] = p[axis]
                 features.least[first + v] = float(wp.inf)
         lessen_values(
-            features.rows,
-            worker,
+            rows,
             counts.corners,
             counts.edges,
             counts.faces,
@@ -242,12 +242,12 @@ def measure_voxels(
     v = lane
     while v < total / 2:
         w = v + total / 2
-        p = local_voxel(tree, slab, features, worker, block, v)
-        q = local_voxel(tree, slab, features, worker, block, w)
+        p = local_voxel(tree, slab, rows, block, v)
+        q = local_voxel(tree, slab, rows, block, w)
         least = wp.vec2(wp.inf, wp.inf)
         if again:
             least = wp.vec2(features.least[_VOXELS * worker + v], features.least[_VOXELS * worker + w])
-        least = least_values(least, features.rows, worker, counts.corners, counts.edges, counts.faces, p, q, room, near)
+        least = least_values(least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near)
         if last:
             unclear = unclear + finish_voxel(tree, slab, out, block, v, p, least[0])
             unclear = unclear + finish_voxel(tree, slab, out, block, w, q, least[1])
@@ -285,7 +285,8 @@ def measure_block(
         if known.distance2 < LARGEST_SQUARE:
             reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
     block.radius2 = known.distance2
-    note_places(tree, slab, features, worker, block, lane, lanes)
+    rows = rows_of(features.rows, worker)
+    note_places(tree, slab, rows, block, lane, lanes)
     wait_for_lanes()
     counts = Counts()
     unclear = int(0)
@@ -311,20 +312,20 @@ def measure_block(
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
         else:
             taken = wp.min(lanes, ripe)
-            ripe = ripe - taken
             which = int(0)
             slot = int(0)
             if lane < taken:
-                slot = stacks[stack + ripe + lane]
+                slot = stacks[stack + ripe - taken + lane]
                 which = parts_that_matter(block.cell, tree, parts, slot)
-            counts = add_features(
-                features, worker, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane
-            )
+            fits = has_room(counts, which)
+            if fits:
+                counts = add_features(rows, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane)
+                ripe = ripe - taken
             more = reader.left + ripe > 0
-            if not more or are_full(counts):
+            if not (fits and more):
                 wait_for_lanes()
                 unclear = unclear + measure_voxels(
-                    tree, slab, out, features, worker, counts, block, again, not more, lane, lanes
+                    tree, slab, out, features, worker, rows, counts, block, again, not more, lane, lanes
                 )
                 counts = Counts()
                 again = True

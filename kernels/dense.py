@@ -135,10 +135,9 @@ def query_slab(
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
     features = Features()
-    features.rows = empty(workers * ROWS * 4, wp.float32)
-    features.least = empty(workers * VOXELS, wp.float32)
+    features.rows = empty(1 if gpu else workers * ROWS * 4, wp.float32)
     features.points = empty(1 if gpu else workers * 3 * VOXELS, wp.float32)
-    features.places = empty(workers * 24, wp.float32)
+    features.least = empty(workers * VOXELS, wp.float32)
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
     lists.step = passes

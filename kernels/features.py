@@ -21,27 +21,31 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.lanes import ballot, members, rank, write4
+from sdm.kernels.lanes import ballot, members, rank
 from sdm.kernels.parts import CORNER, EDGE, FACE, INVERSES, Parts
 from sdm.kernels.tree import Tree, load_corners
 
 wp.set_module_options({"enable_backward": False})
 
-# Room of each list. One more batch of 32 triangles must fit before lists are measured and begun anew.
-FACES, EDGES, CORNERS = 64, 192, 192
-LANES_ROOM = wp.constant(32)
+# Room of each list. A batch of 32 triangles, each with all its parts, must fit into empty ones.
+FACES, EDGES, CORNERS = 76, 128, 128
 # Voxels of the largest block.
 VOXELS = 512
-# Rows of four floats: corner (-2m, w); edge (-2m, w) (e, place of its middle along it) (half its length, 0, 0, 0); face
-# (n, 2h) and three planes (inward, height), then (w, 0, 0, 0).
-CORNER_ROWS, EDGE_ROWS, FACE_ROWS = 1, 3, 5
-ROWS = CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS + FACES * FACE_ROWS
+# A worker's rows of four floats: corners (-2m, w); edges (-2m, w) (e, place of the middle along it); faces (n, 2h) and
+# three planes (inward, height); then single numbers: half of each edge's length, w of each face, and 24 coordinates
+# of the block's voxels. On a GPU they are in shared memory, whose latency is a tenth of what it is to memory.
+EDGE_ROW = CORNERS
+FACE_ROW = EDGE_ROW + 2 * EDGES
+HALVES = 4 * (FACE_ROW + 4 * FACES)
+OFFSETS = HALVES + EDGES
+PLACES = OFFSETS + FACES
+ROWS = (PLACES + 24) // 4
+# Blocks of threads have four groups of lanes.
+_GROUPS = 4
 
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_ROWS = wp.constant(ROWS)
-_EDGE_ROWS, _FACE_ROWS = wp.constant(EDGE_ROWS), wp.constant(FACE_ROWS)
-_EDGE_ROW = wp.constant(CORNERS * CORNER_ROWS)
-_FACE_ROW = wp.constant(CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS)
+_EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
+_HALVES, _OFFSETS, _PLACES = wp.constant(HALVES), wp.constant(OFFSETS), wp.constant(PLACES)
 _INVERSES = wp.constant(INVERSES)
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
@@ -58,28 +62,70 @@ class Counts:
 
 @wp.struct
 class Features:
-    """The lists of all workers, each in its own part, and what else they note."""
+    """What all workers note, each in its own part; the rows are in shared memory on a GPU."""
 
-    rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4)
+    rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4) on a CPU
+    points: wp.array(dtype=wp.float32)  # (workers * 3 * 512) x, y and z of a block's voxels from its centre, on a CPU
     least: wp.array(dtype=wp.float32)  # (workers * 512) the least values of a block's voxels so far
-    points: wp.array(dtype=wp.float32)  # (workers * 3 * 512) x, y and z of a block's voxels from its centre (CPU)
-    places: wp.array(dtype=wp.float32)  # (workers * 24) coordinates of a block's voxels along each axis
+
+
+@wp.func_native(
+    snippet=f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 shared[{_GROUPS} * {ROWS}];
+    return (wp::uint64)(shared + threadIdx.x / 32 * {ROWS});
+#else
+    return (wp::uint64)(rows.data + 4 * (size_t)worker * {ROWS});
+#endif
+"""
+)
+def rows_of(rows: wp.array(dtype=wp.float32), worker: int) -> wp.uint64:
+    """The address of a worker's rows."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    struct alignas(16) Row { float x, y, z, w; };
+    reinterpret_cast<Row*>(rows)[index] = Row{x, y, z, w};
+"""
+)
+def write_row(rows: wp.uint64, index: int, x: float, y: float, z: float, w: float): ...
+
+
+@wp.func_native(snippet="reinterpret_cast<float*>(rows)[index] = value;")
+def write_number(rows: wp.uint64, index: int, value: float): ...
+
+
+@wp.func_native(snippet="return reinterpret_cast<const float*>(rows)[index];")
+def read_number(rows: wp.uint64, index: int) -> float: ...
 
 
 @wp.func
-def are_full(counts: Counts):
-    """Whether another batch of triangles might not fit."""
-    return (
-        counts.corners + 3 * LANES_ROOM > _CORNERS
-        or counts.edges + 3 * LANES_ROOM > _EDGES
-        or counts.faces + LANES_ROOM > _FACES
-    )
+def write_place(rows: wp.uint64, index: int, value: float):
+    """Note one of the 24 coordinates of the block's voxels: 8 along each axis."""
+    write_number(rows, _PLACES + index, value)
+
+
+@wp.func
+def read_place(rows: wp.uint64, index: int):
+    return read_number(rows, _PLACES + index)
+
+
+@wp.func
+def has_room(counts: Counts, which: int):
+    """Whether the parts of the lanes' triangles (bits, see `parts`) fit into the lists."""
+    corners = counts.corners
+    edges = counts.edges
+    for k in range(3):
+        corners = corners + members(ballot((which & (CORNER << k)) != 0))
+        edges = edges + members(ballot((which & (EDGE << k)) != 0))
+    return corners <= _CORNERS and edges <= _EDGES and counts.faces + members(ballot((which & FACE) != 0)) <= _FACES
 
 
 @wp.func
 def add_features(
-    out: Features,
-    worker: int,
+    rows: wp.uint64,
     counts: Counts,
     tree: Tree,
     parts: Parts,
@@ -92,7 +138,6 @@ def add_features(
     """Each lane adds the parts `which` (bits, see `parts`) of the triangle in its slot; returns the new counts."""
     zero = wp.float64(0.0)
     radius2 = wp.float64(radius)
-    row = worker * _ROWS
     a = wp.vec3d(zero, zero, zero)
     b = a
     c = a
@@ -107,12 +152,13 @@ def add_features(
 
     face = (which & FACE) != 0
     mask = ballot(face)
-    face_row = row + _FACE_ROW + _FACE_ROWS * (counts.faces + rank(mask, lane))
+    number = counts.faces + rank(mask, lane)
+    face_row = _FACE_ROW + 4 * number
     if face:
         n = wp.cross(b - a, c - a)
         h = -wp.dot(n, a) * parts.inverses[_INVERSES * slot + 3]
-        write4(out.rows, face_row, normal[0], normal[1], normal[2], 2.0 * float(h))
-        write4(out.rows, face_row + 4, float(h * h - radius2), 0.0, 0.0, 0.0)
+        write_row(rows, face_row, normal[0], normal[1], normal[2], 2.0 * float(h))
+        write_number(rows, _OFFSETS + number, float(h * h - radius2))
     counts.faces = counts.faces + members(mask)
 
     # The edges one after the other, turning the triangle.
@@ -128,21 +174,22 @@ def add_features(
             m = a + share * ab
             e = wp.vec3(inverse * ab)
             if edge:
-                to_row = row + _EDGE_ROW + _EDGE_ROWS * (counts.edges + rank(mask, lane))
+                number = counts.edges + rank(mask, lane)
+                to_row = _EDGE_ROW + 2 * number
                 w = float(wp.dot(m, m) - radius2)
                 half = wp.float64(0.5) * wp.length(ab)
                 m2 = -2.0 * wp.vec3(m)
-                write4(out.rows, to_row, m2[0], m2[1], m2[2], w)
-                write4(out.rows, to_row + 1, e[0], e[1], e[2], float(half - along))
-                write4(out.rows, to_row + 2, float(half), 0.0, 0.0, 0.0)
+                write_row(rows, to_row, m2[0], m2[1], m2[2], w)
+                write_row(rows, to_row + 1, e[0], e[1], e[2], float(half - along))
+                write_number(rows, _HALVES + number, float(half))
             if face:
                 u = wp.cross(normal, e)
-                write4(out.rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
+                write_row(rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
         counts.edges = counts.edges + members(mask)
         mask = ballot(corner)
         if corner:
             v = -2.0 * wp.vec3(a)
-            write4(out.rows, row + counts.corners + rank(mask, lane), v[0], v[1], v[2], float(wp.dot(a, a) - radius2))
+            write_row(rows, counts.corners + rank(mask, lane), v[0], v[1], v[2], float(wp.dot(a, a) - radius2))
         counts.corners = counts.corners + members(mask)
         first = a
         a = b
@@ -170,9 +217,9 @@ _MEASURE = f"""
         }}
     }}
     for (int i = 0; i < edges; ++i) {{
-        const Row* at = row + {CORNERS * CORNER_ROWS} + {EDGE_ROWS} * i;
+        const Row* at = row + {EDGE_ROW} + 2 * i;
         const Row r = at[0], e = at[1];
-        const float half = at[2].x + room;
+        const float half = number[{HALVES} + i] + room;
         for (int v = 0; v < count; ++v) {{
             const float along = x[v] * e.x + y[v] * e.y + z[v] * e.z;
             const float dx = x[v] + 0.5f * r.x - along * e.x, dy = y[v] + 0.5f * r.y - along * e.y;
@@ -184,9 +231,9 @@ _MEASURE = f"""
         }}
     }}
     for (int i = 0; i < faces; ++i) {{
-        const Row* at = row + {CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS} + {FACE_ROWS} * i;
+        const Row* at = row + {FACE_ROW} + 4 * i;
         const Row r = at[0], a = at[1], b = at[2], c = at[3];
-        const float w = at[4].x, above_a = a.w + room, above_b = b.w + room, above_c = c.w + room;
+        const float w = number[{OFFSETS} + i], above_a = a.w + room, above_b = b.w + room, above_c = c.w + room;
         for (int v = 0; v < count; ++v) {{
             const float height = x[v] * r.x + y[v] * r.y + z[v] * r.z;
             const float plain = height + 0.5f * r.w;
@@ -202,7 +249,8 @@ _MEASURE = f"""
 """
 _MEASURE_EITHER = f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* row = reinterpret_cast<const Row*>(rows.data) + (size_t)worker * {ROWS};
+    const Row* row = reinterpret_cast<const Row*>(rows);
+    const float* number = reinterpret_cast<const float*>(rows);
     if (near) {{ {_MEASURE.replace("NEAR", "true")} }}
     else {{ {_MEASURE.replace("NEAR", "false")} }}
 """
@@ -223,8 +271,7 @@ _MEASURE_EITHER = f"""
 )
 def least_values(
     least: wp.vec2,
-    rows: wp.array(dtype=wp.float32),
-    worker: int,
+    rows: wp.uint64,
     corners: int,
     edges: int,
     faces: int,
@@ -249,8 +296,7 @@ def least_values(
 """
 )
 def lessen_values(
-    rows: wp.array(dtype=wp.float32),
-    worker: int,
+    rows: wp.uint64,
     corners: int,
     edges: int,
     faces: int,
