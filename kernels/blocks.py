@@ -39,6 +39,7 @@ from sdm.kernels.lanes import (
     on_cpu,
     rank,
     wait_for_lanes,
+    write4,
 )
 from sdm.kernels.lists import (
     BRICK,
@@ -65,6 +66,9 @@ from sdm.kernels.witness import seen_from, witness_of
 
 wp.set_module_options({"enable_backward": False})
 
+# Eight slots, and eight squared distances.
+Octants = wp.types.vector(length=8, dtype=wp.int32)
+OctantDistances = wp.types.vector(length=8, dtype=wp.float32)
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
 
@@ -103,38 +107,64 @@ def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
 
 @wp.func
 def nearest_in_list(
-    frames: wp.array(dtype=wp.float32),
-    parts: Parts,
-    lists: Lists,
-    first: int,
-    centre: wp.vec3,
-    known: Witness,
-    lane: int,
-    lanes: int,
+    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, first: int, centre: wp.vec3, known: Witness
 ):
-    """A surface point near a block's centre from its cell's list, or what was known if that is nearer.
-
-    Each lane of a GPU measures one triangle, the one whose ball's centre is nearest of those that it sees.
-    """
-    best = int(-1)
-    best2 = float(wp.inf)
+    """The surface point nearest to a block's centre from its cell's list, or what was known: by one lane alone."""
     reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
     while reader.left > 0:
-        slot = read_entry(lists, reader, lane)
+        slot = read_entry(lists, reader, 0)
+        if may_be_nearer(load4(parts.balls, slot), centre, known):
+            known = remember(known, seen_from(frames, slot, centre))
+        reader = read_on(lists, lists.heads, lists.lengths, reader, 1)
+    return known
+
+
+@wp.func
+def middle_of_octant(cell: Cell, octant: int):
+    """About the centre of one of a cell's bricks."""
+    half = 0.5 * cell.half
+    return cell.centre + wp.vec3(
+        wp.where((octant & 4) != 0, half[0], -half[0]),
+        wp.where((octant & 2) != 0, half[1], -half[1]),
+        wp.where((octant & 1) != 0, half[2], -half[2]),
+    )
+
+
+@wp.func
+def find_brick_witnesses(
+    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, number: int, cell: Cell, lane: int, lanes: int
+):
+    """A surface point near each of a cell's bricks, from its list, seen from the middle of its octant.
+
+    Each lane measures the triangle whose ball's centre is nearest of those that it sees.
+    """
+    best = Octants()
+    best2 = OctantDistances()
+    for o in range(8):
+        best[o] = -1
+        best2[o] = float(wp.inf)
+    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    upcoming = read_entry(lists, reader, lane)
+    while reader.left > 0:
+        slot = upcoming
+        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+        upcoming = read_entry(lists, reader, lane)
         if slot >= 0:
             ball = load4(parts.balls, slot)
-            if on_cpu():
-                if may_be_nearer(ball, centre, known):
-                    known = remember(known, seen_from(frames, slot, centre))
-            else:
-                u = centre - wp.vec3(ball[0], ball[1], ball[2])
-                if wp.dot(u, u) < best2:
-                    best2 = wp.dot(u, u)
-                    best = slot
-        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
-    if best >= 0:
-        known = remember(known, seen_from(frames, best, centre))
-    return agree(known, lane)
+            for o in range(8):
+                u = middle_of_octant(cell, o) - wp.vec3(ball[0], ball[1], ball[2])
+                d2 = wp.dot(u, u)
+                if d2 < best2[o]:
+                    best2[o] = d2
+                    best[o] = slot
+    for o in range(8):
+        known = no_witness()
+        if best[o] >= 0:
+            known = remember(known, seen_from(frames, best[o], middle_of_octant(cell, o)))
+        known = agree(known, lane)
+        if lane == 0:
+            u = known.to_surface
+            write4(lists.witnesses, 9 * lists.count + 8 * number + o, u[0], u[1], u[2], known.distance2)
 
 
 @wp.func
@@ -281,7 +311,8 @@ def measure_block(
     radius = wp.sqrt(block.cell.half2)
     reader = Reader()
     if list_length(lists.heads, lists.lengths, first, lists.shares) > 0 and not is_coarse(block.cell):
-        known = nearest_in_list(frames, parts, lists, first, block.cell.centre, known, lane, lanes)
+        if on_cpu():
+            known = nearest_in_list(frames, parts, lists, first, block.cell.centre, known)
         if known.distance2 < LARGEST_SQUARE:
             reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
     block.radius2 = known.distance2
@@ -293,23 +324,24 @@ def measure_block(
     again = bool(False)
     stack = worker * _STACK
     ripe = int(0)
+    # Each batch is read while the one before is tested.
+    upcoming = read_entry(lists, reader, lane)
     batch = int(0)
     more = bool(True)
     while more:
         if reader.left > 0 and ripe < lanes:
             # Balls and cones, until the triangles that are left fill all lanes.
-            slot = int(-1)
-            if batch % block.slices == block.slice:
-                slot = read_entry(lists, reader, lane)
-            batch = batch + 1
+            slot = upcoming
+            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+            upcoming = read_entry(lists, reader, lane)
             keep = False
-            if slot >= 0:
+            if slot >= 0 and batch % block.slices == block.slice:
                 keep = ball_matters(block.cell, radius, known, parts.balls, cones, slot)
             mask = ballot(keep)
             if keep:
                 stacks[stack + ripe + rank(mask, lane)] = slot
             ripe = ripe + members(mask)
-            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+            batch = batch + 1
         else:
             taken = wp.min(lanes, ripe)
             which = int(0)
@@ -335,11 +367,25 @@ def measure_block(
 
 
 @wp.func
-def put_off(slab: Slab, lists: Lists, out: Output, number: int, length: int, slice_length: int, lane: int, lanes: int):
+def put_off(
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    out: Output,
+    number: int,
+    cell: Cell,
+    length: int,
+    slice_length: int,
+    lane: int,
+    lanes: int,
+):
     """Have a cell measured brick by brick, by one group of lanes for every `slice_length` triangles of its list.
 
     Where those are several, they need a distance to lessen: an infinite one, with its sign. Returns the unclear voxels.
     """
+    if not on_cpu() and length > 0:
+        find_brick_witnesses(frames, parts, lists, number, cell, lane, lanes)
     slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
     unclear = int(0)
     if slices > 1:
@@ -410,11 +456,14 @@ def _measure_blocks(
             wanted = is_within(slab, block.start)
             block.cell = make_cell(slab, block.start, BRICK, scale)
             known = remember(no_witness(), known.to_surface + (block.cell.centre - cell.centre))
+            if not on_cpu():
+                other = witness_of(lists, 9 * lists.count + 8 * number + item % 8)
+                known = remember(known, other.to_surface + (block.cell.centre - middle_of_octant(cell, item % 8)))
         elif wanted:
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
             wanted = length >= 0 and length <= longest and not is_coarse(cell)
             if not wanted:
-                unclear = put_off(slab, lists, out, number, length, slice_length, lane, lanes)
+                unclear = put_off(frames, parts, slab, lists, out, number, cell, length, slice_length, lane, lanes)
                 if unclear > 0:
                     fetch_add(out.ambiguous, mesh, unclear)
         if wanted:

@@ -81,6 +81,8 @@ def _list_cells(
                 reader = start_reading(lists.region_heads, lists.region_lengths, share, 1)
                 head = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
                 chain.chunk = head
+            # Each batch is read while the one before is tested.
+            upcoming = read_entry(lists, reader, lane)
             waiting = int(0)
             ripe = int(0)
             while reader.left + waiting + ripe > 0 and chain.chunk < lists.chunks:
@@ -120,7 +122,9 @@ def _list_cells(
                         ripe = ripe + members(mask)
                         i = i + lanes
                 else:
-                    leaf = read_entry(lists, reader, lane)
+                    leaf = upcoming
+                    reader = read_on(lists, lists.region_heads, lists.region_lengths, reader, lanes)
+                    upcoming = read_entry(lists, reader, lane)
                     keep = False
                     if leaf >= 0:
                         keep = node_matters(cell, radius, known, tree, cones, base, leaves + leaf)
@@ -128,7 +132,6 @@ def _list_cells(
                     if keep:
                         stacks[stack + waiting + rank(mask, lane)] = leaf
                     waiting = waiting + members(mask)
-                    reader = read_on(lists, lists.region_heads, lists.region_lengths, reader, lanes)
                 wait_for_lanes()
             if lane == 0:
                 lists.heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)

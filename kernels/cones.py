@@ -75,9 +75,11 @@ def cone_misses(cell: Cell, radius: float, middle: wp.vec3, extent: float, cone:
 def ball_matters(cell: Cell, radius: float, known: Witness, balls: wp.array(dtype=wp.float32), cones: Cones, slot: int):
     """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its ball and its cone alone."""
     ball = load4(balls, slot)
+    # Both loads before the tests, or the second waits for the first.
+    cone = load4(cones.triangles, slot)
     if ball_is_behind(cell, known, ball):
         return False
-    return not cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], load4(cones.triangles, slot))
+    return not cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone)
 
 
 @wp.func

@@ -128,7 +128,7 @@ def query_slab(
     lists.region_lengths = empty(most * lists.shares, wp.int32)
     lists.heads = empty(8 * most * lists.shares, wp.int32)
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
-    lists.witnesses = empty(9 * most * 4, wp.float32)
+    lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
     # Each slice but the last of a list is full.
     lists.heavy = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)

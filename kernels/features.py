@@ -142,6 +142,7 @@ def add_features(
     b = a
     c = a
     normal = wp.vec3(0.0, 0.0, 0.0)
+    inverses = wp.vec4d(zero, zero, zero, zero)
     if which != 0:
         middle = wp.vec3d(centre)
         corner_a, corner_b, corner_c, unit = load_corners(tree, slot)
@@ -149,6 +150,9 @@ def add_features(
         b = wp.vec3d(corner_b) - middle
         c = wp.vec3d(corner_c) - middle
         normal = unit
+        # All at once: loads one after the other wait for each other.
+        for k in range(4):
+            inverses[k] = parts.inverses[_INVERSES * slot + k]
 
     face = (which & FACE) != 0
     mask = ballot(face)
@@ -156,7 +160,7 @@ def add_features(
     face_row = _FACE_ROW + 4 * number
     if face:
         n = wp.cross(b - a, c - a)
-        h = -wp.dot(n, a) * parts.inverses[_INVERSES * slot + 3]
+        h = -wp.dot(n, a) * inverses[3]
         write_row(rows, face_row, normal[0], normal[1], normal[2], 2.0 * float(h))
         write_number(rows, _OFFSETS + number, float(h * h - radius2))
     counts.faces = counts.faces + members(mask)
@@ -167,7 +171,7 @@ def add_features(
         corner = (which & (CORNER << k)) != 0
         mask = ballot(edge)
         if edge or face:
-            inverse = parts.inverses[_INVERSES * slot + k]
+            inverse = inverses[k]
             ab = b - a
             along = -wp.dot(a, ab) * inverse
             share = along * inverse

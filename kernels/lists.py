@@ -43,7 +43,9 @@ class Lists:
     region_lengths: wp.array(dtype=wp.int32)
     heads: wp.array(dtype=wp.int32)  # (8 * count * shares) triangles (slots)
     lengths: wp.array(dtype=wp.int32)
-    witnesses: wp.array(dtype=wp.float32)  # (9 * count * 4) of the regions, then of the cells, see `witness`
+    witnesses: wp.array(
+        dtype=wp.float32
+    )  # (73 * count * 4) of regions, cells and bricks in turn: see `witness`, `blocks`
     heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `blocks`
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
