@@ -115,6 +115,34 @@ def group_of_least(value: float, item: int, lane: int) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+#endif
+    return value;
+"""
+)
+def sum_of_lanes(value: float) -> float:
+    """The sum of all lanes' values, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 1; step < 4; step <<= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+#endif
+    return value;
+"""
+)
+def sum_of_four(value: float) -> float:
+    """The sum of the values of each four neighbouring lanes, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return __shfl_sync(0xffffffffu, value, source);
 #else
     return value;
