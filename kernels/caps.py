@@ -124,9 +124,7 @@ def see_caps(boundary: Boundary, mesh: int, p: wp.vec3, lane: int, lanes: int):
     e = lane
     while e < boundary.count:
         edge = mesh * boundary.count + e
-        sight = see_cap(
-            sight, boundary.ends[2 * edge + 1] - p, boundary.ends[2 * edge] - p, boundary.apexes[edge] - p
-        )
+        sight = see_cap(sight, boundary.ends[2 * edge + 1] - p, boundary.ends[2 * edge] - p, boundary.apexes[edge] - p)
         e = e + lanes
     return sight
 

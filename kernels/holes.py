@@ -89,9 +89,7 @@ def _find_near_bricks(
 @wp.func
 def is_sure(winding: float, error: float):
     """Whether a winding number is on a known side of the values that decide about sign and clearness."""
-    return (
-        wp.abs(winding - 0.25) > error and wp.abs(winding - 0.5) > error and wp.abs(winding - 0.75) > error
-    )
+    return wp.abs(winding - 0.25) > error and wp.abs(winding - 0.5) > error and wp.abs(winding - 0.75) > error
 
 
 @wp.kernel
