@@ -2,19 +2,20 @@
 
 Every loop of boundary edges gets a cap: a fan of triangles from its middle. Surface and caps together are closed, so
 their crossings count a whole number, and the surface's own winding number is that number less the caps' share, which
-is their solid angle over 4 pi. Where that share is less than a quarter at every voxel of a box, the winding number may
-be rounded to the whole number: sign and clearness are the same. Two bounds tell (`caps_are_far`), for a box of voxels
-within R of its centre:
+is their solid angle over 4 pi. What has to be right is on which side of 0.25, 0.5 and 0.75 a winding number lies: that
+is sign and clearness. So where the share is less than a quarter at every voxel of a box, the whole number will do.
+Two bounds tell (`View`), for voxels within R of the box's centre:
 
 - A triangle of area A at a distance d or more fills at most A/d^2; summed over all caps.
 - As long as no cap is met, the share changes with the place by the boundary alone, for the fans' spokes cancel: an edge
   of length l at a distance d or more adds at most l/d^2 to the solid angle's gradient (the law of Biot and Savart). So
-  the share at the centre, and R times the sum of l/(4 pi d^2), bound it.
+  the share is that at the centre, give or take R times the sum of l/(4 pi d^2).
 
-The first is the sharper one from afar, the second near a cap, where it tells apart what sees a hole at an angle.
+The first is the sharper one from afar, the second near a cap, where it tells apart what sees a hole at an angle, and
+may tell the side even where the share is large.
 
 Where neither will do, the share is worked out voxel by voxel in float32, with a bound of its error (`Sight`); float64
-(see `boundary`) is asked only where that leaves in doubt on which side of 0.25, 0.5 or 0.75 the winding number lies.
+(see `boundary`) is asked only where that leaves the side in doubt.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ ROUNDINGS = wp.constant(100.0 * 2.0**-24)
 SNAP = wp.constant(2.0 * 2.0**-24)
 # The running product is brought back to size long before it overflows: a factor is between 1 and 1.5.
 LARGEST_PRODUCT = wp.constant(1.0e9)
+# What float32 adds to a share's error when all is summed up.
+LAST_ROUNDINGS = wp.constant(2.0e-6)
 
 
 @wp.struct
@@ -62,6 +65,15 @@ class Sight:
     turns: wp.int32
     least: float  # the least distance from a corner
     spread: float  # sum of s/|f + iv|, infinite if a triangle is in doubt
+
+
+@wp.struct
+class View:
+    """The two bounds of the caps' share for a box of voxels."""
+
+    filled: float  # by areas and distances
+    share: float  # at the centre
+    error: float  # how far it may be from that anywhere in the box; infinite if a cap may be met
 
 
 @wp.func
@@ -130,15 +142,13 @@ def see_caps(boundary: Boundary, mesh: int, p: wp.vec3, lane: int, lanes: int):
 
 
 @wp.func
-def caps_are_far(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
-    """Whether the caps' share of the winding number is less than a quarter at every voxel of a box."""
+def view_caps(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
+    """All caps, seen from a box."""
     radius = wp.sqrt(cell.half2)
     sight = nothing_seen()
-    # The two bounds; the second without the share at the centre.
-    filled = float(0.0)
-    change = float(0.0)
+    view = View()
     e = lane
-    while e < boundary.count and wp.min(filled, change) < LARGEST_SHARE:
+    while e < boundary.count and wp.min(view.filled, view.error) < LARGEST_SHARE:
         edge = mesh * boundary.count + e
         a = boundary.ends[2 * edge + 1]
         b = boundary.ends[2 * edge]
@@ -151,17 +161,33 @@ def caps_are_far(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: in
         gap = SURE * wp.sqrt(d2) - ROUNDING - radius
         rim = SURE * wp.sqrt(segment_distance2(cell.centre - a, b - a)) - ROUNDING - radius
         if gap > 0.0 and rim > 0.0:
-            filled = filled + area2 / (8.0 * wp.PI * gap * gap)
-            change = change + radius * wp.length(b - a) / (4.0 * wp.PI * rim * rim)
+            view.filled = view.filled + area2 / (8.0 * wp.PI * gap * gap)
+            view.error = view.error + radius * wp.length(b - a) / (4.0 * wp.PI * rim * rim)
             sight = see_cap(sight, a - cell.centre, b - cell.centre, c - cell.centre)
+            e = e + lanes
         else:
-            filled = 1.0
-            change = 1.0
-        e = e + lanes
-    filled = sum_of_lanes(filled)
-    change = sum_of_lanes(change + doubt(sight))
-    share = sum_of_lanes(share_of_turn(sight) + float(sight.turns))
-    return filled < LARGEST_SHARE or wp.abs(share) + change < LARGEST_SHARE
+            view.filled = float(wp.inf)
+            view.error = float(wp.inf)
+    if e < boundary.count:
+        # Neither bound will do, and not all was seen.
+        view.error = float(wp.inf)
+    view.filled = sum_of_lanes(view.filled)
+    view.error = sum_of_lanes(view.error + doubt(sight))
+    view.share = sum_of_lanes(share_of_turn(sight) + float(sight.turns))
+    return view
+
+
+@wp.func
+def is_far(view: View):
+    """Whether the caps' share of the winding number is less than a quarter at every voxel of a box."""
+    return view.filled < LARGEST_SHARE or wp.abs(view.share) + view.error < LARGEST_SHARE
+
+
+@wp.func
+def is_sure(winding: float, error: float):
+    """Whether a winding number is on a known side of the values that decide about sign and clearness."""
+    off = wp.min(wp.abs(winding - 0.25), wp.min(wp.abs(winding - 0.5), wp.abs(winding - 0.75)))
+    return off > error + LAST_ROUNDINGS
 
 
 @wp.func

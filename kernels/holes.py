@@ -13,9 +13,9 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.boundary import Boundary, boundary_winding
-from sdm.kernels.caps import caps_are_far, count_caps, doubt, see_caps, share_of_turn
+from sdm.kernels.caps import count_caps, doubt, is_far, is_sure, see_caps, share_of_turn, view_caps
 from sdm.kernels.grid import Slab, unravel, voxel
-from sdm.kernels.lanes import GPU_LANES, fetch_add, sum_of_four
+from sdm.kernels.lanes import GPU_LANES, ballot, fetch_add, sum_of_four
 from sdm.kernels.launch import threads
 from sdm.kernels.lists import BRICK, CELL, is_within, make_cell, octant
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
@@ -33,8 +33,6 @@ SHARE = 4
 MOST_GROUPS = 1 << 20
 # Groups that open bricks: 16 for each of an H100's multiprocessors.
 GPU_WORKERS = 132 * 16
-# What float32 adds to a share's error when all is summed up.
-LAST_ROUNDINGS = wp.constant(2.0e-6)
 
 
 @wp.struct
@@ -57,7 +55,7 @@ def _find_near_blocks(begin: int, tree: Tree, boundary: Boundary, slab: Slab, ne
         mesh, at = unravel(item, near.blocks)
         size = CELLS_OF_BLOCK * CELL
         cell = make_cell(slab, size * at, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-        near.block[item] = wp.where(caps_are_far(boundary, mesh, cell, thread % lanes, lanes), 0, 1)
+        near.block[item] = wp.where(is_far(view_caps(boundary, mesh, cell, thread % lanes, lanes)), 0, 1)
         item = item + groups
 
 
@@ -74,22 +72,49 @@ def _find_near_bricks(
         block = ((mesh * near.blocks[0] + above[0]) * near.blocks[1] + above[1]) * near.blocks[2] + above[2]
         if near.block[block] != 0:
             scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-            if not caps_are_far(boundary, mesh, make_cell(slab, CELL * at, CELL, scale), lane, lanes):
+            if not is_far(view_caps(boundary, mesh, make_cell(slab, CELL * at, CELL, scale), lane, lanes)):
                 part = int(0)
                 while part < 8:
                     start = CELL * at + BRICK * octant(part)
                     if is_within(slab, start):
-                        far = caps_are_far(boundary, mesh, make_cell(slab, start, BRICK, scale), lane, lanes)
-                        if lane == 0 and not far:
+                        view = view_caps(boundary, mesh, make_cell(slab, start, BRICK, scale), lane, lanes)
+                        if lane == 0 and not is_far(view):
                             near.bricks[fetch_add(near.count, 0, 1)] = 8 * item + part
                     part = part + 1
         item = item + groups
 
 
 @wp.func
-def is_sure(winding: float, error: float):
-    """Whether a winding number is on a known side of the values that decide about sign and clearness."""
-    return wp.abs(winding - 0.25) > error and wp.abs(winding - 0.5) > error and wp.abs(winding - 0.75) > error
+def open_piece(
+    boundary: Boundary,
+    slab: Slab,
+    mesh: int,
+    start: wp.vec3i,
+    scale: float,
+    lane: int,
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open a piece as a whole, if that leaves no voxel in doubt; whether it did."""
+    view = view_caps(boundary, mesh, make_cell(slab, start, PIECE, scale), lane, lanes)
+    if is_far(view):
+        return True
+    unsure = bool(False)
+    number = lane
+    while number < 8:
+        v = start + octant(number)
+        if is_within(slab, v):
+            unsure = unsure or not is_sure(values[mesh, v[0], v[1], v[2]] - view.share, view.error)
+        number = number + lanes
+    if ballot(unsure) != wp.uint32(0):
+        return False
+    number = lane
+    while number < 8:
+        v = start + octant(number)
+        if is_within(slab, v):
+            values[mesh, v[0], v[1], v[2]] = values[mesh, v[0], v[1], v[2]] - view.share
+        number = number + lanes
+    return True
 
 
 @wp.kernel
@@ -116,13 +141,13 @@ def _open_bricks(
         scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
         number = int(8)
         if is_within(slab, start):
-            if not caps_are_far(boundary, mesh, make_cell(slab, start, PIECE, float(scale)), lane, lanes):
+            if not open_piece(boundary, slab, mesh, start, float(scale), lane, lanes, values):
                 number = lane / share
         while number < 8:
             v = start + octant(number)
             point = voxel(slab, v[0], v[1], v[2])
             sight = see_caps(boundary, mesh, float(scale) * point, lane % share, share)
-            error = sum_of_four(doubt(sight)) + LAST_ROUNDINGS
+            error = sum_of_four(doubt(sight))
             whole = sum_of_four(float(sight.turns))
             part = sum_of_four(share_of_turn(sight))
             if lane % share == 0 and is_within(slab, v):

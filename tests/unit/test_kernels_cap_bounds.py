@@ -10,7 +10,7 @@ import warp as wp
 from sdm.hierarchy import build, unpack
 from sdm.kernels import points
 from sdm.kernels.boundary import Boundary
-from sdm.kernels.caps import caps_are_far, doubt, see_caps, share_of_turn
+from sdm.kernels.caps import doubt, is_far, see_caps, share_of_turn, view_caps
 from sdm.kernels.cull import Cell
 
 wp.set_module_options({"enable_backward": False})
@@ -31,7 +31,7 @@ def _far(boundary: Boundary, at: wp.array(dtype=wp.vec3), half: wp.array(dtype=w
     cell.centre = at[i]
     cell.half = half[i]
     cell.half2 = wp.dot(half[i], half[i])
-    far[i] = wp.where(caps_are_far(boundary, 0, cell, 0, 1), 1, 0)
+    far[i] = wp.where(is_far(view_caps(boundary, 0, cell, 0, 1)), 1, 0)
 
 
 def fan(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
