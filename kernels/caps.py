@@ -199,11 +199,12 @@ def cap_lattice(boundary: Boundary, tree: Tree, edge: int, mesh: int):
 
 
 @wp.func
-def count_caps(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
-    """Signed crossings of the ray from p (scaled) along +x with all caps."""
+def count_caps(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: int, lanes: int):
+    """A lane's part of the signed crossings of the ray from p (scaled) along +x with all caps."""
     q = to_lattice(tree, mesh, p[1], p[2])
     total = int(0)
-    for e in range(boundary.count):
+    e = lane
+    while e < boundary.count:
         edge = mesh * boundary.count + e
         a, b, c = cap_lattice(boundary, tree, edge, mesh)
         sign = covers(a, b, c, q)
@@ -213,4 +214,5 @@ def count_caps(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
             )
             if x > p[0]:
                 total = total + sign
+        e = e + lanes
     return total

@@ -12,10 +12,18 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.boundary import Boundary, boundary_winding
+from sdm.kernels.boundary import Boundary, boundary_part
 from sdm.kernels.caps import count_caps, doubt, is_far, is_sure, see_caps, share_of_turn, view_caps
 from sdm.kernels.grid import Slab, unravel, voxel
-from sdm.kernels.lanes import GPU_LANES, ballot, fetch_add, sum_of_four
+from sdm.kernels.lanes import (
+    GPU_LANES,
+    ballot,
+    fetch_add,
+    first_member,
+    sum_of_four,
+    sum_of_lanes,
+    sum_of_lanes_in_double,
+)
 from sdm.kernels.launch import threads
 from sdm.kernels.lists import BRICK, CELL, is_within, make_cell, octant
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
@@ -117,6 +125,25 @@ def open_piece(
     return True
 
 
+@wp.func
+def open_voxel(
+    tree: Tree,
+    boundary: Boundary,
+    slab: Slab,
+    mesh: int,
+    v: wp.vec3i,
+    lane: int,
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open a single voxel in float64."""
+    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+    closed = sum_of_lanes(float(count_caps(boundary, tree, mesh, p, lane, lanes)))
+    share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
+    if lane == 0:
+        values[mesh, v[0], v[1], v[2]] = values[mesh, v[0], v[1], v[2]] - closed + float(share)
+
+
 @wp.kernel
 def _open_bricks(
     begin: int,
@@ -150,14 +177,19 @@ def _open_bricks(
             error = sum_of_four(doubt(sight))
             whole = sum_of_four(float(sight.turns))
             part = sum_of_four(share_of_turn(sight))
+            unsure = bool(False)
             if lane % share == 0 and is_within(slab, v):
-                closed = values[mesh, v[0], v[1], v[2]]
-                winding = (closed - whole) - part
-                if not is_sure(winding, error):
-                    p = scale * wp.vec3d(point)
-                    winding = closed - float(count_caps(boundary, tree, mesh, p))
-                    winding = winding + float(boundary_winding(boundary, tree, mesh, p))
-                values[mesh, v[0], v[1], v[2]] = winding
+                winding = (values[mesh, v[0], v[1], v[2]] - whole) - part
+                unsure = not is_sure(winding, error)
+                if not unsure:
+                    values[mesh, v[0], v[1], v[2]] = winding
+            # All lanes together, as a single one would take very long.
+            left = ballot(unsure)
+            while left != wp.uint32(0):
+                other = first_member(left)
+                left = left & (left - wp.uint32(1))
+                v = start + octant(number - lane / share + other / share)
+                open_voxel(tree, boundary, slab, mesh, v, lane, lanes, values)
             number = number + lanes / share
         item = item + groups / 8
 
