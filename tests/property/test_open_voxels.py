@@ -150,3 +150,18 @@ def test_each_mesh_of_a_batch_and_each_slab_by_itself():
     for mesh, values in zip(batch, together, strict=True):
         assert np.array_equal(on_slab(mesh[None].astype(np.float32), faces, grid)[0], values)
     assert np.array_equal(on_slab(batch.astype(np.float32), faces, grid, begin=32), together[:, 32:])
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_gpu_agrees(name):
+    rng = np.random.default_rng([4, *name.encode()])
+    vertices, faces = MAKERS[name](rng)
+    mesh = sdm.TriangleMesh(vertices, faces)
+    for grid in grids(vertices, faces, rng):
+        winding = sdm.MeshIndex(mesh, "cpu").winding_number(grid.points())
+        field = sdm.MeshIndex(mesh, "cuda").signed_distance_map(grid)
+        sure = (winding - 0.5).abs() > TIE
+        assert torch.equal((field.values.cpu() < 0)[sure], (winding > 0.5)[sure])
+        off = (winding - 0.5).abs()
+        assert int((off < 0.25 - TIE).sum()) <= field.ambiguous_voxels <= int((off < 0.25 + TIE).sum())

@@ -1,4 +1,5 @@
 """The two promises of `kernels/caps.py`: a float32 share is as right as it says, and a box that is far is far."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
 
 from __future__ import annotations
 
