@@ -26,13 +26,23 @@ def _see(boundary: Boundary, at: wp.array(dtype=wp.vec3), share: wp.array(dtype=
 
 
 @wp.kernel
-def _far(boundary: Boundary, at: wp.array(dtype=wp.vec3), half: wp.array(dtype=wp.vec3), far: wp.array(dtype=wp.int32)):
+def _view(
+    boundary: Boundary,
+    at: wp.array(dtype=wp.vec3),
+    half: wp.array(dtype=wp.vec3),
+    far: wp.array(dtype=float),
+    share: wp.array(dtype=float),
+    error: wp.array(dtype=float),
+):
     i = wp.tid()
     cell = Cell()
     cell.centre = at[i]
     cell.half = half[i]
     cell.half2 = wp.dot(half[i], half[i])
-    far[i] = wp.where(is_far(view_caps(boundary, 0, cell, 0, 1)), 1, 0)
+    view = view_caps(boundary, 0, cell, 0, 1)
+    far[i] = wp.where(is_far(view), 1.0, 0.0)
+    share[i] = view.share
+    error[i] = view.error
 
 
 def fan(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -101,15 +111,20 @@ def test_a_box_that_is_far_is_far_everywhere(kind):
     _tensors, boundary = caps_of(*fan(rng, kind))
     centre = places(rng, boundary, 4000)
     half = (10 ** rng.uniform(-5, -0.3, (len(centre), 1)) * rng.uniform(0.2, 1, (len(centre), 3))).astype(np.float32)
-    far = wp.zeros(len(centre), dtype=wp.int32, device="cpu")
-    inputs = [boundary, *(wp.array(v, dtype=wp.vec3, device="cpu") for v in (centre, half)), far]
-    wp.launch(_far, len(centre), inputs, device="cpu")
-    far = far.numpy() > 0
-    largest = np.zeros(len(centre))
+    seen = [wp.zeros(len(centre), dtype=float, device="cpu") for _ in range(3)]
+    boxes = [wp.array(v, dtype=wp.vec3, device="cpu") for v in (centre, half)]
+    wp.launch(_view, len(centre), [boundary, *boxes, *seen], device="cpu")
+    far, share, error = (values.numpy() for values in seen)
+    far = far > 0
+    largest, off = np.zeros(len(centre)), np.zeros(len(centre))
     for _ in range(40):
         # Corners and faces of the box more often than its inside.
         offset = np.clip(rng.normal(size=half.shape) * 2, -1, 1) * half
-        largest = np.maximum(largest, np.abs(exact_share(boundary, centre + offset)))
+        here = exact_share(boundary, centre + offset)
+        largest, off = np.maximum(largest, np.abs(here)), np.maximum(off, np.abs(here - share))
+    known = np.isfinite(error)
+    assert (off[known] <= error[known] + 2e-6).all()
+    assert (off[known] / (error[known] + 2e-6)).max() > (0.001 if kind == "needle" else 0.2)
     assert far.any()
     assert not far.all()
     assert (largest[far] < 0.25).all()
