@@ -86,8 +86,8 @@ def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
 
 
 @wp.func
-def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
-    """The boundary's share of the winding number at p (scaled): add it to the count of crossings.
+def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: int, lanes: int):
+    """A lane's part of the boundary's share of the winding number at p (scaled).
 
     (y,z) of ray and edges are those on the lattice, so that the angles agree with the sides even where the ray passes
     a corner and both strips that meet there turn with it. That moves the boundary by a step of the lattice at most.
@@ -107,7 +107,8 @@ def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
     re = one
     im = zero
     turns = int(0)
-    for e in range(boundary.count):
+    e = lane
+    while e < boundary.count:
         at = 2 * (mesh * boundary.count + e)
         first = boundary.lattice[at]
         second = boundary.lattice[at + 1]
@@ -143,5 +144,12 @@ def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
         size = one / (wp.abs(new_re) + wp.abs(new_im) + TINY)
         re = new_re * size
         im = new_im * size
+        e = e + lanes
     pi = wp.float64(wp.PI)
     return (wp.atan2(im, re) + wp.float64(2.0) * pi * wp.float64(turns)) / (wp.float64(2.0) * pi)
+
+
+@wp.func
+def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
+    """The boundary's share of the winding number at p (scaled): add it to the count of crossings."""
+    return boundary_part(boundary, tree, mesh, p, 0, 1)

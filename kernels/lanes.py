@@ -74,6 +74,20 @@ def members(mask: wp.uint32) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return __ffs(mask) - 1;
+#else
+    return 0;
+#endif
+"""
+)
+def first_member(mask: wp.uint32) -> int:
+    """The first lane in the mask, which must not be empty."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     unsigned long long key = ((unsigned long long)__float_as_uint(value) << 32) | (unsigned)lane;
     for (int step = 16; step > 0; step >>= 1) {
         unsigned long long other = __shfl_xor_sync(0xffffffffu, key, step);
@@ -109,6 +123,48 @@ def lane_of_least(value: float, lane: int) -> int:
 )
 def group_of_least(value: float, item: int, lane: int) -> int:
     """Among each four neighbouring lanes, the item of the one with the least value."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+#endif
+    return value;
+"""
+)
+def sum_of_lanes(value: float) -> float:
+    """The sum of all lanes' values, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+#endif
+    return value;
+"""
+)
+def sum_of_lanes_in_double(value: wp.float64) -> wp.float64:
+    """`sum_of_lanes` in float64."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 1; step < 4; step <<= 1)
+        value += __shfl_xor_sync(0xffffffffu, value, step);
+#endif
+    return value;
+"""
+)
+def sum_of_four(value: float) -> float:
+    """The sum of the values of each four neighbouring lanes, the same for each."""
     ...
 
 

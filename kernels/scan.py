@@ -12,11 +12,11 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.boundary import Boundary, boundary_winding
-from sdm.kernels.caps import cap_lattice, caps_are_far, count_caps
+from sdm.kernels.caps import cap_lattice
 from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
+from sdm.kernels.holes import open_caps
 from sdm.kernels.lanes import GPU_LANES, fetch_add
-from sdm.kernels.lists import CELL, make_cell
 from sdm.kernels.points import CLOSED, OPEN, SOUP, Winding
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
@@ -153,35 +153,6 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
-@wp.kernel
-def _find_far_cells(
-    begin: int, tree: Tree, boundary: Boundary, slab: Slab, cells: wp.vec3i, far: wp.array(dtype=wp.int32)
-):
-    """Whether the caps are far from each cell of 8^3 voxels, counted with k fastest."""
-    item = begin + wp.tid()
-    mesh, at = unravel(item, cells)
-    cell = make_cell(slab, CELL * at, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-    far[item] = wp.where(caps_are_far(boundary, mesh, cell), 1, 0)
-
-
-@wp.kernel
-def _open_caps(
-    begin: int,
-    tree: Tree,
-    boundary: Boundary,
-    slab: Slab,
-    cells: wp.vec3i,
-    far: wp.array(dtype=wp.int32),
-    values: wp.array4d(dtype=wp.float32),
-):
-    """Near the caps: take their crossings back out, and add the boundary's share."""
-    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
-    if far[((mesh * cells[0] + i / CELL) * cells[1] + j / CELL) * cells[2] + k / CELL] != 0:
-        return
-    share = float(boundary_winding(boundary, tree, mesh, p))
-    values[mesh, i, j, k] = values[mesh, i, j, k] - float(count_caps(boundary, tree, mesh, p)) + share
-
-
 def slab_winding(
     tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
 ) -> None:
@@ -208,11 +179,7 @@ def slab_winding(
             launch(_scan_caps, edges, [tree, boundary, slab, lanes, counts.flatten()], device)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
         if winding.kind == OPEN:
-            cells = wp.vec3i(*(-(-n // int(CELL)) for n in (nx, ny, nz)))
-            count = meshes * cells[0] * cells[1] * cells[2]
-            far = empty(count, wp.int32)
-            launch(_find_far_cells, count, [tree, boundary, slab, cells, far], device)
-            launch(_open_caps, total, [tree, boundary, slab, cells, far, values], device)
+            open_caps(tree, boundary, slab, values, launch, empty)
         return
     if winding.kind != CLOSED:
         launch(_add_boundary, total, [tree, winding, slab, values], device)
