@@ -7,8 +7,10 @@ work queued before it on its stream, and `record_stream` tells the allocator of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -25,15 +27,15 @@ from sdm.topology import boundary_edges, loops, neighbours
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
 
-_TORCH_TYPE = {wp.float32: torch.float32, wp.int32: torch.int32, wp.float64: torch.float64}
-_FIELDS = ("corners", "lattice", "face", "boxes", "frame")
-_ELEMENT = {
-    "corners": wp.vec3,
-    "lattice": wp.vec2i,
-    "face": wp.int32,
-    "boxes": wp.float32,
-    "frame": wp.float64,
+_TORCH_TYPE = {
+    wp.float32: torch.float32,
+    wp.int32: torch.int32,
+    wp.int64: torch.int64,
+    wp.float64: torch.float64,
+    wp.vec3: torch.float32,
 }
+# The arrays of a hierarchy begin at multiples of this many bytes in their common block.
+_ALIGNMENT = 256
 
 
 @contextmanager
@@ -59,16 +61,34 @@ def kind_of(edges: Tensor) -> int:
 
 
 def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
-    """A torch tensor as a Warp array over the same memory."""
-    return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
+    """A contiguous torch tensor as a Warp array over the same memory.
+
+    The tensor must live until the last kernel that uses the array is queued: the array does not keep it.
+    """
+    if not tensor.is_contiguous():
+        raise ValueError(f"a tensor of shape {tuple(tensor.shape)} is not contiguous, so it is no Warp array")
+    return _array(tensor.data_ptr(), tensor.dtype, tensor.shape, dtype, tensor.device)
+
+
+@lru_cache(maxsize=1024)
+def _array(address: int, given: torch.dtype, shape: torch.Size, dtype: Any, device: torch.device) -> wp.array:
+    # A function of the address alone and owner of nothing, so it may be remembered: torch's allocator gives the same
+    # few addresses again and again, and making an array costs more than a launch.
+    inner = tuple(getattr(dtype, "_shape_", ()))
+    outer = shape[: len(shape) - len(inner)]
+    if shape[len(outer) :] != inner or wp.types.type_size_in_bytes(dtype) != math.prod(inner) * given.itemsize:
+        raise ValueError(f"a tensor of shape {tuple(shape)} and type {given} is no array of {dtype.__name__}")
+    return wp.array(ptr=address, dtype=dtype, shape=tuple(outer), device=wp.device_from_torch(device), copy=False)
 
 
 def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
-    """An allocator of scratch arrays for kernels: torch's memory, kept by the Warp array for as long as it lives."""
+    """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
+    kept = []
 
     def empty(length: int, dtype: Any) -> wp.array:
         shape = (length, 3) if dtype is wp.vec3 else (length,)
-        return as_warp(torch.empty(shape, dtype=_TORCH_TYPE.get(dtype, torch.float32), device=device), dtype)
+        kept.append(torch.empty(shape, dtype=_TORCH_TYPE[dtype], device=device))
+        return as_warp(kept[-1], dtype)
 
     return empty
 
@@ -77,8 +97,8 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     """Build the hierarchy of a batch of meshes on their device.
 
     Args:
-        vertices: (B,V,3) float32, contiguous.
-        faces: (F,3) int32, contiguous, shared.
+        vertices: (B,V,3) float32.
+        faces: (F,3) int32, shared.
         edges: (E,2) int32 boundary edges, found here if None.
 
     Returns:
@@ -92,25 +112,13 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
             "one call can take; use smaller batches, or a coarser mesh"
         )
+    vertices, faces = vertices.contiguous(), faces.contiguous()
     if edges is None:
         edges = boundary_edges(vertices, faces)
     kind = kind_of(edges)
     meshes, count = vertices.shape[0], faces.shape[0]
-
-    def empty(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-        return torch.empty(shape, dtype=dtype, device=vertices.device)
-
-    tensors = [empty(shape, _TORCH_TYPE[dtype]) for shape, dtype in tree.sizes(meshes, count).values()]
-    ends = 2 * meshes * edges.shape[0] if kind == points.OPEN else 0
-    nodes = tensors[_FIELDS.index("boxes")].shape[0] // tree.BOX_FLOATS if kind == points.SOUP else 0
-    tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
-    tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
-    tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]
-    tensors += [empty((meshes * count * 4,), torch.float32)]
-    tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32), empty((ends // 2, 3), torch.float32)]
-    tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
-    scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
-    slots = empty((2 * meshes * count,), torch.int32)
+    tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
+    empty = scratch_on(vertices.device)
     shared = neighbours(faces, vertices.shape[1])
     around = loops(edges) if kind == points.OPEN else edges
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
@@ -120,9 +128,9 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             hierarchy,
             corners,
             as_warp(faces, wp.int32),
-            as_warp(scratch[0], wp.float32),
-            as_warp(scratch[1], wp.int64),
-            as_warp(slots, wp.int32),
+            empty(6 * meshes, wp.float32),
+            empty(2 * meshes * count, wp.int64),
+            empty(2 * meshes * count, wp.int32),
             launch,
         )
         frames.make_frames(hierarchy, local, launch)
@@ -136,28 +144,78 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     return tensors, kind
 
 
+def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
+    """Bytes of each array of a hierarchy, in the order of its tensors: what `_views` looks at."""
+    slots = meshes * count
+    arrays = tree.sizes(meshes, count)
+    sizes = {name: math.prod(shape) * wp.types.type_size_in_bytes(dtype) for name, (shape, dtype) in arrays.items()}
+    sizes["local"] = 4 * slots * frames.FRAME_FLOATS
+    sizes["rows"] = 4 * slots * parts.PARTS_FLOATS
+    sizes["inverses"] = 8 * slots * parts.INVERSES
+    sizes["balls"] = 4 * slots * 4
+    ends = 2 * meshes * edges if kind == points.OPEN else 0
+    sizes["ends"] = 4 * ends * 3
+    sizes["ends_lattice"] = 4 * ends * 2
+    sizes["apexes"] = 4 * ends // 2 * 3
+    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind == points.SOUP else 0
+    sizes["moments"] = 4 * nodes * solid_angle.MOMENTS_SIZE
+    return sizes
+
+
+def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
+    """Bytes of these sizes, parts of one block: one allocation, and one to tell of the streams that read it."""
+    padded = []
+    for size in sizes:
+        padded += [size, -size % _ALIGNMENT]
+    return list(torch.empty(sum(padded), dtype=torch.uint8, device=device).split(padded)[::2])
+
+
 def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, and their `Parts`."""
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, and their `Parts`.
+
+    Nobody may write into what is returned, as the next call may return the same. As for `as_warp`, the tensors must
+    live until the last kernel is queued.
+    """
+    at = tuple([(tensor.data_ptr(), tensor.shape[0]) for tensor in tensors])
+    return _views(at, kind, meshes, tensors[0].device)
+
+
+@lru_cache(maxsize=64)
+def _views(
+    at: tuple[tuple[int, int], ...], kind: int, meshes: int, device: torch.device
+) -> tuple[Any, Any, wp.array, Any]:
+    # A function of addresses and sizes alone, as `_array` is.
+    where = wp.device_from_torch(device)
+    left = iter(at)
+
+    def array(dtype: Any) -> wp.array:
+        address, size = next(left)
+        length = size // wp.types.type_size_in_bytes(dtype)
+        return wp.array(ptr=address, dtype=dtype, shape=(length,), device=where, copy=False)
+
     hierarchy = tree.Tree()
-    for name, tensor in zip(_FIELDS, tensors, strict=False):
-        setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    local, rows, inverses, balls, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
-    hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
+    hierarchy.corners = array(wp.vec3)
+    hierarchy.lattice = array(wp.vec2i)
+    hierarchy.face = array(wp.int32)
+    hierarchy.boxes = array(wp.float32)
+    hierarchy.frame = array(wp.float64)
+    hierarchy.count = hierarchy.face.shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
+    local = array(wp.float32)
+    pieces = parts.Parts()
+    pieces.rows = array(wp.float32)
+    pieces.inverses = array(wp.float64)
+    pieces.balls = array(wp.float32)
     boundary = Boundary()
-    boundary.ends = as_warp(ends, wp.vec3)
-    boundary.lattice = as_warp(ends_lattice, wp.vec2i)
-    boundary.apexes = as_warp(apexes, wp.vec3)
-    boundary.count = ends.shape[0] // (2 * meshes)
+    boundary.ends = array(wp.vec3)
+    boundary.lattice = array(wp.vec2i)
+    boundary.apexes = array(wp.vec3)
+    boundary.count = boundary.apexes.shape[0] // meshes
     winding = points.Winding()
     winding.boundary = boundary
-    winding.moments = as_warp(moments, wp.float32)
+    winding.moments = array(wp.float32)
     winding.kind = kind
-    pieces = parts.Parts()
-    pieces.rows = as_warp(rows, wp.float32)
-    pieces.inverses = as_warp(inverses, wp.float64)
-    pieces.balls = as_warp(balls, wp.float32)
-    return hierarchy, winding, as_warp(local, wp.float32), pieces
+    return hierarchy, winding, local, pieces
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

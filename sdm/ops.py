@@ -43,7 +43,7 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
     sort = count >= SMALLEST_SORT
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
-    with on_current_stream(at, at, *tensors):
+    with on_current_stream(at, at, tensors[0]):
         hierarchy, winding, *_ = unpack(tensors, kind, 1)
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
@@ -152,7 +152,7 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
         hierarchy, kind = build(vertices[None], faces)
     at = points.contiguous()
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
-    with on_current_stream(at, at, *hierarchy):
+    with on_current_stream(at, at, hierarchy[0]):
         tree, winding, *_ = unpack(hierarchy, kind, 1)
         query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
     return values
@@ -182,10 +182,10 @@ def distance_map(
     """
     meshes = vertices.shape[0]
     if not hierarchy:
-        hierarchy, kind = build(vertices.contiguous(), faces)
+        hierarchy, kind = build(vertices, faces)
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
-    with on_current_stream(vertices, *hierarchy):
+    with on_current_stream(vertices, hierarchy[0]):
         tree, winding, frames, parts = unpack(hierarchy, kind, meshes)
         slab = Slab()
         slab.origin = wp.vec3d(*origin)
