@@ -11,6 +11,7 @@ An empty list of hierarchy tensors means: build one here, and let it go afterwar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -163,6 +164,26 @@ def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], 
     return points.new_empty(points.shape[0])
 
 
+@lru_cache(maxsize=64)
+def _slab(
+    origin: tuple[float, ...],
+    spacing: tuple[float, ...],
+    shape: tuple[int, ...],
+    first: int,
+    direction: tuple[float, ...],
+) -> Any:
+    """The kernels' view of a slab; nobody may write into it."""
+    slab = Slab()
+    slab.origin = wp.vec3d(*origin)
+    slab.spacing = wp.vec3d(*spacing)
+    slab.shape = wp.vec3i(*shape)
+    slab.first = first
+    if direction != IDENTITY:
+        slab.turned = 1
+        slab.axes = wp.mat33d(*(d * s for row in range(3) for d, s in zip(direction[3 * row :], spacing, strict=False)))
+    return slab
+
+
 @torch.library.custom_op("sdm::distance_map", mutates_args=())
 def distance_map(
     vertices: Tensor,
@@ -187,22 +208,12 @@ def distance_map(
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, hierarchy[0]):
         tree, winding, frames, parts = unpack(hierarchy, kind, meshes)
-        slab = Slab()
-        slab.origin = wp.vec3d(*origin)
-        slab.spacing = wp.vec3d(*spacing)
-        slab.shape = wp.vec3i(*shape)
-        slab.first = first
-        if tuple(direction) != IDENTITY:
-            slab.turned = 1
-            slab.axes = wp.mat33d(
-                *(d * s for row in range(3) for d, s in zip(direction[3 * row :], spacing, strict=False))
-            )
         dense.query_slab(
             tree,
             frames,
             parts,
             winding,
-            slab,
+            _slab(tuple(origin), tuple(spacing), tuple(shape), first, tuple(direction)),
             as_warp(values, wp.float32),
             as_warp(ambiguous, wp.int32),
             launch,
