@@ -8,6 +8,7 @@ work queued before it on its stream, and `record_stream` tells the allocator of 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -36,6 +37,8 @@ _TORCH_TYPE = {
 }
 # The arrays of a hierarchy begin at multiples of this many bytes in their common block.
 _ALIGNMENT = 256
+# Warp's current stream is the device's, not the thread's.
+_turn = threading.RLock()
 
 
 @contextmanager
@@ -50,8 +53,14 @@ def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
         for read in reads:
             if read.numel():
                 read.record_stream(stream)
-        with wp.ScopedStream(wp.stream_from_torch(stream), sync_enter=False):
+        with _turn, wp.ScopedStream(_warp_stream(device.alias, stream.cuda_stream), sync_enter=False):
             yield device
+
+
+@lru_cache(maxsize=64)
+def _warp_stream(device: str, stream: int) -> wp.Stream:
+    # Torch has a few streams, which it hands out again and again; Warp takes its time to look at one.
+    return wp.Stream(device, cuda_stream=stream)
 
 
 def kind_of(edges: Tensor) -> int:
