@@ -1,16 +1,8 @@
-"""The acceleration structure as torch tensors, so that torch's allocator and streams look after its memory.
-
-Warp frees its own arrays on the stream that is current when Python lets go of them, which may be another than the
-one whose kernels still read them. Everything here is a torch tensor instead: freed memory is reused only after the
-work queued before it on its stream, and `record_stream` tells the allocator of every other stream that reads it.
-"""
+"""The acceleration structure as torch tensors, so that torch's allocator and streams look after its memory."""
 
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -22,84 +14,21 @@ from sdm.errors import MeshError
 from sdm.kernels import frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
+from sdm.memory import array_at, as_warp, on_current_stream, scratch_on
 from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
 
-_TORCH_TYPE = {
-    wp.float32: torch.float32,
-    wp.int32: torch.int32,
-    wp.int64: torch.int64,
-    wp.float64: torch.float64,
-    wp.vec3: torch.float32,
-}
 # The arrays of a hierarchy begin at multiples of this many bytes in their common block.
 _ALIGNMENT = 256
-# Warp's current stream is the device's, not the thread's.
-_turn = threading.RLock()
-
-
-@contextmanager
-def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
-    """Launch Warp kernels on torch's current stream of `tensor`'s device; `reads` stay alive until they are done."""
-    device = wp.device_from_torch(tensor.device)
-    if not device.is_cuda:
-        yield device
-        return
-    with torch.cuda.device(tensor.device):
-        stream = torch.cuda.current_stream()
-        for read in reads:
-            if read.numel():
-                read.record_stream(stream)
-        with _turn, wp.ScopedStream(_warp_stream(device.alias, stream.cuda_stream), sync_enter=False):
-            yield device
-
-
-@lru_cache(maxsize=64)
-def _warp_stream(device: str, stream: int) -> wp.Stream:
-    # Torch has a few streams, which it hands out again and again; Warp takes its time to look at one.
-    return wp.Stream(device, cuda_stream=stream)
 
 
 def kind_of(edges: Tensor) -> int:
     """How the sign of a mesh with these boundary edges is found."""
     count = edges.shape[0]
     return points.CLOSED if count == 0 else points.OPEN if count <= MOST_BOUNDARY_EDGES else points.SOUP
-
-
-def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
-    """A contiguous torch tensor as a Warp array over the same memory.
-
-    The tensor must live until the last kernel that uses the array is queued: the array does not keep it.
-    """
-    if not tensor.is_contiguous():
-        raise ValueError(f"a tensor of shape {tuple(tensor.shape)} is not contiguous, so it is no Warp array")
-    return _array(tensor.data_ptr(), tensor.dtype, tensor.shape, dtype, tensor.device)
-
-
-@lru_cache(maxsize=1024)
-def _array(address: int, given: torch.dtype, shape: torch.Size, dtype: Any, device: torch.device) -> wp.array:
-    # A function of the address alone and owner of nothing, so it may be remembered: torch's allocator gives the same
-    # few addresses again and again, and making an array costs more than a launch.
-    inner = tuple(getattr(dtype, "_shape_", ()))
-    outer = shape[: len(shape) - len(inner)]
-    if shape[len(outer) :] != inner or wp.types.type_size_in_bytes(dtype) != math.prod(inner) * given.itemsize:
-        raise ValueError(f"a tensor of shape {tuple(shape)} and type {given} is no array of {dtype.__name__}")
-    return wp.array(ptr=address, dtype=dtype, shape=tuple(outer), device=wp.device_from_torch(device), copy=False)
-
-
-def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
-    """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
-    kept = []
-
-    def empty(length: int, dtype: Any) -> wp.array:
-        shape = (length, 3) if dtype is wp.vec3 else (length,)
-        kept.append(torch.empty(shape, dtype=_TORCH_TYPE[dtype], device=device))
-        return as_warp(kept[-1], dtype)
-
-    return empty
 
 
 def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:
@@ -193,14 +122,12 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.
 def _views(
     at: tuple[tuple[int, int], ...], kind: int, meshes: int, device: torch.device
 ) -> tuple[Any, Any, wp.array, Any]:
-    # A function of addresses and sizes alone, as `_array` is.
-    where = wp.device_from_torch(device)
+    # A function of addresses and sizes alone, as `array_at` is.
     left = iter(at)
 
     def array(dtype: Any) -> wp.array:
         address, size = next(left)
-        length = size // wp.types.type_size_in_bytes(dtype)
-        return wp.array(ptr=address, dtype=dtype, shape=(length,), device=where, copy=False)
+        return array_at(address, (size // wp.types.type_size_in_bytes(dtype),), dtype, device)
 
     hierarchy = tree.Tree()
     hierarchy.corners = array(wp.vec3)

@@ -18,11 +18,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.hierarchy import as_warp, build, on_current_stream, one_of, scratch_on, unpack
+from sdm.hierarchy import build, one_of, unpack
 from sdm.kernels import dense
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
+from sdm.memory import as_warp, on_current_stream, scratch_on
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
