@@ -11,7 +11,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, Witness, agree, ball_is_behind, no_witness, remember, triangle_is_behind
+from sdm.kernels.cones import Cones, ball_matters
+from sdm.kernels.cull import Cell, Witness, agree, no_witness, remember
 from sdm.kernels.features import (
     NEAR_ENDS,
     VOXELS,
@@ -24,34 +25,47 @@ from sdm.kernels.features import (
     least_values,
     lessen_values,
 )
-from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, load4, on_cpu, wait_for_lanes
+from sdm.kernels.lanes import (
+    GPU_BLOCKS,
+    ballot,
+    fetch_add,
+    fetch_add_once,
+    load4,
+    members,
+    on_cpu,
+    rank,
+    wait_for_lanes,
+)
 from sdm.kernels.lists import (
     BRICK,
-    CHUNK,
+    CELL,
     HEAVY,
     NEXT_BLOCK,
     NEXT_BRICK,
-    ROOM,
     Lists,
+    Reader,
     cell_start,
     is_coarse,
     is_within,
+    list_length,
     make_cell,
     octant,
+    read_entry,
+    read_on,
+    start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.regions import seen_from
+from sdm.kernels.regions import STACK
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+from sdm.kernels.witness import seen_from, witness_of
 
 wp.set_module_options({"enable_backward": False})
 
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
 
-_CHUNK = wp.constant(CHUNK)
-_ROOM = wp.constant(ROOM)
+_STACK = wp.constant(STACK)
 _VOXELS = wp.constant(VOXELS)
 _HEAVY = wp.constant(HEAVY)
 _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
@@ -73,32 +87,45 @@ class Block:
 
 
 @wp.func
-def may_be_nearer(parts: Parts, slot: int, centre: wp.vec3, known: Witness):
-    """Whether the ball of a triangle reaches nearer to a centre than what is known."""
-    ball = load4(parts.balls, slot)
+def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
+    """Whether a ball reaches nearer to a centre than what is known."""
     reach = wp.length(centre - wp.vec3(ball[0], ball[1], ball[2])) - ball[3]
     return reach <= 0.0 or reach * reach < known.distance2
 
 
 @wp.func
-def nearest_of_chain(
-    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, item: int, centre: wp.vec3, lane: int, lanes: int
+def nearest_in_list(
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    lists: Lists,
+    first: int,
+    centre: wp.vec3,
+    known: Witness,
+    lane: int,
+    lanes: int,
 ):
-    """The surface point nearest to a block's centre, from its cell's list."""
-    known = no_witness()
-    chunk = lists.heads[item]
-    left = lists.lengths[item]
-    while left > 0:
-        taken = wp.min(left, _ROOM)
-        i = lane
-        while i < taken:
-            slot = lists.pool[chunk * _CHUNK + i]
-            if not on_cpu() or may_be_nearer(parts, slot, centre, known):
-                known = remember(known, seen_from(frames, slot, centre))
-            i = i + lanes
-        left = left - taken
-        if left > 0:
-            chunk = lists.pool[chunk * _CHUNK + _ROOM]
+    """A surface point near a block's centre from its cell's list, or what was known if that is nearer.
+
+    Each lane of a GPU measures one triangle, the one whose ball's centre is nearest of those that it sees.
+    """
+    best = int(-1)
+    best2 = float(wp.inf)
+    reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
+    while reader.left > 0:
+        slot = read_entry(lists, reader, lane)
+        if slot >= 0:
+            ball = load4(parts.balls, slot)
+            if on_cpu():
+                if may_be_nearer(ball, centre, known):
+                    known = remember(known, seen_from(frames, slot, centre))
+            else:
+                u = centre - wp.vec3(ball[0], ball[1], ball[2])
+                if wp.dot(u, u) < best2:
+                    best2 = wp.dot(u, u)
+                    best = slot
+        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+    if best >= 0:
+        known = remember(known, seen_from(frames, best, centre))
     return agree(known, lane)
 
 
@@ -227,61 +254,68 @@ def measure_block(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
+    cones: Cones,
     slab: Slab,
     lists: Lists,
     item: int,
     features: Features,
+    stacks: wp.array(dtype=wp.int32),
     worker: int,
     out: Output,
     block: Block,
+    known: Witness,
     lane: int,
     lanes: int,
 ):
-    """Measure a block of the cell `item`."""
-    chunk = lists.heads[item]
-    left = int(0)
-    known = no_witness()
-    if chunk >= 0 and not is_coarse(block.cell):
-        left = lists.lengths[item]
-        known = nearest_of_chain(frames, parts, lists, item, block.cell.centre, lane, lanes)
+    """Measure a block of the cell `item`; `known` is a surface point seen from its centre."""
+    first = item * lists.shares
+    radius = wp.sqrt(block.cell.half2)
+    reader = Reader()
+    if list_length(lists.heads, lists.lengths, first, lists.shares) > 0 and not is_coarse(block.cell):
+        known = nearest_in_list(frames, parts, lists, first, block.cell.centre, known, lane, lanes)
+        if known.distance2 < LARGEST_SQUARE:
+            reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
     block.radius2 = known.distance2
-    if not block.radius2 < LARGEST_SQUARE:
-        left = int(0)
     note_places(tree, slab, features, worker, block, lane, lanes)
     wait_for_lanes()
     counts = Counts()
     unclear = int(0)
     again = bool(False)
-    at = int(0)
+    stack = worker * _STACK
+    ripe = int(0)
     more = bool(True)
     while more:
-        which = int(0)
-        slot = int(0)
-        taken = wp.min(left, _ROOM)
-        if at + lane < taken:
-            slot = lists.pool[chunk * _CHUNK + at + lane]
-            if not on_cpu() or not ball_is_behind(block.cell, known, load4(parts.balls, slot)):
-                f = load_frame(frames, slot)
-                if not triangle_is_behind(block.cell, known, f, see(f, block.cell.centre)):
-                    which = parts_that_matter(block.cell, tree, parts, slot)
-        counts = add_features(
-            features, worker, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane
-        )
-        at = at + lanes
-        if at >= taken:
-            at = int(0)
-            left = left - taken
-            if left > 0:
-                chunk = lists.pool[chunk * _CHUNK + _ROOM]
-        more = left > 0
-        if not more or are_full(counts):
-            wait_for_lanes()
-            unclear = unclear + measure_voxels(
-                tree, slab, out, features, worker, counts, block, again, not more, lane, lanes
+        if reader.left > 0 and ripe < lanes:
+            # Balls and cones, until the triangles that are left fill all lanes.
+            slot = read_entry(lists, reader, lane)
+            keep = False
+            if slot >= 0:
+                keep = ball_matters(block.cell, radius, known, parts.balls, cones, slot)
+            mask = ballot(keep)
+            if keep:
+                stacks[stack + ripe + rank(mask, lane)] = slot
+            ripe = ripe + members(mask)
+            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+        else:
+            taken = wp.min(lanes, ripe)
+            ripe = ripe - taken
+            which = int(0)
+            slot = int(0)
+            if lane < taken:
+                slot = stacks[stack + ripe + lane]
+                which = parts_that_matter(block.cell, tree, parts, slot)
+            counts = add_features(
+                features, worker, counts, tree, parts, slot, which, block.cell.centre, block.radius2, lane
             )
-            counts = Counts()
-            again = True
-            wait_for_lanes()
+            more = reader.left + ripe > 0
+            if not more or are_full(counts):
+                wait_for_lanes()
+                unclear = unclear + measure_voxels(
+                    tree, slab, out, features, worker, counts, block, again, not more, lane, lanes
+                )
+                counts = Counts()
+                again = True
+        wait_for_lanes()
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)
 
@@ -294,9 +328,11 @@ def _measure_blocks(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
+    cones: Cones,
     slab: Slab,
     lists: Lists,
     features: Features,
+    stacks: wp.array(dtype=wp.int32),
     out: Output,
 ):
     thread = begin + wp.tid()
@@ -311,21 +347,47 @@ def _measure_blocks(
         counter = _NEXT_BLOCK
     item = fetch_add_once(lists.counts, counter, 1, lane)
     while item < total:
-        cell = item
+        number = item
         if longest == 0:
-            cell = lists.heavy[item / 8]
-        mesh, start = cell_start(lists, cell)
+            number = lists.heavy[item / 8]
+        mesh, start = cell_start(lists, number)
+        scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+        cell = make_cell(slab, start, CELL, scale)
+        known = witness_of(lists, lists.count + number)
+        block = Block()
+        block.mesh = mesh
+        block.bits = bits
+        block.start = start
+        block.cell = cell
+        wanted = is_within(slab, start)
         if longest == 0:
-            start = start + BRICK * octant(item)
-        if is_within(slab, start):
-            if longest == 0 or (lists.heads[cell] >= 0 and lists.lengths[cell] <= longest):
-                block = Block()
-                block.mesh = mesh
-                block.start = start
-                block.bits = bits
-                block.cell = make_cell(slab, start, 1 << bits, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-                if longest == 0 or not is_coarse(block.cell):
-                    measure_block(tree, frames, parts, slab, lists, cell, features, worker, out, block, lane, lanes)
+            block.start = start + BRICK * octant(item)
+            wanted = is_within(slab, block.start)
+            block.cell = make_cell(slab, block.start, BRICK, scale)
+            known = remember(no_witness(), known.to_surface + (block.cell.centre - cell.centre))
+        elif wanted:
+            length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+            wanted = length >= 0 and length <= longest and not is_coarse(cell)
+            if not wanted and lane == 0:
+                lists.heavy[fetch_add(lists.counts, _HEAVY, 1)] = number
+        if wanted:
+            measure_block(
+                tree,
+                frames,
+                parts,
+                cones,
+                slab,
+                lists,
+                number,
+                features,
+                stacks,
+                worker,
+                out,
+                block,
+                known,
+                lane,
+                lanes,
+            )
         item = fetch_add_once(lists.counts, counter, 1, lane)
 
 
@@ -333,10 +395,12 @@ def measure_blocks(
     tree: Tree,
     frames: wp.array,
     parts: Parts,
+    cones: Cones,
     slab: Slab,
     lists: Lists,
     longest: int,
     features: Features,
+    stacks: wp.array,
     out: Output,
     workers: int,
     lanes: int,
@@ -344,9 +408,9 @@ def measure_blocks(
 ) -> None:
     """Distances of every voxel of one pass: cells of up to `longest` triangles whole, the heavy ones brick by brick.
 
-    `features` is scratch. Voxels of cells whose list found no room become infinite with their sign, and are counted in
-    `out.missed`.
+    `features` and `stacks` are scratch. Voxels of cells whose list found no room become infinite with their sign, and
+    are counted in `out.missed`.
     """
     for most in (longest, 0):
-        inputs = [lanes, most, tree, frames, parts, slab, lists, features, out]
+        inputs = [lanes, most, tree, frames, parts, cones, slab, lists, features, stacks, out]
         launch(_measure_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -9,6 +9,7 @@ import warp as wp
 
 from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import list_cells
+from sdm.kernels.cones import Cones
 from sdm.kernels.features import ROWS, VOXELS, Features
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES
@@ -20,12 +21,15 @@ from sdm.kernels.regions import STACK, list_regions
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.tree import Tree
+from sdm.kernels.witness import find_witnesses
 
 # Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
 GPU_WORKERS = 132 * 16
 # Entries of the pool of lists: 64 to 256 MiB.
 SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
 MOST_REGIONS = 1 << 15
+# Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
+FULL, MOST_SHARES = 1 << 11, 8
 # Cells with more triangles are measured brick by brick.
 LONGEST_OF_CELL = {"cuda": 64, "cpu": 256}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
@@ -51,10 +55,23 @@ def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
     return length > LONGEST_LIST["cuda" if gpu else "cpu"]
 
 
+def shares_of(shape: Sequence[int]) -> int:
+    """Groups of lanes that make each list on a GPU: more where a grid has few regions, so that the longest end sooner.
+
+    From the slab's cross-section alone, as `expected_list`.
+    """
+    regions = max(1, -(-max(shape[1:]) // int(REGION))) ** 3
+    shares = 1
+    while shares < MOST_SHARES and 2 * shares * regions <= FULL:
+        shares *= 2
+    return shares
+
+
 def query_slab(
     tree: Tree,
     frames: wp.array,
     parts: Parts,
+    cones: Cones,
     winding: Winding,
     slab: Slab,
     values: wp.array,
@@ -69,6 +86,7 @@ def query_slab(
         tree: The hierarchy of the batch.
         frames: Its triangles' frames.
         parts: Their parts and neighbours.
+        cones: Their cones of normals, and those of the hierarchy's nodes.
         winding: How winding numbers are found.
         slab: Which voxels.
         values: (meshes, n, ny, nz) float32, filled: negative inside.
@@ -95,17 +113,20 @@ def query_slab(
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
+    lists.shares = shares_of(shape) if gpu else 1
     room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL)
     # A pass has room for a quarter more than is expected, and every list for one more chunk.
     cells = expected_list(tree.count, shape)
-    expected = 8 * (1.25 * cells + CHUNK) + 4 * cells + 2 * CHUNK
-    share = min(total, MOST_REGIONS, max(16, int(room / expected)))
+    expected = 8 * (1.25 * cells + CHUNK * lists.shares) + 4 * cells + 2 * CHUNK * lists.shares
+    passes = -(-total // min(total, MOST_REGIONS, max(16, int(room / expected))))
+    most = -(-total // passes)
     lists.chunks = room // CHUNK
-    lists.region_heads = empty(share, wp.int32)
-    lists.region_lengths = empty(share, wp.int32)
-    lists.heads = empty(8 * share, wp.int32)
-    lists.lengths = empty(8 * share, wp.int32)
-    lists.heavy = empty(8 * share, wp.int32)
+    lists.region_heads = empty(most * lists.shares, wp.int32)
+    lists.region_lengths = empty(most * lists.shares, wp.int32)
+    lists.heads = empty(8 * most * lists.shares, wp.int32)
+    lists.lengths = empty(8 * most * lists.shares, wp.int32)
+    lists.witnesses = empty(9 * most * 4, wp.float32)
+    lists.heavy = empty(8 * most, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
@@ -115,11 +136,14 @@ def query_slab(
     features.points = empty(1 if gpu else workers * 3 * VOXELS, wp.float32)
     features.places = empty(workers * 24, wp.float32)
     out.missed.zero_()
-    for first in range(0, total, share):
+    # Each pass takes regions from everywhere, so that no pass gets all the long lists.
+    lists.step = passes
+    for first in range(passes):
         lists.first = first
-        lists.count = min(share, total - first)
+        lists.count = -(-(total - first) // passes)
         lists.counts.zero_()
-        list_regions(tree, frames, slab, lists, stacks, workers, lanes, launch)
-        list_cells(tree, frames, parts, slab, lists, longest, stacks, workers, lanes, launch)
-        measure_blocks(tree, frames, parts, slab, lists, longest, features, out, workers, lanes, launch)
+        find_witnesses(tree, frames, slab, lists, workers, lanes, launch)
+        list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
+        list_cells(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
+        measure_blocks(tree, frames, parts, cones, slab, lists, longest, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

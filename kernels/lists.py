@@ -2,6 +2,7 @@
 
 A region has 16^3 voxels, a cell 8^3, a brick 4^3. Lists have no length known before, so they are chains of chunks from
 a pool. Whoever finds the pool empty is marked, and its voxels are searched one by one later: slower, never wrong.
+Where boxes are few, each list is made by several groups of lanes, of one share of the tree each: a chain for each.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_REGION, NEXT_CELL, NEXT_BLOCK, NEXT_BRICK, NEXT_CHUNK, HEAVY, COUNTS = 0, 1, 2, 3, 4, 5, 8
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_BLOCK, NEXT_BRICK, NEXT_CHUNK, HEAVY, COUNTS = 0, 1, 2, 3, 4, 5, 6, 8
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -34,12 +35,15 @@ class Lists:
 
     regions: wp.vec3i  # regions along each axis of the slab
     first: wp.int32  # first region of this pass, counting through the meshes
+    step: wp.int32  # from it to the next
     count: wp.int32  # regions of this pass
-    # A chain each: its first chunk, or -1 where the pool ran out, and its number of entries.
-    region_heads: wp.array(dtype=wp.int32)  # (count) leaves of the tree
+    shares: wp.int32  # chains of each list
+    # Of each chain its first chunk, or -1 where the pool ran out, and its number of entries.
+    region_heads: wp.array(dtype=wp.int32)  # (count * shares) leaves of the tree
     region_lengths: wp.array(dtype=wp.int32)
-    heads: wp.array(dtype=wp.int32)  # (8 * count) triangles (slots)
+    heads: wp.array(dtype=wp.int32)  # (8 * count * shares) triangles (slots)
     lengths: wp.array(dtype=wp.int32)
+    witnesses: wp.array(dtype=wp.float32)  # (9 * count * 4) of the regions, then of the cells, see `witness`
     heavy: wp.array(dtype=wp.int32)  # (8 * count) the cells that are measured brick by brick
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
@@ -83,7 +87,7 @@ def is_coarse(cell: Cell):
 @wp.func
 def region_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a region."""
-    mesh, at = unravel(lists.first + item, lists.regions)
+    mesh, at = unravel(lists.first + item * lists.step, lists.regions)
     return mesh, REGION * at
 
 
@@ -138,3 +142,70 @@ def append(lists: Lists, chain: Chain, keep: bool, entry: int, lane: int):
     chain.chunk = fresh
     chain.length = chain.length + added
     return chain
+
+
+@wp.func
+def list_length(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), first: int, count: int):
+    """Entries of `count` chains from `first`, or -1 if the pool ran out for one."""
+    total = int(0)
+    for i in range(count):
+        if heads[first + i] < 0:
+            total = -1
+        elif total >= 0:
+            total = total + lengths[first + i]
+    return total
+
+
+@wp.struct
+class Reader:
+    """A place in a list: `left` entries of chain `chain` are not read, of those the first at `at` of `chunk`."""
+
+    chain: wp.int32
+    end: wp.int32  # one past the list's last chain
+    chunk: wp.int32
+    left: wp.int32
+    at: wp.int32
+
+
+@wp.func
+def next_chain(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), reader: Reader):
+    """Go on to the next chain that has entries."""
+    reader.at = 0
+    while reader.left == 0 and reader.chain + 1 < reader.end:
+        reader.chain = reader.chain + 1
+        reader.chunk = heads[reader.chain]
+        reader.left = lengths[reader.chain]
+    return reader
+
+
+@wp.func
+def start_reading(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), first: int, count: int):
+    """The first place of the list of `count` chains from `first`; none may lack room. `left` is 0 at its end."""
+    reader = Reader()
+    reader.chain = first - 1
+    reader.end = first + count
+    return next_chain(heads, lengths, reader)
+
+
+@wp.func
+def read_entry(lists: Lists, reader: Reader, lane: int):
+    """A lane's entry, or -1 if there is none for it."""
+    if reader.at + lane < wp.min(reader.left, _ROOM):
+        return lists.pool[reader.chunk * _CHUNK + reader.at + lane]
+    return -1
+
+
+@wp.func
+def read_on(
+    lists: Lists, heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), reader: Reader, lanes: int
+):
+    """The place after the lanes' entries."""
+    reader.at = reader.at + lanes
+    if reader.at >= wp.min(reader.left, _ROOM):
+        reader.left = reader.left - wp.min(reader.left, _ROOM)
+        reader.at = 0
+        if reader.left > 0:
+            reader.chunk = lists.pool[reader.chunk * _CHUNK + _ROOM]
+        else:
+            reader = next_chain(heads, lengths, reader)
+    return reader

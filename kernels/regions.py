@@ -1,6 +1,6 @@
 """First stage of the dense query: for each region of 16^3 voxels, the leaves of the tree that matter to it.
 
-One group of lanes descends the tree for one region, a batch of nodes at a time.
+One group of lanes descends the tree for one region, or one share of the tree, a batch of nodes at a time.
 """
 
 from __future__ import annotations
@@ -9,20 +9,19 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, Witness, agree, away, box_is_behind, no_witness, remember
-from sdm.kernels.frames import load_frame, see
+from sdm.kernels.cones import Cones, cone_misses, node_cone
+from sdm.kernels.cull import Cell, Witness, agree, box_is_behind, remember
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
 from sdm.kernels.lists import NEXT_CHUNK, NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_box, node_distance2
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_box
+from sdm.kernels.witness import seen_from, witness_of
 
 wp.set_module_options({"enable_backward": False})
 
 # Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels; leaves that
 # wait, at most 32 and the 64 of one batch, grow from the other end.
 STACK = 1024
-# Sides on which a region looks for witnesses before it descends.
-PROBES = wp.constant(32)
 
 _STACK = wp.constant(STACK)
 _NEXT_REGION = wp.constant(NEXT_REGION)
@@ -32,39 +31,14 @@ _SCALE = wp.constant(SCALE)
 
 
 @wp.func
-def greedy_leaf(tree: Tree, mesh: int, p: wp.vec3):
-    """A leaf near p: always the nearer child. Its triangles give a first bound."""
-    base = mesh * (2 << tree.depth)
-    node = int(1)
-    for _level in range(tree.depth):
-        left = base + 2 * node
-        left2 = node_distance2(tree, left, p)
-        right2 = node_distance2(tree, left + 1, p)
-        node = 2 * node + wp.where(right2 < left2, 1, 0)
-    return node - (1 << tree.depth)
-
-
-@wp.func
-def probe_direction(probe: int):
-    """Directions spread evenly over the sphere (a Fibonacci lattice)."""
-    turn = 2.399963 * float(probe)
-    z = 1.0 - (2.0 * float(probe % PROBES) + 1.0) / float(PROBES)
-    r = wp.sqrt(1.0 - z * z)
-    return wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)
-
-
-@wp.func
-def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
-    """The vector from a triangle's closest point to a centre."""
-    f = load_frame(frames, slot)
-    return away(f, see(f, centre))
-
-
-@wp.func
-def node_matters(cell: Cell, known: Witness, tree: Tree, node: int):
-    """Whether something in a node's box can be nearest to a voxel of the cell."""
-    low, high = node_box(tree, node)
-    return not box_is_behind(cell, known, low, high)
+def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
+    """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
+    low, high = node_box(tree, base + node)
+    if box_is_behind(cell, known, low, high):
+        return False
+    return not cone_misses(
+        cell, radius, 0.5 * (low + high), 0.5 * wp.length(high - low), node_cone(tree, cones, base, node)
+    )
 
 
 @wp.kernel
@@ -73,6 +47,7 @@ def _list_regions(
     lanes: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
+    cones: Cones,
     slab: Slab,
     lists: Lists,
     stacks: wp.array(dtype=wp.int32),
@@ -82,33 +57,27 @@ def _list_regions(
     stack = (thread / lanes) * _STACK
     leaves = 1 << tree.depth
     item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
-    while item < lists.count:
-        mesh, start = region_start(lists, item)
+    while item < lists.count * lists.shares:
+        region = item / lists.shares
+        mesh, start = region_start(lists, region)
         base = mesh * 2 * leaves
         cell = make_cell(slab, start, REGION, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-        known = no_witness()
-        # The lanes look for witnesses on all sides: at the centre, then as far from it as the surface is.
-        reach = float(0.0)
-        probe = lane
-        while probe < PROBES + lanes:
-            leaf = greedy_leaf(tree, mesh, cell.centre + reach * probe_direction(probe))
-            for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                known = remember(known, seen_from(frames, mesh * tree.count + t, cell.centre))
-            known = agree(known, lane)
-            reach = wp.sqrt(known.distance2)
-            probe = probe + lanes
+        radius = wp.sqrt(cell.half2)
+        known = witness_of(lists, region)
         chain = Chain()
         chain.chunk = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
         head = chain.chunk
-        # The level of the tree that is as wide as the lanes are many is where the descent begins.
-        waiting = wp.min(lanes, leaves)
+        # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
+        top = wp.min(lanes * lists.shares, leaves)
+        first = top * (item % lists.shares) / lists.shares
+        waiting = top * (item % lists.shares + 1) / lists.shares - first
         ripe = int(0)
         if lane < waiting:
-            if waiting < leaves:
-                stacks[stack + lane] = waiting + lane
+            if top < leaves:
+                stacks[stack + lane] = top + first + lane
             else:
-                stacks[stack + _STACK - 1 - lane] = waiting + lane
-        if waiting == leaves:
+                stacks[stack + _STACK - 1 - lane] = top + first + lane
+        if top == leaves:
             ripe = waiting
             waiting = int(0)
         wait_for_lanes()
@@ -125,7 +94,7 @@ def _list_regions(
                     child = 2 * node + side
                     keep = False
                     if node > 0:
-                        keep = node_matters(cell, known, tree, base + child)
+                        keep = node_matters(cell, radius, known, tree, cones, base, child)
                     mask = ballot(keep and child < leaves)
                     if keep and child < leaves:
                         stacks[stack + waiting + rank(mask, lane)] = child
@@ -148,7 +117,7 @@ def _list_regions(
                 known = agree(mine, lane)
                 keep = False
                 if leaf >= 0:
-                    keep = node_matters(cell, known, tree, base + leaves + leaf)
+                    keep = node_matters(cell, radius, known, tree, cones, base, leaves + leaf)
                 chain = append(lists, chain, keep, leaf, lane)
             wait_for_lanes()
         if lane == 0:
@@ -158,7 +127,15 @@ def _list_regions(
 
 
 def list_regions(
-    tree: Tree, frames: wp.array, slab: Slab, lists: Lists, stacks: wp.array, workers: int, lanes: int, launch: Any
+    tree: Tree,
+    frames: wp.array,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
 ) -> None:
     """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` (workers * STACK) is scratch."""
-    launch(_list_regions, workers * lanes, [lanes, tree, frames, slab, lists, stacks], frames.device, smallest=1)
+    launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)

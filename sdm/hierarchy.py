@@ -11,7 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import frames, parts, points, solid_angle, tree
+from sdm.kernels import cones, frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
 from sdm.memory import array_at, as_warp, on_current_stream, scratch_on
@@ -60,7 +60,7 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     shared = neighbours(faces, vertices.shape[1])
     around = loops(edges) if kind == points.OPEN else edges
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
-        hierarchy, winding, local, pieces = unpack(tensors, kind, meshes)
+        hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
         tree.build(
             hierarchy,
@@ -72,7 +72,8 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             launch,
         )
         frames.make_frames(hierarchy, local, launch)
-        parts.make_parts(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), pieces, launch)
+        for make, out in ((parts.make_parts, pieces), (cones.make_cones, facing)):
+            make(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), out, launch)
         if kind == points.OPEN:
             gather_boundary(
                 winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
@@ -91,6 +92,8 @@ def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
     sizes["rows"] = 4 * slots * parts.PARTS_FLOATS
     sizes["inverses"] = 8 * slots * parts.INVERSES
     sizes["balls"] = 4 * slots * 4
+    sizes["cones"] = 4 * slots * 4
+    sizes["node_cones"] = 4 * (meshes << (tree.depth_for(count) + 3))
     ends = 2 * meshes * edges if kind == points.OPEN else 0
     sizes["ends"] = 4 * ends * 3
     sizes["ends_lattice"] = 4 * ends * 2
@@ -108,8 +111,8 @@ def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
     return list(torch.empty(sum(padded), dtype=torch.uint8, device=device).split(padded)[::2])
 
 
-def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, and their `Parts`.
+def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any, Any]:
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Parts` and `Cones`.
 
     Nobody may write into what is returned, as the next call may return the same. As for `as_warp`, the tensors must
     live until the last kernel is queued.
@@ -121,7 +124,7 @@ def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.
 @lru_cache(maxsize=64)
 def _views(
     at: tuple[tuple[int, int], ...], kind: int, meshes: int, device: torch.device
-) -> tuple[Any, Any, wp.array, Any]:
+) -> tuple[Any, Any, wp.array, Any, Any]:
     # A function of addresses and sizes alone, as `array_at` is.
     left = iter(at)
 
@@ -142,6 +145,9 @@ def _views(
     pieces.rows = array(wp.float32)
     pieces.inverses = array(wp.float64)
     pieces.balls = array(wp.float32)
+    facing = cones.Cones()
+    facing.triangles = array(wp.float32)
+    facing.nodes = array(wp.float32)
     boundary = Boundary()
     boundary.ends = array(wp.vec3)
     boundary.lattice = array(wp.vec2i)
@@ -151,7 +157,7 @@ def _views(
     winding.boundary = boundary
     winding.moments = array(wp.float32)
     winding.kind = kind
-    return hierarchy, winding, local, pieces
+    return hierarchy, winding, local, pieces, facing
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

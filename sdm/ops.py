@@ -208,11 +208,12 @@ def distance_map(
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, hierarchy[0]):
-        tree, winding, frames, parts = unpack(hierarchy, kind, meshes)
+        tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
         dense.query_slab(
             tree,
             frames,
             parts,
+            cones,
             winding,
             _slab(tuple(origin), tuple(spacing), tuple(shape), first, tuple(direction)),
             as_warp(values, wp.float32),

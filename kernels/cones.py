@@ -1,0 +1,263 @@
+"""Which way the surface faces: a cone of normals for each triangle and for each small node of the tree.
+
+Let x be the point of the surface that is nearest to p. Then p - x makes no angle of less than a right one with any way
+along the surface from x, and that bounds it by the normals of the faces around x:
+
+- x inside a face: p - x is along its normal, one way or the other;
+- x inside an edge of two faces with unit vectors u, v across it: p - x is at right angles to the edge and between the
+  faces' normals (outside of both), as (p - x).u <= 0 and (p - x).v <= 0;
+- x on a corner whose faces close a ring, with edges e_1 .. e_k in order: (p - x).e_i <= 0 for all of them. Scale the
+  edges so that e_i = q_i - d with q_i at right angles to d = (p - x)/|p - x| (if some (p - x).e_i = 0, take a limit).
+  The sum of all e_i x e_i+1 is then 2 A d, where A is the signed area of the polygon of the q_i. These products are
+  the faces' normals times positive numbers, so d or -d is in the cone that they span. (A = 0 would make the sum zero,
+  which it is not if all normals are on one side of a plane.)
+
+So if all those normals are within an angle of T of one unit vector n, up to their common sign, then so is p - x: a
+cone with axis n and half-angle T, to both sides, for the parts that a triangle owns (see `parts`). A boundary edge, a
+ring that does not close and a triangle without a normal give T = 90 degrees: all directions. Nothing is asked of the
+mesh: other faces at the same edge or corner only narrow the directions down.
+
+A cluster whose points are in a ball of centre m and radius r has nothing nearest to any point of a cell of centre c
+and radius R if the vector c - m is further than r + R from the cone, as p - x is within r + R of c - m. The distance
+of d from a double cone is |d - (d.n) n| cos T - |d.n| sin T.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cull import Cell, Witness, ball_is_behind
+from sdm.kernels.geometry import unit_normal
+from sdm.kernels.lanes import load4, read4, write4
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle
+
+wp.set_module_options({"enable_backward": False})
+
+# Faces around a corner that are looked at before it counts as one that faces everywhere.
+MOST_AROUND = wp.constant(32)
+# Levels of the tree, from the leaves up, whose nodes have cones: wider ones face everywhere, or nearly.
+LEVELS = wp.constant(6)
+# More than rounding can take from an angle, and what it adds to a distance, in shares of the longer vectors.
+ANGLE_ROOM = wp.constant(2.0e-5)
+DISTANCE_ROOM = wp.constant(2.0e-6)
+# Beyond this half-angle a cone is as good as none.
+WIDEST = wp.constant(1.5)
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+
+
+@wp.struct
+class Cones:
+    """Four floats each: the axis n, and sin T; 1 where every direction counts, -1 where there is nothing."""
+
+    triangles: wp.array(dtype=wp.float32)  # (slots * 4)
+    nodes: wp.array(dtype=wp.float32)  # (meshes * 2^(depth+1) * 4), filled for LEVELS levels above the leaves
+
+
+@wp.func
+def cone_misses(cell: Cell, radius: float, middle: wp.vec3, extent: float, cone: wp.vec4):
+    """Whether nothing in the ball (`middle`, `extent`) with this cone is nearest to a point of the cell of `radius`."""
+    if cone[3] >= 1.0:
+        return False
+    axis = wp.vec3(cone[0], cone[1], cone[2])
+    d = cell.centre - middle
+    along = wp.dot(d, axis)
+    aside = wp.length(d - along * axis)
+    cosine = wp.sqrt(1.0 - cone[3] * cone[3])
+    room = DISTANCE_ROOM * (wp.abs(along) + aside + wp.length(cell.centre))
+    return aside * cosine - wp.abs(along) * cone[3] > (extent + radius) * (1.0 + DISTANCE_ROOM) + room
+
+
+@wp.func
+def ball_matters(cell: Cell, radius: float, known: Witness, balls: wp.array(dtype=wp.float32), cones: Cones, slot: int):
+    """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its ball and its cone alone."""
+    ball = load4(balls, slot)
+    if ball_is_behind(cell, known, ball):
+        return False
+    return not cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], load4(cones.triangles, slot))
+
+
+@wp.func
+def corner_at(vertices: wp.array2d(dtype=wp.vec3), mesh: int, scale: wp.float64, index: int):
+    return scale * wp.vec3d(vertices[mesh, index])
+
+
+@wp.func
+def cosine_over_edge(
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    mesh: int,
+    scale: wp.float64,
+    face: int,
+    k: int,
+):
+    """Cosine of the angle between a face's normal and its neighbour's at edge k; -1 if there is none."""
+    other = neighbours[face, k]
+    if other < 0:
+        return wp.float64(-1.0)
+    p = corner_at(vertices, mesh, scale, faces[face, k])
+    q = corner_at(vertices, mesh, scale, faces[face, (k + 1) % 3])
+    r = corner_at(vertices, mesh, scale, faces[face, (k + 2) % 3])
+    s = corner_at(vertices, mesh, scale, faces[other / 3, (other % 3 + 2) % 3])
+    return wp.dot(unit_normal(p, q, r), unit_normal(p, s, q))
+
+
+@wp.func
+def cosine_around_corner(
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    mesh: int,
+    scale: wp.float64,
+    face: int,
+    k: int,
+):
+    """Least cosine of the angles between a face's normal and those of the ring around its corner k.
+
+    -1 if the ring does not close, or one of its faces has no normal.
+    """
+    least = wp.float64(1.0)
+    index = faces[face, k]
+    at = corner_at(vertices, mesh, scale, index)
+    mine = unit_normal(
+        at,
+        corner_at(vertices, mesh, scale, faces[face, (k + 2) % 3]),
+        corner_at(vertices, mesh, scale, faces[face, (k + 1) % 3]),
+    )
+    code = neighbours[face, k]
+    for _step in range(MOST_AROUND):
+        if code < 0:
+            return wp.float64(-1.0)
+        there = code / 3
+        entered = code % 3
+        if there == face:
+            return wp.where(entered == (k + 2) % 3, least, wp.float64(-1.0))
+        near = faces[there, entered]
+        left = (entered + 2) % 3
+        if near == index:
+            near = faces[there, (entered + 1) % 3]
+        else:
+            left = (entered + 1) % 3
+        far = faces[there, (entered + 2) % 3]
+        theirs = unit_normal(at, corner_at(vertices, mesh, scale, near), corner_at(vertices, mesh, scale, far))
+        least = wp.min(least, wp.dot(mine, theirs))
+        if least <= wp.float64(0.0):
+            return wp.float64(-1.0)
+        code = neighbours[there, left]
+    return wp.float64(-1.0)
+
+
+@wp.kernel
+def _cones_of_triangles(
+    begin: int,
+    tree: Tree,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    cones: Cones,
+):
+    slot = begin + wp.tid()
+    mesh = slot / tree.count
+    scale = wp.float64(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    face = tree.face[slot]
+    owned = neighbours[face, 3]
+    axis = tree.corners[4 * slot + 3]
+    least = wp.float64(1.0)
+    if wp.dot(axis, axis) < 0.5:
+        least = wp.float64(-1.0)
+    for k in range(3):
+        if (owned >> (k + 1)) & 1 and least > wp.float64(0.0):
+            least = wp.min(least, cosine_over_edge(vertices, faces, neighbours, mesh, scale, face, k))
+    for k in range(3):
+        if (owned >> (k + 4)) & 1 and least > wp.float64(0.0):
+            least = wp.min(least, cosine_around_corner(vertices, faces, neighbours, mesh, scale, face, k))
+    sine = float(1.0)
+    if least > wp.float64(0.0):
+        sine = wp.min(float(wp.sqrt(wp.max(wp.float64(1.0) - least * least, wp.float64(0.0)))) + ANGLE_ROOM, 1.0)
+    write4(cones.triangles, slot, axis[0], axis[1], axis[2], sine)
+
+
+@wp.func
+def merged(a: wp.vec4, b: wp.vec4):
+    """The least cone around two."""
+    if a[3] < 0.0:
+        return b
+    if b[3] < 0.0:
+        return a
+    if a[3] >= 1.0 or b[3] >= 1.0:
+        return wp.vec4(0.0, 0.0, 0.0, 1.0)
+    m = wp.vec3(a[0], a[1], a[2])
+    n = wp.vec3(b[0], b[1], b[2])
+    if wp.dot(m, n) < 0.0:
+        n = -n
+    between = wp.atan2(wp.length(wp.cross(m, n)), wp.dot(m, n))
+    of_a = wp.asin(a[3])
+    of_b = wp.asin(b[3])
+    if of_a >= between + of_b:
+        return a
+    if of_b >= between + of_a:
+        return b
+    angle = 0.5 * (between + of_a + of_b)
+    axis = m
+    if between > ANGLE_ROOM:
+        turn = angle - of_a
+        axis = wp.normalize(wp.sin(between - turn) * m + wp.sin(turn) * n)
+    else:
+        angle = wp.max(of_a, of_b) + between
+    if angle >= WIDEST:
+        return wp.vec4(0.0, 0.0, 0.0, 1.0)
+    return wp.vec4(axis[0], axis[1], axis[2], wp.min(wp.sin(angle) + ANGLE_ROOM, 1.0))
+
+
+@wp.kernel
+def _cones_of_leaves(begin: int, tree: Tree, cones: Cones):
+    i = begin + wp.tid()
+    leaves = 1 << tree.depth
+    mesh = i / leaves
+    leaf = i - mesh * leaves
+    cone = wp.vec4(0.0, 0.0, 0.0, -1.0)
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        cone = merged(cone, read4(cones.triangles, mesh * tree.count + t))
+    write4(cones.nodes, mesh * 2 * leaves + leaves + leaf, cone[0], cone[1], cone[2], cone[3])
+
+
+@wp.kernel
+def _cones_of_levels(begin: int, tree: Tree, width: int, levels: int, cones: Cones):
+    """Cones of `levels` levels from those below, the highest of them `width` nodes wide: one thread each."""
+    i = begin + wp.tid()
+    mesh = i / width
+    top = width + i - mesh * width
+    base = mesh * (2 << tree.depth)
+    for back in range(levels):
+        down = levels - 1 - back
+        for node in range(top << down, (top + 1) << down):
+            left = base + 2 * node
+            cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
+            write4(cones.nodes, base + node, cone[0], cone[1], cone[2], cone[3])
+
+
+@wp.func
+def node_cone(tree: Tree, cones: Cones, base: int, node: int):
+    """The cone of node `node` of the mesh whose nodes begin at `base`: every direction for the large ones."""
+    cone = wp.vec4(0.0, 0.0, 0.0, 1.0)
+    if node >= (1 << wp.max(tree.depth - LEVELS, 0)):
+        cone = load4(cones.nodes, base + node)
+    return cone
+
+
+def make_cones(
+    tree: Tree, vertices: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones, launch: Any
+) -> None:
+    """Fill `cones` from a built tree, its meshes, and `sdm.topology.neighbours` of their faces (F,4)."""
+    device, meshes = vertices.device, vertices.shape[0]
+    launch(_cones_of_triangles, meshes * tree.count, [tree, vertices, faces, neighbours, cones], device)
+    launch(_cones_of_leaves, meshes << tree.depth, [tree, cones], device)
+    level = tree.depth
+    while level > max(tree.depth - int(LEVELS), 0):
+        levels = min(level, 3)
+        level -= levels
+        launch(_cones_of_levels, meshes << level, [tree, 1 << level, levels, cones], device)

@@ -1,0 +1,101 @@
+"""A surface point near the centre of every region and cell: what all else is compared with (see `cull`).
+
+The lanes of a group look on all sides: from the centre, then from places as far from it as the surface is, each goes
+down the tree, always to the nearer child, and measures the triangles that it comes to.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cull import Witness, agree, away, no_witness, remember
+from sdm.kernels.frames import load_frame, see
+from sdm.kernels.grid import Slab
+from sdm.kernels.lanes import fetch_add_once, load4, write4
+from sdm.kernels.lists import CELL, NEXT_WITNESS, REGION, Lists, cell_start, is_within, make_cell, region_start
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
+
+wp.set_module_options({"enable_backward": False})
+
+# Sides on which to look.
+PROBES = wp.constant(32)
+
+_NEXT_WITNESS = wp.constant(NEXT_WITNESS)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+
+
+@wp.func
+def greedy_leaf(tree: Tree, mesh: int, p: wp.vec3):
+    """A leaf near p: always the nearer child."""
+    base = mesh * (2 << tree.depth)
+    node = int(1)
+    for _level in range(tree.depth):
+        left = base + 2 * node
+        left2 = node_distance2(tree, left, p)
+        right2 = node_distance2(tree, left + 1, p)
+        node = 2 * node + wp.where(right2 < left2, 1, 0)
+    return node - (1 << tree.depth)
+
+
+@wp.func
+def probe_direction(probe: int):
+    """Directions spread evenly over the sphere (a Fibonacci lattice)."""
+    turn = 2.399963 * float(probe)
+    z = 1.0 - (2.0 * float(probe % PROBES) + 1.0) / float(PROBES)
+    r = wp.sqrt(1.0 - z * z)
+    return wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)
+
+
+@wp.func
+def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
+    """The vector from a triangle's closest point to a centre."""
+    f = load_frame(frames, slot)
+    return away(f, see(f, centre))
+
+
+@wp.kernel
+def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
+    lane = (begin + wp.tid()) % lanes
+    item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+    while item < 9 * lists.count:
+        size = REGION
+        mesh, start = region_start(lists, item)
+        if item >= lists.count:
+            size = CELL
+            mesh, start = cell_start(lists, item - lists.count)
+        if is_within(slab, start):
+            cell = make_cell(slab, start, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+            known = no_witness()
+            reach = float(0.0)
+            probe = lane
+            while probe < PROBES + lanes:
+                leaf = greedy_leaf(tree, mesh, cell.centre + reach * probe_direction(probe))
+                for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+                    known = remember(known, seen_from(frames, mesh * tree.count + t, cell.centre))
+                known = agree(known, lane)
+                reach = wp.sqrt(known.distance2)
+                probe = probe + lanes
+            if lane == 0:
+                u = known.to_surface
+                write4(lists.witnesses, item, u[0], u[1], u[2], known.distance2)
+        item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+
+
+@wp.func
+def witness_of(lists: Lists, number: int):
+    """The witness of a region, or of a cell as number `lists.count` + cell."""
+    row = load4(lists.witnesses, number)
+    known = Witness()
+    known.to_surface = wp.vec3(row[0], row[1], row[2])
+    known.distance2 = row[3]
+    return known
+
+
+def find_witnesses(
+    tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int, launch: Any
+) -> None:
+    """Fill `lists.witnesses` for the regions and cells of one pass, `workers` groups of lanes at work."""
+    launch(_find_witnesses, workers * lanes, [lanes, tree, frames, slab, lists], frames.device, smallest=1)
