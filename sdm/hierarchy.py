@@ -14,15 +14,12 @@ from sdm.errors import MeshError
 from sdm.kernels import cones, frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
-from sdm.memory import array_at, as_warp, on_current_stream, scratch_on
+from sdm.memory import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_on
 from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
-
-# The arrays of a hierarchy begin at multiples of this many bytes in their common block.
-_ALIGNMENT = 256
 
 
 def kind_of(edges: Tensor) -> int:
@@ -107,7 +104,7 @@ def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
     """Bytes of these sizes, parts of one block: one allocation, and one to tell of the streams that read it."""
     padded = []
     for size in sizes:
-        padded += [size, -size % _ALIGNMENT]
+        padded += [size, -size % ALIGNMENT]
     return list(torch.empty(sum(padded), dtype=torch.uint8, device=device).split(padded)[::2])
 
 

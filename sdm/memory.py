@@ -19,6 +19,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+# Arrays that share memory begin at multiples of this many bytes in it.
+ALIGNMENT = 256
+CHUNK = 1 << 20
 # Warp's current stream is the device's, not the thread's.
 _turn = threading.RLock()
 
@@ -67,10 +70,24 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.dev
 
 def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
     """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
-    kept = []
+    kept: list[Tensor] = []
+    free, end = 0, 0
+
+    def take(size: int) -> int:
+        kept.append(torch.empty(size, dtype=torch.uint8, device=device))
+        return kept[-1].data_ptr()
 
     def empty(length: int, dtype: Any) -> wp.array:
-        kept.append(torch.empty(length * wp.types.type_size_in_bytes(dtype), dtype=torch.uint8, device=device))
-        return array_at(kept[-1].data_ptr(), (length,), dtype, device)
+        nonlocal free, end
+        size = length * wp.types.type_size_in_bytes(dtype)
+        if size > CHUNK // 4:
+            return array_at(take(size), (length,), dtype, device)
+        # Small arrays share a chunk: to ask torch for memory costs more than to count.
+        if free + size > end:
+            free = take(CHUNK)
+            end = free + CHUNK
+        address = free
+        free += size + -size % ALIGNMENT
+        return array_at(address, (length,), dtype, device)
 
     return empty

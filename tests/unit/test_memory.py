@@ -24,6 +24,11 @@ def _scale(begin: int, by: int, offset: float, source: wp.array(dtype=wp.float32
     target[i] = float(by) * source[i] + offset
 
 
+@wp.kernel
+def _fill(begin: int, number: int, target: wp.array(dtype=wp.int32)):
+    target[begin + wp.tid()] = number
+
+
 def _scaled(count: int, by: int, offset: float) -> bool:
     source = torch.arange(count, dtype=torch.float32)
     target = torch.full((count + 1,), -1.0)
@@ -79,10 +84,16 @@ def test_what_is_no_such_array(tensor, dtype):
         as_warp(tensor, dtype)
 
 
-def test_scratch_lives_as_long_as_its_allocator():
+def test_scratch_arrays_share_no_byte():
     empty = scratch_on(torch.device("cpu"))
-    arrays = [empty(1000, wp.int32) for _ in range(20)]
-    assert len({array.ptr for array in arrays}) == 20
+    sizes = [1, 1000, 0, 7, 1 << 16, (1 << 16) + 1, 3, 1 << 16, 1 << 16, 1 << 16, 5, 1 << 20, 2]
+    arrays = [empty(size, wp.int32) for size in sizes]
+    for number, array in enumerate(arrays):
+        launch(_fill, array.size, [number, array], "cpu")
+    for number, (size, array) in enumerate(zip(sizes, arrays, strict=True)):
+        assert array.shape == (size,)
+        assert array.ptr % 64 == 0
+        assert (array.numpy() == number).all()
     assert empty(7, wp.vec3).capacity == 84
 
 
