@@ -48,9 +48,11 @@ def _run(kernel: wp.Kernel, begin: int, count: int, inputs: list[Any], device: A
     values = [begin, *inputs]
     if command is None:
         command = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
-        # It would keep the arrays of this first launch alive.
-        command.fwd_args = None
-        _recorded.known[key] = command
+        # Warp's deterministic mode records something else, which is left alone.
+        if type(command) is wp.Launch:
+            # It would keep the arrays of this first launch alive.
+            command.fwd_args = None
+            _recorded.known[key] = command
     else:
         if len(values) != len(kernel.adj.args):
             raise RuntimeError(f"{kernel.key} takes {len(kernel.adj.args)} arguments, not {len(values)}")
