@@ -25,7 +25,7 @@ from sdm.kernels.features import (
     least_values,
     lessen_values,
 )
-from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
+from sdm.kernels.grid import Output, Slab, along, lessen_distance, voxel, write_distance
 from sdm.kernels.lanes import (
     GPU_BLOCKS,
     ballot,
@@ -65,6 +65,9 @@ wp.set_module_options({"enable_backward": False})
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
 
+# A heavy cell's number, which of its slices, how many there are less one, in one integer.
+SLICE_BITS, MOST_SLICES = 18, 64
+_SLICE_BITS, _MOST_SLICES = wp.constant(SLICE_BITS), wp.constant(MOST_SLICES)
 _STACK = wp.constant(STACK)
 _VOXELS = wp.constant(VOXELS)
 _HEAVY = wp.constant(HEAVY)
@@ -82,6 +85,8 @@ class Block:
     mesh: wp.int32
     start: wp.vec3i  # its first voxel
     bits: wp.int32  # 3 or 2: the voxels along each edge are 2^bits
+    slice: wp.int32  # which part of its cell's list counts: every `slices`-th batch of the lanes' entries
+    slices: wp.int32
     cell: Cell
     radius2: float  # squared distance of its centre from the surface
 
@@ -170,11 +175,15 @@ def finish_voxel(tree: Tree, slab: Slab, out: Output, block: Block, v: int, p: w
         return 0
     near = is_near(block.radius2, block.cell.half2)
     distance = least_distance(least, p, block.radius2, near)
+    unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    if block.slices > 1:
+        if least < LARGEST_SQUARE:
+            lessen_distance(out, block.mesh, at[0], at[1], at[2], distance * unscale)
+        return 0
     if not (least < LARGEST_SQUARE and distance < LARGEST_SQUARE):
         # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
         distance = float(wp.inf)
         fetch_add(out.missed, 0, 1)
-    unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
     return write_distance(out, block.mesh, at[0], at[1], at[2], distance * unscale)
 
 
@@ -238,7 +247,7 @@ def measure_voxels(
         least = wp.vec2(wp.inf, wp.inf)
         if again:
             least = wp.vec2(features.least[_VOXELS * worker + v], features.least[_VOXELS * worker + w])
-        least = least_values(least, features, worker, counts, p, q, room, near)
+        least = least_values(least, features.rows, worker, counts.corners, counts.edges, counts.faces, p, q, room, near)
         if last:
             unclear = unclear + finish_voxel(tree, slab, out, block, v, p, least[0])
             unclear = unclear + finish_voxel(tree, slab, out, block, w, q, least[1])
@@ -283,11 +292,15 @@ def measure_block(
     again = bool(False)
     stack = worker * _STACK
     ripe = int(0)
+    batch = int(0)
     more = bool(True)
     while more:
         if reader.left > 0 and ripe < lanes:
             # Balls and cones, until the triangles that are left fill all lanes.
-            slot = read_entry(lists, reader, lane)
+            slot = int(-1)
+            if batch % block.slices == block.slice:
+                slot = read_entry(lists, reader, lane)
+            batch = batch + 1
             keep = False
             if slot >= 0:
                 keep = ball_matters(block.cell, radius, known, parts.balls, cones, slot)
@@ -320,11 +333,38 @@ def measure_block(
         fetch_add(out.ambiguous, block.mesh, unclear)
 
 
+@wp.func
+def put_off(slab: Slab, lists: Lists, out: Output, number: int, length: int, slice_length: int, lane: int, lanes: int):
+    """Have a cell measured brick by brick, by one group of lanes for every `slice_length` triangles of its list.
+
+    Where those are several, they need a distance to lessen: an infinite one, with its sign. Returns the unclear voxels.
+    """
+    slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
+    unclear = int(0)
+    if slices > 1:
+        mesh, start = cell_start(lists, number)
+        v = lane
+        while v < CELL * CELL * CELL:
+            at = start + wp.vec3i(v / (CELL * CELL), (v / CELL) % CELL, v % CELL)
+            if is_within(slab, at):
+                unclear = unclear + write_distance(out, mesh, at[0], at[1], at[2], float(wp.inf))
+            v = v + lanes
+    if lane == 0:
+        # Whether a slice's voxels are missed nobody knows before the last is done.
+        if slices > 1:
+            fetch_add(out.missed, 0, 1)
+        first = fetch_add(lists.counts, _HEAVY, slices)
+        for i in range(slices):
+            lists.heavy[first + i] = number | (i << _SLICE_BITS) | ((slices - 1) << (_SLICE_BITS + 6))
+    return unclear
+
+
 @wp.kernel(launch_bounds=(128, GPU_BLOCKS))
 def _measure_blocks(
     begin: int,
     lanes: int,
     longest: int,
+    slice_length: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
@@ -347,16 +387,20 @@ def _measure_blocks(
         counter = _NEXT_BLOCK
     item = fetch_add_once(lists.counts, counter, 1, lane)
     while item < total:
+        block = Block()
+        block.bits = bits
+        block.slices = 1
         number = item
         if longest == 0:
-            number = lists.heavy[item / 8]
+            code = lists.heavy[item / 8]
+            number = code & ((1 << _SLICE_BITS) - 1)
+            block.slice = (code >> _SLICE_BITS) & (_MOST_SLICES - 1)
+            block.slices = 1 + (code >> (_SLICE_BITS + 6))
         mesh, start = cell_start(lists, number)
         scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
         cell = make_cell(slab, start, CELL, scale)
         known = witness_of(lists, lists.count + number)
-        block = Block()
         block.mesh = mesh
-        block.bits = bits
         block.start = start
         block.cell = cell
         wanted = is_within(slab, start)
@@ -368,8 +412,10 @@ def _measure_blocks(
         elif wanted:
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
             wanted = length >= 0 and length <= longest and not is_coarse(cell)
-            if not wanted and lane == 0:
-                lists.heavy[fetch_add(lists.counts, _HEAVY, 1)] = number
+            if not wanted:
+                unclear = put_off(slab, lists, out, number, length, slice_length, lane, lanes)
+                if unclear > 0:
+                    fetch_add(out.ambiguous, mesh, unclear)
         if wanted:
             measure_block(
                 tree,
@@ -399,6 +445,7 @@ def measure_blocks(
     slab: Slab,
     lists: Lists,
     longest: int,
+    slice_length: int,
     features: Features,
     stacks: wp.array,
     out: Output,
@@ -406,11 +453,11 @@ def measure_blocks(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Distances of every voxel of one pass: cells of up to `longest` triangles whole, the heavy ones brick by brick.
+    """Distances of every voxel of one pass: cells of up to `longest` triangles whole, others brick by brick.
 
-    `features` and `stacks` are scratch. Voxels of cells whose list found no room become infinite with their sign, and
-    are counted in `out.missed`.
+    One group of lanes takes up to `slice_length` triangles. `features` and `stacks` are scratch. Voxels of cells whose
+    list found no room become infinite with their sign, and are counted in `out.missed`.
     """
     for most in (longest, 0):
-        inputs = [lanes, most, tree, frames, parts, cones, slab, lists, features, stacks, out]
+        inputs = [lanes, most, slice_length, tree, frames, parts, cones, slab, lists, features, stacks, out]
         launch(_measure_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.blocks import measure_blocks
+from sdm.kernels.blocks import SLICE_BITS, measure_blocks
 from sdm.kernels.cells import list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.features import ROWS, VOXELS, Features
@@ -27,11 +27,13 @@ from sdm.kernels.witness import find_witnesses
 GPU_WORKERS = 132 * 16
 # Entries of the pool of lists: 64 to 256 MiB.
 SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
-MOST_REGIONS = 1 << 15
+MOST_REGIONS = 1 << (SLICE_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
-FULL, MOST_SHARES = 1 << 11, 8
+FULL, MOST_SHARES = 1 << 12, 16
 # Cells with more triangles are measured brick by brick.
 LONGEST_OF_CELL = {"cuda": 64, "cpu": 256}
+# Triangles of such a cell's list that one group of lanes takes. There are fewer groups on a CPU than bricks.
+SLICE = {"cuda": 512, "cpu": LARGEST_POOL}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 8000, "cpu": 5000}
 # So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.
@@ -109,6 +111,7 @@ def query_slab(
         search_slab(tree, slab, out, launch)
         return
     longest = LONGEST_OF_CELL["cuda" if gpu else "cpu"]
+    slice_length = SLICE["cuda" if gpu else "cpu"]
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
@@ -126,7 +129,8 @@ def query_slab(
     lists.heads = empty(8 * most * lists.shares, wp.int32)
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty(9 * most * 4, wp.float32)
-    lists.heavy = empty(8 * most, wp.int32)
+    # Each slice but the last of a list is full.
+    lists.heavy = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
@@ -145,5 +149,20 @@ def query_slab(
         find_witnesses(tree, frames, slab, lists, workers, lanes, launch)
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
         list_cells(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
-        measure_blocks(tree, frames, parts, cones, slab, lists, longest, features, stacks, out, workers, lanes, launch)
+        measure_blocks(
+            tree,
+            frames,
+            parts,
+            cones,
+            slab,
+            lists,
+            longest,
+            slice_length,
+            features,
+            stacks,
+            out,
+            workers,
+            lanes,
+            launch,
+        )
     mend_slab(tree, slab, out, workers * lanes, launch)

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.lanes import ballot, members, rank, read4, write4
+from sdm.kernels.lanes import ballot, members, rank, write4
 from sdm.kernels.parts import CORNER, EDGE, FACE, INVERSES, Parts
 from sdm.kernels.tree import Tree, load_corners
 
@@ -32,8 +32,8 @@ FACES, EDGES, CORNERS = 64, 192, 192
 LANES_ROOM = wp.constant(32)
 # Voxels of the largest block.
 VOXELS = 512
-# Rows of four floats: corner (-2m, w); edge (-2m, w) (e, from a) (to b, 0, 0, 0); face (n, 2h) and three planes
-# (inward, height), then (w, 0, 0, 0).
+# Rows of four floats: corner (-2m, w); edge (-2m, w) (e, place of its middle along it) (half its length, 0, 0, 0); face
+# (n, 2h) and three planes (inward, height), then (w, 0, 0, 0).
 CORNER_ROWS, EDGE_ROWS, FACE_ROWS = 1, 3, 5
 ROWS = CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS + FACES * FACE_ROWS
 
@@ -91,7 +91,6 @@ def add_features(
 ):
     """Each lane adds the parts `which` (bits, see `parts`) of the triangle in its slot; returns the new counts."""
     zero = wp.float64(0.0)
-    one = wp.float64(1.0)
     radius2 = wp.float64(radius)
     row = worker * _ROWS
     a = wp.vec3d(zero, zero, zero)
@@ -131,11 +130,11 @@ def add_features(
             if edge:
                 to_row = row + _EDGE_ROW + _EDGE_ROWS * (counts.edges + rank(mask, lane))
                 w = float(wp.dot(m, m) - radius2)
-                to_end = float((one - share) * wp.length(ab))
+                half = wp.float64(0.5) * wp.length(ab)
                 m2 = -2.0 * wp.vec3(m)
                 write4(out.rows, to_row, m2[0], m2[1], m2[2], w)
-                write4(out.rows, to_row + 1, e[0], e[1], e[2], float(along))
-                write4(out.rows, to_row + 2, to_end, 0.0, 0.0, 0.0)
+                write4(out.rows, to_row + 1, e[0], e[1], e[2], float(half - along))
+                write4(out.rows, to_row + 2, float(half), 0.0, 0.0, 0.0)
             if face:
                 u = wp.cross(normal, e)
                 write4(out.rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
@@ -158,141 +157,94 @@ def is_near(radius2: float, half2: float):
     return radius2 < 16.0 * half2
 
 
-@wp.func
-def corner_value(r: wp.vec4, p: wp.vec3, near: bool):
-    """What to compare for a corner: the squared distance of p, less |p|^2 + R^2 if that is not near."""
-    if near:
-        d = p + 0.5 * wp.vec3(r[0], r[1], r[2])
-        return wp.dot(d, d)
-    return r[3] + (p[0] * r[0] + p[1] * r[1] + p[2] * r[2])
+# Measures `count` voxels (x, y and z from the block's centre) with all rows of a worker and keeps the lesser values in
+# `best`. The same text for both devices, and for near and far blocks: a choice inside the loops would cost as much as a
+# feature.
+_MEASURE = f"""
+    for (int i = 0; i < corners; ++i) {{
+        const Row r = row[i];
+        for (int v = 0; v < count; ++v) {{
+            const float dx = x[v] + 0.5f * r.x, dy = y[v] + 0.5f * r.y, dz = z[v] + 0.5f * r.z;
+            const float d = NEAR ? dx * dx + dy * dy + dz * dz : r.w + (x[v] * r.x + y[v] * r.y + z[v] * r.z);
+            best[v] = d < best[v] ? d : best[v];
+        }}
+    }}
+    for (int i = 0; i < edges; ++i) {{
+        const Row* at = row + {CORNERS * CORNER_ROWS} + {EDGE_ROWS} * i;
+        const Row r = at[0], e = at[1];
+        const float half = at[2].x + room;
+        for (int v = 0; v < count; ++v) {{
+            const float along = x[v] * e.x + y[v] * e.y + z[v] * e.z;
+            const float dx = x[v] + 0.5f * r.x - along * e.x, dy = y[v] + 0.5f * r.y - along * e.y;
+            const float dz = z[v] + 0.5f * r.z - along * e.z;
+            const float far = r.w + (x[v] * r.x + y[v] * r.y + z[v] * r.z) - along * along;
+            const float d = NEAR ? dx * dx + dy * dy + dz * dz : far;
+            const float here = fabsf(along - e.w) <= half ? d : INFINITY;
+            best[v] = here < best[v] ? here : best[v];
+        }}
+    }}
+    for (int i = 0; i < faces; ++i) {{
+        const Row* at = row + {CORNERS * CORNER_ROWS + EDGES * EDGE_ROWS} + {FACE_ROWS} * i;
+        const Row r = at[0], a = at[1], b = at[2], c = at[3];
+        const float w = at[4].x, above_a = a.w + room, above_b = b.w + room, above_c = c.w + room;
+        for (int v = 0; v < count; ++v) {{
+            const float height = x[v] * r.x + y[v] * r.y + z[v] * r.z;
+            const float plain = height + 0.5f * r.w;
+            const float far = w + height * (r.w + height) - (x[v] * x[v] + y[v] * y[v] + z[v] * z[v]);
+            const float d = NEAR ? plain * plain : far;
+            const bool beside = (above_a + (x[v] * a.x + y[v] * a.y + z[v] * a.z) < 0.0f)
+                | (above_b + (x[v] * b.x + y[v] * b.y + z[v] * b.z) < 0.0f)
+                | (above_c + (x[v] * c.x + y[v] * c.y + z[v] * c.z) < 0.0f);
+            const float here = beside ? INFINITY : d;
+            best[v] = here < best[v] ? here : best[v];
+        }}
+    }}
+"""
+_MEASURE_EITHER = f"""
+    struct alignas(16) Row {{ float x, y, z, w; }};
+    const Row* row = reinterpret_cast<const Row*>(rows.data) + (size_t)worker * {ROWS};
+    if (near) {{ {_MEASURE.replace("NEAR", "true")} }}
+    else {{ {_MEASURE.replace("NEAR", "false")} }}
+"""
 
 
-@wp.func
-def edge_value(r0: wp.vec4, r1: wp.vec4, to_end: float, p: wp.vec3, room: float, near: bool):
-    """What to compare for an edge's line; infinity beyond its ends."""
-    along = p[0] * r1[0] + p[1] * r1[1] + p[2] * r1[2]
-    if wp.min(r1[3] + along, to_end - along) < -room:
-        return float(wp.inf)
-    if near:
-        d = p + 0.5 * wp.vec3(r0[0], r0[1], r0[2]) - along * wp.vec3(r1[0], r1[1], r1[2])
-        return wp.dot(d, d)
-    return r0[3] + (p[0] * r0[0] + p[1] * r0[1] + p[2] * r0[2]) - along * along
-
-
-@wp.func
-def above(r: wp.vec4, p: wp.vec3):
-    return r[3] + (p[0] * r[0] + p[1] * r[1] + p[2] * r[2])
-
-
-@wp.func
-def face_value(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, r3: wp.vec4, w: float, p: wp.vec3, room: float, near: bool):
-    """What to compare for a face's plane; infinity beside the face."""
-    if wp.min(above(r1, p), wp.min(above(r2, p), above(r3, p))) < -room:
-        return float(wp.inf)
-    height = p[0] * r0[0] + p[1] * r0[1] + p[2] * r0[2]
-    if near:
-        height = height + 0.5 * r0[3]
-        return height * height
-    return w + height * (r0[3] + height) - wp.dot(p, p)
-
-
-@wp.func
+@wp.func_native(
+    snippet=f"""
+#if defined(__CUDA_ARCH__)
+    constexpr int count = 2;
+    const float x[count] = {{p[0], q[0]}}, y[count] = {{p[1], q[1]}}, z[count] = {{p[2], q[2]}};
+    float best[count] = {{least[0], least[1]}};
+    {_MEASURE_EITHER}
+    return wp::vec2(best[0], best[1]);
+#else
+    return least;
+#endif
+"""
+)
 def least_values(
-    least: wp.vec2, features: Features, worker: int, counts: Counts, p: wp.vec3, q: wp.vec3, room: float, near: bool
-):
-    """`least`, or the lesser values of a worker's lists for the voxels p and q (from the block's centre)."""
-    row = worker * _ROWS
-    of_p = least[0]
-    of_q = least[1]
-    for i in range(counts.corners):
-        r0 = read4(features.rows, row + i)
-        of_p = wp.min(of_p, corner_value(r0, p, near))
-        of_q = wp.min(of_q, corner_value(r0, q, near))
-    for i in range(counts.edges):
-        at = row + _EDGE_ROW + _EDGE_ROWS * i
-        r0 = read4(features.rows, at)
-        r1 = read4(features.rows, at + 1)
-        to_end = features.rows[4 * (at + 2)]
-        of_p = wp.min(of_p, edge_value(r0, r1, to_end, p, room, near))
-        of_q = wp.min(of_q, edge_value(r0, r1, to_end, q, room, near))
-    for i in range(counts.faces):
-        at = row + _FACE_ROW + _FACE_ROWS * i
-        r0 = read4(features.rows, at)
-        r1 = read4(features.rows, at + 1)
-        r2 = read4(features.rows, at + 2)
-        r3 = read4(features.rows, at + 3)
-        w = features.rows[4 * (at + 4)]
-        of_p = wp.min(of_p, face_value(r0, r1, r2, r3, w, p, room, near))
-        of_q = wp.min(of_q, face_value(r0, r1, r2, r3, w, q, room, near))
-    return wp.vec2(of_p, of_q)
+    least: wp.vec2,
+    rows: wp.array(dtype=wp.float32),
+    worker: int,
+    corners: int,
+    edges: int,
+    faces: int,
+    p: wp.vec3,
+    q: wp.vec3,
+    room: float,
+    near: bool,
+) -> wp.vec2:
+    """On a GPU: `least`, or the lesser values of a worker's rows for the voxels p and q (from the block's centre)."""
+    ...
 
 
 @wp.func_native(
     snippet=f"""
 #if !defined(__CUDA_ARCH__)
-    const float* row = rows.data + 4 * (size_t)worker * {ROWS};
     const float* __restrict x = points.data + point;
     const float* __restrict y = x + {VOXELS};
     const float* __restrict z = y + {VOXELS};
     float* __restrict best = least.data + value;
-    for (int i = 0; i < corners; ++i) {{
-        const float* r = row + 4 * i;
-        const float mx = r[0], my = r[1], mz = r[2], w = r[3];
-        if (near)
-            for (int v = 0; v < total; ++v) {{
-                float dx = x[v] + 0.5f * mx, dy = y[v] + 0.5f * my, dz = z[v] + 0.5f * mz;
-                float d = dx * dx + dy * dy + dz * dz;
-                best[v] = d < best[v] ? d : best[v];
-            }}
-        else
-            for (int v = 0; v < total; ++v) {{
-                float d = w + (x[v] * mx + y[v] * my + z[v] * mz);
-                best[v] = d < best[v] ? d : best[v];
-            }}
-    }}
-    row += 4 * {CORNERS * CORNER_ROWS};
-    for (int i = 0; i < edges; ++i) {{
-        const float* r = row + 4 * {EDGE_ROWS} * i;
-        const float mx = r[0], my = r[1], mz = r[2], w = r[3];
-        const float ex = r[4], ey = r[5], ez = r[6], from = r[7] + room, to = r[8] + room;
-        if (near)
-            for (int v = 0; v < total; ++v) {{
-                float along = x[v] * ex + y[v] * ey + z[v] * ez;
-                float dx = x[v] + 0.5f * mx - along * ex, dy = y[v] + 0.5f * my - along * ey;
-                float dz = z[v] + 0.5f * mz - along * ez;
-                float d = dx * dx + dy * dy + dz * dz;
-                bool beside = (from + along < 0.0f) | (to - along < 0.0f);
-                d = beside ? INFINITY : d;
-                best[v] = d < best[v] ? d : best[v];
-            }}
-        else
-            for (int v = 0; v < total; ++v) {{
-                float along = x[v] * ex + y[v] * ey + z[v] * ez;
-                float d = w + (x[v] * mx + y[v] * my + z[v] * mz) - along * along;
-                bool beside = (from + along < 0.0f) | (to - along < 0.0f);
-                d = beside ? INFINITY : d;
-                best[v] = d < best[v] ? d : best[v];
-            }}
-    }}
-    row += 4 * {EDGES * EDGE_ROWS};
-    for (int i = 0; i < faces; ++i) {{
-        const float* r = row + 4 * {FACE_ROWS} * i;
-        const float nx = r[0], ny = r[1], nz = r[2], h2 = r[3], w = r[16];
-        const float ax = r[4], ay = r[5], az = r[6], a = r[7] + room;
-        const float bx = r[8], by = r[9], bz = r[10], b = r[11] + room;
-        const float cx = r[12], cy = r[13], cz = r[14], c = r[15] + room;
-        for (int v = 0; v < total; ++v) {{
-            float height = x[v] * nx + y[v] * ny + z[v] * nz;
-            float far = w + height * (h2 + height) - (x[v] * x[v] + y[v] * y[v] + z[v] * z[v]);
-            float plain = (height + 0.5f * h2) * (height + 0.5f * h2);
-            float d = near ? plain : far;
-            bool beside = (a + (x[v] * ax + y[v] * ay + z[v] * az) < 0.0f)
-                | (b + (x[v] * bx + y[v] * by + z[v] * bz) < 0.0f)
-                | (c + (x[v] * cx + y[v] * cy + z[v] * cz) < 0.0f);
-            d = beside ? INFINITY : d;
-            best[v] = d < best[v] ? d : best[v];
-        }}
-    }}
+    {_MEASURE_EITHER}
 #endif
 """
 )
@@ -306,11 +258,11 @@ def lessen_values(
     point: int,
     least: wp.array(dtype=wp.float32),
     value: int,
-    total: int,
+    count: int,
     room: float,
     near: bool,
 ):
-    """`least_values` on a CPU, for all voxels of a block: loops over voxels that a compiler turns into vectors.
+    """On a CPU: `least_values` for all voxels of a block, in loops that a compiler turns into vectors.
 
     Voxel v is at points[point + v], + VOXELS and + 2 * VOXELS; its value is least[value + v].
     """

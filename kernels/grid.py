@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.lanes import shrink
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -79,3 +81,13 @@ def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: flo
     winding = out.values[mesh, i, j, k]
     out.values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
     return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
+
+
+@wp.func
+def lessen_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: float):
+    """Bring a voxel's signed distance closer to zero, if this distance is less; others may do so at the same time."""
+    index = wp.int64(mesh)
+    index = index * wp.int64(out.values.shape[1]) + wp.int64(i)
+    index = index * wp.int64(out.values.shape[2]) + wp.int64(j)
+    index = index * wp.int64(out.values.shape[3]) + wp.int64(k)
+    shrink(out.values, index, distance)

@@ -154,6 +154,25 @@ def fetch_add(counts: wp.array(dtype=wp.int32), index: int, value: int) -> int:
 
 @wp.func_native(
     snippet="""
+    // With the sign bit the same, floats are ordered by magnitude as their bits are.
+    unsigned* at = reinterpret_cast<unsigned*>(values.data) + index;
+    const unsigned bits = (*at & 0x80000000u) | (0x7fffffffu & *reinterpret_cast<unsigned*>(&size));
+#if defined(__CUDA_ARCH__)
+    atomicMin(at, bits);
+#else
+    unsigned before = __atomic_load_n(at, __ATOMIC_RELAXED);
+    while (bits < before && !__atomic_compare_exchange_n(at, &before, bits, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED))
+        ;
+#endif
+"""
+)
+def shrink(values: wp.array4d(dtype=wp.float32), index: wp.int64, size: float):
+    """Bring a value's magnitude down to `size` if it is larger; its sign stays. The array has no gaps."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
 #if defined(__CUDA_ARCH__)
     int item = 0;
     if (lane == 0)

@@ -44,7 +44,7 @@ class Lists:
     heads: wp.array(dtype=wp.int32)  # (8 * count * shares) triangles (slots)
     lengths: wp.array(dtype=wp.int32)
     witnesses: wp.array(dtype=wp.float32)  # (9 * count * 4) of the regions, then of the cells, see `witness`
-    heavy: wp.array(dtype=wp.int32)  # (8 * count) the cells that are measured brick by brick
+    heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `blocks`
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
     counts: wp.array(dtype=wp.int32)  # (COUNTS) shared counters, zero at the start

@@ -80,20 +80,20 @@ def search_slab(tree: Tree, slab: Slab, out: Output, launch: Any) -> None:
 
 
 @wp.kernel
-def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
+def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output, values: wp.array(dtype=wp.float32)):
     number = begin + wp.tid()
     total = out.values.shape[0] * slab.shape[0] * slab.shape[1] * slab.shape[2]
     if out.missed[0] == 0:
         return
     while number < total:
-        mesh, at = unravel(number, slab.shape)
-        value = out.values[mesh, at[0], at[1], at[2]]
+        value = values[number]
         if value == wp.inf or value == -wp.inf:
+            mesh, at = unravel(number, slab.shape)
             distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
-            out.values[mesh, at[0], at[1], at[2]] = wp.where(value < 0.0, -distance, distance)
+            values[number] = wp.where(value < 0.0, -distance, distance)
         number = number + step
 
 
 def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int, launch: Any) -> None:
     """Search for the distances of the voxels that were missed, if there are any: those that are infinite."""
-    launch(_mend, threads, [tree, slab, threads, out], out.values.device, smallest=1)
+    launch(_mend, threads, [tree, slab, threads, out, out.values.flatten()], out.values.device, smallest=1)
