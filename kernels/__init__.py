@@ -2,10 +2,10 @@
 
 Nothing here knows torch or `sdm`: the functions take and fill `wp.array`s that the caller owns, and launch on
 Warp's current stream. Read in this order: `geometry` (one triangle), `curve` and `tree` (the hierarchy of boxes),
-`closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary`, `caps` and `holes` (what open
-meshes add), `solid_angle` (any soup), `points` (scattered queries), `scan` and `search` (the plain dense query),
-`frames`, `cull` and `parts` (what can be dropped), `lists`, `regions`, `cells`, `features` and `blocks` (the fast one),
-`dense` (the choice between them).
+`edges` (which faces meet), `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary`, `caps`
+and `holes` (what open meshes add), `solid_angle` (any soup), `points` (scattered queries), `scan` and `search` (the
+plain dense query), `frames`, `cull`, `cones` and `parts` (what can be dropped), `lists`, `witness`, `regions`, `cells`,
+`features` and `blocks` (the fast one), `dense` (the choice between them).
 """
 
 import os

@@ -1,8 +1,10 @@
-"""Launches that use every core of a CPU: Warp itself runs a CPU launch on one thread."""
+"""Launches that cost the host little, and use every core of a CPU: Warp itself runs a CPU launch on one thread."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
@@ -26,6 +28,60 @@ def _pool(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads(), thread_name_prefix="sdm")
 
 
+class _Recorded(threading.local):
+    """The launches that a thread has recorded, one of each kernel, device and size of block.
+
+    To fill in a recorded launch takes half the time of a new one. No two threads share any, as each fills in its own.
+    """
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[wp.Kernel, str, int], Any] = {}
+
+
+_recorded = _Recorded()
+
+
+def _run(kernel: wp.Kernel, begin: int, count: int, inputs: list[Any], device: Any, block_dim: int) -> None:
+    """`wp.launch` of the indices from `begin`."""
+    key = kernel, device.alias, block_dim
+    command: Any = _recorded.known.get(key)
+    values = [begin, *inputs]
+    if command is None:
+        command = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
+        # Warp's deterministic mode records something else, which is left alone.
+        if type(command) is wp.Launch:
+            # It would keep the arrays of this first launch alive.
+            command.fwd_args = None
+            _recorded.known[key] = command
+    else:
+        if len(values) != len(kernel.adj.args):
+            raise RuntimeError(f"{kernel.key} takes {len(kernel.adj.args)} arguments, not {len(values)}")
+        if command.bounds.size != count:
+            command.set_dim(count)
+        _fill(command, values)
+    command.launch()
+
+
+def _fill(command: Any, values: list[Any]) -> None:
+    """Put other values into a recorded launch."""
+    params, addresses = command.params, command.params_addr
+    for place, (value, argument) in enumerate(zip(values, command.kernel.adj.args, strict=True)):
+        kind, wanted = type(value), argument.type
+        if kind is int and wanted is wp.int32:
+            packed = ctypes.c_int32(value)
+        elif kind is wp.array and value.dtype is wanted.dtype and value.ndim == wanted.ndim:
+            packed = value.__ctype__()
+        elif kind is getattr(wanted, "instance_type", None):
+            packed = value.__ctype__()
+        else:
+            # Whatever else there is, errors among it, is left to Warp.
+            command.set_param_at_index(place, value)
+            continue
+        params[place + 1] = packed
+        if addresses:
+            addresses[place + 1] = ctypes.addressof(packed)
+
+
 def launch(
     kernel: wp.Kernel, count: int, inputs: list[Any], device: Any, block_dim: int = 128, smallest: int = SMALLEST_SHARE
 ) -> None:
@@ -43,17 +99,17 @@ def launch(
         return
     device = wp.get_device(device)
     if device.is_cuda:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=block_dim)
+        _run(kernel, 0, count, inputs, device, block_dim)
         return
     workers = threads()
     share = max(smallest, -(-count // (workers * SHARES_PER_THREAD)))
     if workers == 1 or count <= share:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+        _run(kernel, 0, count, inputs, device, 1)
         return
     # The first share compiles and loads the module while no other thread wants it.
-    wp.launch(kernel, dim=share, inputs=[0, *inputs], device=device)
+    _run(kernel, 0, share, inputs, device, 1)
 
     def run(begin: int) -> None:
-        wp.launch(kernel, dim=min(share, count - begin), inputs=[begin, *inputs], device=device)
+        _run(kernel, begin, min(share, count - begin), inputs, device, 1)
 
     list(_pool(os.getpid()).map(run, range(share, count, share)))

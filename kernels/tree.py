@@ -301,7 +301,8 @@ def build(
     wp.launch(_reduce_bounds, meshes * -(-faces.shape[0] // run), [0, vertices, faces, run, bounds], device=device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
-    wp.utils.radix_sort_pairs(keys, slots, total)
+    # The meshes' numbers are above the curve's codes.
+    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * CURVE_BITS + (meshes - 1).bit_length())
     launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
     launch(_bound_leaves, meshes << tree.depth, [tree], device)
     level = tree.depth

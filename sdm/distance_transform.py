@@ -10,10 +10,10 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import GridError, SDMError
-from sdm.hierarchy import as_warp, on_current_stream
 from sdm.kernels import edt
 from sdm.kernels.edt_lines import LONGEST_LINE
 from sdm.kernels.launch import launch
+from sdm.memory import as_warp, on_current_stream
 
 # What "surface" means: how far the surface of a voxel is from its centre, in voxels.
 SURFACES = {"centres": 0.0, "faces": 0.5}

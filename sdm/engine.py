@@ -113,14 +113,10 @@ class MeshIndex:
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
         require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
-        parts = []
-        unclear = torch.zeros((), dtype=torch.int64, device=self.device)
-        for begin, end in _slabs(grid, LARGEST_SLAB):
-            values, ambiguous = self._slab(grid, begin, end)
-            parts.append(values[0])
-            unclear += ambiguous[0]
-        values = parts[0] if len(parts) == 1 else torch.cat(parts)
-        return SDM(values, grid, 0 if self.closed else int(unclear))
+        made = [self._slab(grid, begin, end) for begin, end in _slabs(grid, LARGEST_SLAB)]
+        values = made[0][0][0] if len(made) == 1 else torch.cat([values[0] for values, _ in made])
+        # Of a closed mesh it is known without a look at the device, which would wait for it.
+        return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for _, ambiguous in made))
 
     def slabs(
         self, grid: Grid, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None

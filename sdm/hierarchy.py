@@ -1,14 +1,9 @@
-"""The acceleration structure as torch tensors, so that torch's allocator and streams look after its memory.
-
-Warp frees its own arrays on the stream that is current when Python lets go of them, which may be another than the
-one whose kernels still read them. Everything here is a torch tensor instead: freed memory is reused only after the
-work queued before it on its stream, and `record_stream` tells the allocator of every other stream that reads it.
-"""
+"""The acceleration structure as torch tensors, so that torch's allocator and streams look after its memory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -19,37 +14,12 @@ from sdm.errors import MeshError
 from sdm.kernels import cones, frames, parts, points, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
+from sdm.memory import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_on
 from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge.
 MOST_BOUNDARY_EDGES = 1024
-
-_TORCH_TYPE = {wp.float32: torch.float32, wp.int32: torch.int32, wp.float64: torch.float64}
-_FIELDS = ("corners", "lattice", "face", "boxes", "frame")
-_ELEMENT = {
-    "corners": wp.vec3,
-    "lattice": wp.vec2i,
-    "face": wp.int32,
-    "boxes": wp.float32,
-    "frame": wp.float64,
-}
-
-
-@contextmanager
-def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
-    """Launch Warp kernels on torch's current stream of `tensor`'s device; `reads` stay alive until they are done."""
-    device = wp.device_from_torch(tensor.device)
-    if not device.is_cuda:
-        yield device
-        return
-    with torch.cuda.device(tensor.device):
-        stream = torch.cuda.current_stream()
-        for read in reads:
-            if read.numel():
-                read.record_stream(stream)
-        with wp.ScopedStream(wp.stream_from_torch(stream), sync_enter=False):
-            yield device
 
 
 def kind_of(edges: Tensor) -> int:
@@ -58,27 +28,12 @@ def kind_of(edges: Tensor) -> int:
     return points.CLOSED if count == 0 else points.OPEN if count <= MOST_BOUNDARY_EDGES else points.SOUP
 
 
-def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
-    """A torch tensor as a Warp array over the same memory."""
-    return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
-
-
-def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
-    """An allocator of scratch arrays for kernels: torch's memory, kept by the Warp array for as long as it lives."""
-
-    def empty(length: int, dtype: Any) -> wp.array:
-        shape = (length, 3) if dtype is wp.vec3 else (length,)
-        return as_warp(torch.empty(shape, dtype=_TORCH_TYPE.get(dtype, torch.float32), device=device), dtype)
-
-    return empty
-
-
 def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:
     """Build the hierarchy of a batch of meshes on their device.
 
     Args:
-        vertices: (B,V,3) float32, contiguous.
-        faces: (F,3) int32, contiguous, shared.
+        vertices: (B,V,3) float32.
+        faces: (F,3) int32, shared.
         edges: (E,2) int32 boundary edges, found here if None.
 
     Returns:
@@ -92,27 +47,13 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
             "one call can take; use smaller batches, or a coarser mesh"
         )
+    vertices, faces = vertices.contiguous(), faces.contiguous()
     if edges is None:
         edges = boundary_edges(vertices, faces)
     kind = kind_of(edges)
     meshes, count = vertices.shape[0], faces.shape[0]
-
-    def empty(shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-        return torch.empty(shape, dtype=dtype, device=vertices.device)
-
-    tensors = [empty(shape, _TORCH_TYPE[dtype]) for shape, dtype in tree.sizes(meshes, count).values()]
-    ends = 2 * meshes * edges.shape[0] if kind == points.OPEN else 0
-    nodes = tensors[_FIELDS.index("boxes")].shape[0] // tree.BOX_FLOATS if kind == points.SOUP else 0
-    tensors += [empty((meshes * count * frames.FRAME_FLOATS,), torch.float32)]
-    tensors += [empty((meshes * count * parts.PARTS_FLOATS,), torch.float32)]
-    tensors += [empty((meshes * count * parts.INVERSES,), torch.float64)]
-    tensors += [empty((meshes * count * 4,), torch.float32)]
-    tensors += [empty((meshes * count * 4,), torch.float32)]
-    tensors += [empty((meshes << (tree.depth_for(count) + 3),), torch.float32)]
-    tensors += [empty((ends, 3), torch.float32), empty((ends, 2), torch.int32), empty((ends // 2, 3), torch.float32)]
-    tensors += [empty((nodes * solid_angle.MOMENTS_SIZE,), torch.float32)]
-    scratch = empty((6 * meshes,), torch.float32), empty((2 * meshes * count,), torch.int64)
-    slots = empty((2 * meshes * count,), torch.int32)
+    tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
+    empty = scratch_on(vertices.device)
     shared = neighbours(faces, vertices.shape[1])
     around = loops(edges) if kind == points.OPEN else edges
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
@@ -122,9 +63,9 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
             hierarchy,
             corners,
             as_warp(faces, wp.int32),
-            as_warp(scratch[0], wp.float32),
-            as_warp(scratch[1], wp.int64),
-            as_warp(slots, wp.int32),
+            empty(6 * meshes, wp.float32),
+            empty(2 * meshes * count, wp.int64),
+            empty(2 * meshes * count, wp.int32),
             launch,
         )
         frames.make_frames(hierarchy, local, launch)
@@ -139,31 +80,81 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     return tensors, kind
 
 
+def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
+    """Bytes of each array of a hierarchy, in the order of its tensors: what `_views` looks at."""
+    slots = meshes * count
+    arrays = tree.sizes(meshes, count)
+    sizes = {name: math.prod(shape) * wp.types.type_size_in_bytes(dtype) for name, (shape, dtype) in arrays.items()}
+    sizes["local"] = 4 * slots * frames.FRAME_FLOATS
+    sizes["rows"] = 4 * slots * parts.PARTS_FLOATS
+    sizes["inverses"] = 8 * slots * parts.INVERSES
+    sizes["balls"] = 4 * slots * 4
+    sizes["cones"] = 4 * slots * 4
+    sizes["node_cones"] = 4 * (meshes << (tree.depth_for(count) + 3))
+    ends = 2 * meshes * edges if kind == points.OPEN else 0
+    sizes["ends"] = 4 * ends * 3
+    sizes["ends_lattice"] = 4 * ends * 2
+    sizes["apexes"] = 4 * ends // 2 * 3
+    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind == points.SOUP else 0
+    sizes["moments"] = 4 * nodes * solid_angle.MOMENTS_SIZE
+    return sizes
+
+
+def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
+    """Bytes of these sizes, parts of one block: one allocation, and one to tell of the streams that read it."""
+    padded = []
+    for size in sizes:
+        padded += [size, -size % ALIGNMENT]
+    return list(torch.empty(sum(padded), dtype=torch.uint8, device=device).split(padded)[::2])
+
+
 def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Parts` and `Cones`."""
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Parts` and `Cones`.
+
+    Nobody may write into what is returned, as the next call may return the same. As for `as_warp`, the tensors must
+    live until the last kernel is queued.
+    """
+    at = tuple([(tensor.data_ptr(), tensor.shape[0]) for tensor in tensors])
+    return _views(at, kind, meshes, tensors[0].device)
+
+
+@lru_cache(maxsize=64)
+def _views(
+    at: tuple[tuple[int, int], ...], kind: int, meshes: int, device: torch.device
+) -> tuple[Any, Any, wp.array, Any, Any]:
+    # A function of addresses and sizes alone, as `array_at` is.
+    left = iter(at)
+
+    def array(dtype: Any) -> wp.array:
+        address, size = next(left)
+        return array_at(address, (size // wp.types.type_size_in_bytes(dtype),), dtype, device)
+
     hierarchy = tree.Tree()
-    for name, tensor in zip(_FIELDS, tensors, strict=False):
-        setattr(hierarchy, name, as_warp(tensor, _ELEMENT[name]))
-    local, rows, inverses, balls, of_triangles, of_nodes, ends, ends_lattice, apexes, moments = tensors[len(_FIELDS) :]
-    hierarchy.count = tensors[_FIELDS.index("face")].shape[0] // meshes
+    hierarchy.corners = array(wp.vec3)
+    hierarchy.lattice = array(wp.vec2i)
+    hierarchy.face = array(wp.int32)
+    hierarchy.boxes = array(wp.float32)
+    hierarchy.frame = array(wp.float64)
+    hierarchy.count = hierarchy.face.shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
+    local = array(wp.float32)
+    pieces = parts.Parts()
+    pieces.rows = array(wp.float32)
+    pieces.inverses = array(wp.float64)
+    pieces.balls = array(wp.float32)
+    facing = cones.Cones()
+    facing.triangles = array(wp.float32)
+    facing.nodes = array(wp.float32)
     boundary = Boundary()
-    boundary.ends = as_warp(ends, wp.vec3)
-    boundary.lattice = as_warp(ends_lattice, wp.vec2i)
-    boundary.apexes = as_warp(apexes, wp.vec3)
-    boundary.count = ends.shape[0] // (2 * meshes)
+    boundary.ends = array(wp.vec3)
+    boundary.lattice = array(wp.vec2i)
+    boundary.apexes = array(wp.vec3)
+    boundary.count = boundary.apexes.shape[0] // meshes
     winding = points.Winding()
     winding.boundary = boundary
-    winding.moments = as_warp(moments, wp.float32)
+    winding.moments = array(wp.float32)
     winding.kind = kind
-    pieces = parts.Parts()
-    pieces.rows = as_warp(rows, wp.float32)
-    pieces.inverses = as_warp(inverses, wp.float64)
-    pieces.balls = as_warp(balls, wp.float32)
-    facing = cones.Cones()
-    facing.triangles = as_warp(of_triangles, wp.float32)
-    facing.nodes = as_warp(of_nodes, wp.float32)
-    return hierarchy, winding, as_warp(local, wp.float32), pieces, facing
+    return hierarchy, winding, local, pieces, facing
 
 
 def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:

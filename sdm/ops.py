@@ -11,17 +11,19 @@ An empty list of hierarchy tensors means: build one here, and let it go afterwar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.hierarchy import as_warp, build, on_current_stream, one_of, scratch_on, unpack
+from sdm.hierarchy import build, one_of, unpack
 from sdm.kernels import dense
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
+from sdm.memory import as_warp, on_current_stream, scratch_on
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -43,7 +45,7 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
     sort = count >= SMALLEST_SORT
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
-    with on_current_stream(at, at, *tensors):
+    with on_current_stream(at, at, tensors[0]):
         hierarchy, winding, *_ = unpack(tensors, kind, 1)
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
@@ -152,7 +154,7 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
         hierarchy, kind = build(vertices[None], faces)
     at = points.contiguous()
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
-    with on_current_stream(at, at, *hierarchy):
+    with on_current_stream(at, at, hierarchy[0]):
         tree, winding, *_ = unpack(hierarchy, kind, 1)
         query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
     return values
@@ -161,6 +163,26 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
 @winding_number.register_fake
 def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
     return points.new_empty(points.shape[0])
+
+
+@lru_cache(maxsize=64)
+def _slab(
+    origin: tuple[float, ...],
+    spacing: tuple[float, ...],
+    shape: tuple[int, ...],
+    first: int,
+    direction: tuple[float, ...],
+) -> Any:
+    """The kernels' view of a slab; nobody may write into it."""
+    slab = Slab()
+    slab.origin = wp.vec3d(*origin)
+    slab.spacing = wp.vec3d(*spacing)
+    slab.shape = wp.vec3i(*shape)
+    slab.first = first
+    if direction != IDENTITY:
+        slab.turned = 1
+        slab.axes = wp.mat33d(*(d * s for row in range(3) for d, s in zip(direction[3 * row :], spacing, strict=False)))
+    return slab
 
 
 @torch.library.custom_op("sdm::distance_map", mutates_args=())
@@ -182,28 +204,18 @@ def distance_map(
     """
     meshes = vertices.shape[0]
     if not hierarchy:
-        hierarchy, kind = build(vertices.contiguous(), faces)
+        hierarchy, kind = build(vertices, faces)
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
-    with on_current_stream(vertices, *hierarchy):
+    with on_current_stream(vertices, hierarchy[0]):
         tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
-        slab = Slab()
-        slab.origin = wp.vec3d(*origin)
-        slab.spacing = wp.vec3d(*spacing)
-        slab.shape = wp.vec3i(*shape)
-        slab.first = first
-        if tuple(direction) != IDENTITY:
-            slab.turned = 1
-            slab.axes = wp.mat33d(
-                *(d * s for row in range(3) for d, s in zip(direction[3 * row :], spacing, strict=False))
-            )
         dense.query_slab(
             tree,
             frames,
             parts,
             cones,
             winding,
-            slab,
+            _slab(tuple(origin), tuple(spacing), tuple(shape), first, tuple(direction)),
             as_warp(values, wp.float32),
             as_warp(ambiguous, wp.int32),
             launch,

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 import torch
+import warp as wp
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
+from sdm.kernels.edges import REMARKS, bits_for, pair_edges
+from sdm.kernels.launch import launch
+from sdm.memory import as_warp, on_current_stream, scratch_on
 
 # What is known of faces seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
@@ -35,11 +39,11 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     Raises:
         MeshError: A face index out of range.
     """
-    edges, _ = _paired(faces, vertices.shape[-2])
-    if edges.shape[0] == 0:
-        return edges
+    found, _ = _paired(faces, vertices.shape[-2])
+    if found.shape[0] == 0:
+        return found
     same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))
-    return _pair_up(same[faces.long()], vertices.shape[-2])[0]
+    return _pair_up(same[faces.long()].int(), vertices.shape[-2])[0]
 
 
 def neighbours(faces: Tensor, count: int) -> Tensor:
@@ -61,48 +65,41 @@ def neighbours(faces: Tensor, count: int) -> Tensor:
 
 
 def _paired(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    def find() -> tuple[Tensor, Tensor]:
-        _check_range(faces, count)
-        return _pair_up(faces.long(), count)
-
-    return _remembered(_seen, faces, find)
+    return _remembered(_seen, faces, lambda: _pair_up(faces, count))
 
 
 def _pair_up(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Boundary edges by vertex indices, and `neighbours`, from one sort of all edges."""
-    start = faces.reshape(-1)
-    end = faces.roll(-1, 1).reshape(-1)
-    here = torch.arange(start.shape[0], device=faces.device)
-    key, order = ((torch.minimum(start, end) << 32) + torch.maximum(start, end)).sort(stable=True)
-    leads = torch.ones_like(key, dtype=torch.bool)
-    leads[1:] = key[1:] != key[:-1]
-    lead = torch.where(leads, here, 0).cummax(0).values
-    ends = leads.roll(-1)
-
-    # What is left over when the directions of an edge's faces are added up, known at the last of them.
-    direction = (end - start).sign()[order]
-    total = direction.cumsum(0)
-    left_over = torch.where(ends, total - total[lead] + direction[lead], 0)
-    times = left_over.nonzero().squeeze(1)
-    forward = left_over[times] > 0
-    low, high = key[times] >> 32, key[times] & 0xFFFFFFFF
-    edges = torch.stack([torch.where(forward, low, high), torch.where(forward, high, low)], 1)
-    edges = edges.repeat_interleave(left_over[times].abs(), 0).int()
-
-    # The next face at the same edge; after the last comes the first.
-    following = torch.where(ends, lead, here + 1)
-    other = torch.empty_like(start)
-    other[order] = order[following]
-    other = torch.where((other == here) | (start == end), -1, other)
-    owns_edge = torch.empty_like(start)
-    owns_edge[order] = leads.long()
-    owns_edge *= start != end
-    first = torch.full((count,), start.shape[0], dtype=torch.int64, device=faces.device)
-    first.scatter_reduce_(0, start, here // 3, "amin")
-    owns_corner = (first[start] == here // 3).long()
-    shift = here % 3
-    bits = ((owns_edge << (shift + 1)) + (owns_corner << (shift + 4))).reshape(-1, 3).sum(1)
-    return edges, torch.cat([other.reshape(-1, 3), bits[:, None]], 1).int()
+    """Boundary edges by vertex indices, and `neighbours`, from one sort of all edges; waits for the device once."""
+    faces = faces.contiguous()
+    total = faces.numel()
+    first = torch.full((count,), total, dtype=torch.int32, device=faces.device)
+    remarks = torch.zeros(REMARKS, dtype=torch.int32, device=faces.device)
+    keys = torch.empty(2 * total, dtype=torch.int64, device=faces.device)
+    left_over = torch.empty(total, dtype=torch.int32, device=faces.device)
+    shared = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
+    with on_current_stream(faces, faces):
+        pair_edges(
+            as_warp(faces, wp.int32),
+            as_warp(first, wp.int32),
+            as_warp(remarks, wp.int32),
+            as_warp(keys, wp.int64),
+            as_warp(left_over, wp.int32),
+            as_warp(shared, wp.int32),
+            launch,
+            scratch_on(faces.device),
+        )
+    out_of_range, open_edges = remarks.tolist()
+    if out_of_range:
+        low, high = (int(bound) for bound in faces.aminmax())
+        bad = low if low < 0 else high
+        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
+    if not open_edges:
+        return faces.new_empty((0, 2)), shared
+    at = left_over.nonzero().squeeze(1)
+    times, key, bits = left_over[at], keys[at], bits_for(count)
+    ends = torch.stack([key >> bits, key & ((1 << bits) - 1)], 1)
+    ends = torch.where(times[:, None] > 0, ends, ends.flip(1))
+    return ends.repeat_interleave(times.abs(), 0).int(), shared
 
 
 def _remembered(seen: WeakIdKeyDictionary, faces: Tensor, find: Callable[[], Any]) -> Any:
@@ -129,13 +126,6 @@ def loops(edges: Tensor) -> Tensor:
         return torch.from_numpy(connected_components(graph, directed=False)[1][start].astype(np.int32)).to(edges.device)
 
     return _remembered(_seen_loops, edges, find)
-
-
-def _check_range(faces: Tensor, count: int) -> None:
-    low, high = (int(bound) for bound in faces.aminmax())
-    if low < 0 or high >= count:
-        bad = low if low < 0 else high
-        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
 
 
 def _first_with_position(vertices: Tensor) -> Tensor:

@@ -17,8 +17,8 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.hierarchy import as_warp, on_current_stream
 from sdm.kernels import shapes_random
+from sdm.memory import as_warp, on_current_stream
 
 SAMPLERS = ("uniform", "sobol")
 LARGEST_GRID = 1 << 28

@@ -1,0 +1,167 @@
+"""Which faces of a mesh meet at an edge, and which edges are left over: one sort of all edges.
+
+Edge k of face f has the number 3 f + k. It leads from the face's corner k to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+# Places of the remarks about a mesh.
+OUT_OF_RANGE, LEFT_OVER, REMARKS = 0, 1, 2
+_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
+_LEFT_OVER = wp.constant(LEFT_OVER)
+
+
+def bits_for(vertices: int) -> int:
+    """Bits of a vertex index in a key: the key of an edge is the lower of its ends, then the higher."""
+    return max(1, (vertices - 1).bit_length())
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    atomicMin(values.data + index, value);
+#else
+    int now = __atomic_load_n(values.data + index, __ATOMIC_RELAXED);
+    while (value < now && !__atomic_compare_exchange_n(
+        values.data + index, &now, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
+#endif
+"""
+)
+def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
+    """Make a value the lesser of what it is and another; Warp's own is not atomic on a CPU."""
+    ...
+
+
+@wp.kernel
+def _make_keys(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    vertices: int,
+    bits: int,
+    keys: wp.array(dtype=wp.int64),
+    edges: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+):
+    edge = begin + wp.tid()
+    face = edge / 3
+    start = faces[face, edge % 3]
+    end = faces[face, (edge + 1) % 3]
+    key = wp.int64(0)
+    if start < 0 or start >= vertices:
+        remarks[_OUT_OF_RANGE] = 1
+    else:
+        keep_least(first, start, face)
+        key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
+    keys[edge] = key
+    edges[edge] = edge
+
+
+@wp.func
+def direction(faces: wp.array2d(dtype=wp.int32), edge: int):
+    """1 if an edge leads from the lower vertex to the higher, -1 if back, 0 if nowhere."""
+    start = faces[edge / 3, edge % 3]
+    end = faces[edge / 3, (edge + 1) % 3]
+    return wp.where(start < end, 1, wp.where(end < start, -1, 0))
+
+
+@wp.kernel
+def _pair(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    keys: wp.array(dtype=wp.int64),
+    edges: wp.array(dtype=wp.int32),
+    left_over: wp.array(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+):
+    """One thread for each group of edges with the same ends."""
+    i = begin + wp.tid()
+    total = 3 * faces.shape[0]
+    left_over[i] = 0
+    key = keys[i]
+    if i > 0:
+        if keys[i - 1] == key:
+            return
+    lead = edges[i]
+    somewhere = direction(faces, lead) != 0
+    balance = int(0)
+    edge = lead
+    at = i
+    more = bool(True)
+    while more:
+        balance = balance + direction(faces, edge)
+        at = at + 1
+        more = False
+        if at < total:
+            more = keys[at] == key
+        # The next face at the same edge; after the last comes the first.
+        following = lead
+        if more:
+            following = edges[at]
+        neighbours[edge / 3, edge % 3] = wp.where(somewhere and following != edge, following, -1)
+        owned[edge] = wp.where(somewhere and edge == lead, 1, 0)
+        edge = following
+    if balance != 0:
+        left_over[i] = balance
+        remarks[_LEFT_OVER] = 1
+
+
+@wp.kernel
+def _own(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+):
+    if remarks[_OUT_OF_RANGE] != 0:
+        return
+    face = begin + wp.tid()
+    bits = int(0)
+    for k in range(3):
+        bits = bits | (owned[3 * face + k] << (k + 1))
+        if first[faces[face, k]] == face:
+            bits = bits | (1 << (k + 4))
+    neighbours[face, 3] = bits
+
+
+def pair_edges(
+    faces: wp.array,
+    first: wp.array,
+    remarks: wp.array,
+    keys: wp.array,
+    left_over: wp.array,
+    neighbours: wp.array,
+    launch: Any,
+    empty: Callable[[int, Any], wp.array],
+) -> None:
+    """What `sdm.topology` wants to know about faces, on their device.
+
+    Args:
+        faces: (F,3) int32.
+        first: (V) int32, F or more each; afterwards the first face at each vertex.
+        remarks: (REMARKS) int32, zero; afterwards 1 where there is a vertex out of range (then all else has no
+            meaning), and where there is an edge left over.
+        keys: (6 * F) int64; afterwards the first half is the edges' keys, sorted.
+        left_over: (3 * F) int32, filled: at the first of each key, how many more of its edges lead up than back.
+        neighbours: (F,4) int32, filled as `sdm.topology.neighbours` says.
+        launch: `sdm.kernels.launch.launch`.
+        empty: Allocates scratch: `empty(length, dtype)`.
+    """
+    count, vertices, device = faces.shape[0], first.shape[0], faces.device
+    total, bits = 3 * count, bits_for(vertices)
+    edges, owned = empty(2 * total, wp.int32), empty(total, wp.int32)
+    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, remarks], device)
+    wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
+    launch(_pair, total, [faces, keys, edges, left_over, owned, neighbours, remarks], device)
+    launch(_own, count, [faces, owned, first, remarks, neighbours], device)

@@ -1,0 +1,93 @@
+"""Torch's memory and streams under Warp's kernels.
+
+Warp frees its own arrays on the stream that is current when Python lets go of them, which may be another than the
+one whose kernels still read them. All memory here is a torch tensor's instead: freed memory is reused only after the
+work queued before it on its stream, and `record_stream` tells the allocator of every other stream that reads it. So
+Warp's arrays own nothing, and a tensor has to live until the last kernel that uses it is queued, no longer.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+# Arrays that share memory begin at multiples of this many bytes in it.
+ALIGNMENT = 256
+CHUNK = 1 << 20
+# Warp's current stream is the device's, not the thread's.
+_turn = threading.RLock()
+
+
+@contextmanager
+def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
+    """Launch Warp kernels on torch's current stream of `tensor`'s device; `reads` stay alive until they are done."""
+    device = wp.device_from_torch(tensor.device)
+    if not device.is_cuda:
+        yield device
+        return
+    with torch.cuda.device(tensor.device):
+        stream = torch.cuda.current_stream()
+        for read in reads:
+            if read.numel():
+                read.record_stream(stream)
+        with _turn, wp.ScopedStream(_warp_stream(device.alias, stream.cuda_stream), sync_enter=False):
+            yield device
+
+
+@lru_cache(maxsize=64)
+def _warp_stream(device: str, stream: int) -> wp.Stream:
+    # Torch has a few streams, which it hands out again and again; Warp takes its time to look at one.
+    return wp.Stream(device, cuda_stream=stream)
+
+
+def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
+    """A contiguous torch tensor as a Warp array over the same memory, which the array does not keep."""
+    inner = getattr(dtype, "_shape_", ())
+    outer = tensor.shape[: tensor.ndim - len(inner)]
+    size = wp.types.type_size_in_bytes(dtype)
+    if tensor.shape != outer + inner or math.prod(inner) * tensor.itemsize != size or not tensor.is_contiguous():
+        raise ValueError(
+            f"a tensor of shape {tuple(tensor.shape)} and type {tensor.dtype} is no {dtype.__name__} array"
+        )
+    return array_at(tensor.data_ptr(), outer, dtype, tensor.device)
+
+
+@lru_cache(maxsize=1024)
+def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.device) -> wp.array:
+    """The Warp array at an address."""
+    # It owns nothing, so it may be remembered: torch's allocator gives the same few addresses again and again, and
+    # to make an array takes as long as to launch a kernel.
+    return wp.array(ptr=address, dtype=dtype, shape=tuple(shape), device=wp.device_from_torch(device), copy=False)
+
+
+def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
+    """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
+    kept: list[Tensor] = []
+    free, end = 0, 0
+
+    def take(size: int) -> int:
+        kept.append(torch.empty(size, dtype=torch.uint8, device=device))
+        return kept[-1].data_ptr()
+
+    def empty(length: int, dtype: Any) -> wp.array:
+        nonlocal free, end
+        size = length * wp.types.type_size_in_bytes(dtype)
+        if size > CHUNK // 4:
+            return array_at(take(size), (length,), dtype, device)
+        # Small arrays share a chunk: to ask torch for memory costs more than to count.
+        if free + size > end:
+            free = take(CHUNK)
+            end = free + CHUNK
+        address = free
+        free += size + -size % ALIGNMENT
+        return array_at(address, (length,), dtype, device)
+
+    return empty
