@@ -31,9 +31,9 @@ MOST_REGIONS = 1 << (SLICE_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
 FULL, MOST_SHARES = 1 << 12, 16
 # Cells with more triangles are measured brick by brick.
-LONGEST_OF_CELL = {"cuda": 64, "cpu": 256}
+LONGEST_OF_CELL = {"cuda": 128, "cpu": 256}
 # Triangles of such a cell's list that one group of lanes takes. There are fewer groups on a CPU than bricks.
-SLICE = {"cuda": 512, "cpu": LARGEST_POOL}
+SLICE = {"cuda": 1024, "cpu": LARGEST_POOL}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 8000, "cpu": 5000}
 # So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -138,16 +139,16 @@ def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
 
 def _check_values(vertices: Tensor, faces: Tensor, name: str) -> None:
     count = vertices.shape[0]
-    low, high = int(faces.min()), int(faces.max())
+    # All numbers in one copy: each would wait for a GPU. The largest is NaN if any coordinate is.
+    bounds = (*faces.aminmax(), vertices.detach().abs().amax())
+    low, high, largest = torch.stack([bound.double() for bound in bounds]).tolist()
     if low < 0 or high >= count:
-        bad = low if low < 0 else high
+        bad = int(low if low < 0 else high)
         raise MeshError(f"a face of {name} uses vertex {bad}, but its {count} vertices are numbered 0 to {count - 1}")
     # A NaN in a vertex that no face uses cannot matter, yet it tells of a damaged file.
-    fine = torch.isfinite(vertices.detach()).all(1)
-    if not bool(fine.all()):
-        index = int((~fine).nonzero()[0])
+    if not math.isfinite(largest):
+        index = int((~torch.isfinite(vertices.detach()).all(1)).nonzero()[0])
         raise MeshError(f"vertex {index} of {name} is {vertices[index].tolist()}; every coordinate must be finite")
-    largest = float(vertices.detach().abs().max())
     if largest > LARGEST_COORDINATE:
         raise MeshError(
             f"a coordinate of {name} is {largest:g}; at most {LARGEST_COORDINATE:g} is supported: use a larger unit"
