@@ -54,7 +54,7 @@ from sdm.kernels.lists import (
     is_within,
     list_length,
     make_cell,
-    octant,
+    octant_at,
     read_entry,
     read_on,
     start_reading,
@@ -62,7 +62,7 @@ from sdm.kernels.lists import (
 from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.regions import STACK
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
-from sdm.kernels.witness import seen_from, witness_of
+from sdm.kernels.witness import read_witness, seen_from
 
 wp.set_module_options({"enable_backward": False})
 
@@ -120,6 +120,15 @@ def nearest_in_list(
 
 
 @wp.func
+def nearest_of_cell(lists: Lists, number: int):
+    """The surface point nearest to a cell's centre."""
+    known = no_witness()
+    for share in range(lists.shares):
+        known = remember(known, read_witness(lists.nearest, number * lists.shares + share).to_surface)
+    return known
+
+
+@wp.func
 def middle_of_octant(cell: Cell, octant: int):
     """About the centre of one of a cell's bricks."""
     half = 0.5 * cell.half
@@ -132,18 +141,28 @@ def middle_of_octant(cell: Cell, octant: int):
 
 @wp.func
 def find_brick_witnesses(
-    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, number: int, cell: Cell, lane: int, lanes: int
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    lists: Lists,
+    number: int,
+    cell: Cell,
+    nearest: Witness,
+    length: int,
+    lane: int,
+    lanes: int,
 ):
-    """A surface point near each of a cell's bricks, from its list, seen from the middle of its octant.
+    """A surface point near each of a cell's bricks, seen from the middle of its octant: the cell's nearest or a nearer.
 
-    Each lane measures the triangle whose ball's centre is nearest of those that it sees.
+    On a GPU each lane measures the triangle of the list whose ball's centre is nearest of those that it sees.
     """
     best = Octants()
     best2 = OctantDistances()
     for o in range(8):
         best[o] = -1
         best2[o] = float(wp.inf)
-    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    reader = Reader()
+    if length > 0 and not on_cpu():
+        reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
     upcoming = read_entry(lists, reader, lane)
     while reader.left > 0:
         slot = upcoming
@@ -158,9 +177,10 @@ def find_brick_witnesses(
                     best2[o] = d2
                     best[o] = slot
     for o in range(8):
-        known = no_witness()
+        middle = middle_of_octant(cell, o)
+        known = remember(no_witness(), nearest.to_surface + (middle - cell.centre))
         if best[o] >= 0:
-            known = remember(known, seen_from(frames, best[o], middle_of_octant(cell, o)))
+            known = remember(known, seen_from(frames, best[o], middle))
         known = agree(known, lane)
         if lane == 0:
             u = known.to_surface
@@ -375,6 +395,7 @@ def put_off(
     out: Output,
     number: int,
     cell: Cell,
+    known: Witness,
     length: int,
     slice_length: int,
     lane: int,
@@ -384,8 +405,7 @@ def put_off(
 
     Where those are several, they need a distance to lessen: an infinite one, with its sign. Returns the unclear voxels.
     """
-    if not on_cpu() and length > 0:
-        find_brick_witnesses(frames, parts, lists, number, cell, lane, lanes)
+    find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)
     slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
     unclear = int(0)
     if slices > 1:
@@ -446,24 +466,27 @@ def _measure_blocks(
         mesh, start = cell_start(lists, number)
         scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
         cell = make_cell(slab, start, CELL, scale)
-        known = witness_of(lists, lists.count + number)
+        known = no_witness()
         block.mesh = mesh
         block.start = start
         block.cell = cell
         wanted = is_within(slab, start)
         if longest == 0:
-            block.start = start + BRICK * octant(item)
+            block.start = start + BRICK * octant_at(item)
             wanted = is_within(slab, block.start)
             block.cell = make_cell(slab, block.start, BRICK, scale)
-            known = remember(no_witness(), known.to_surface + (block.cell.centre - cell.centre))
-            if not on_cpu():
-                other = witness_of(lists, 9 * lists.count + 8 * number + item % 8)
-                known = remember(known, other.to_surface + (block.cell.centre - middle_of_octant(cell, item % 8)))
+            octant = item % 8
+            known = read_witness(lists.witnesses, 9 * lists.count + 8 * number + octant)
+            known = remember(no_witness(), known.to_surface + (block.cell.centre - middle_of_octant(cell, octant)))
         elif wanted:
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+            if length > 0:
+                known = nearest_of_cell(lists, number)
             wanted = length >= 0 and length <= longest and not is_coarse(cell)
             if not wanted:
-                unclear = put_off(frames, parts, slab, lists, out, number, cell, length, slice_length, lane, lanes)
+                unclear = put_off(
+                    frames, parts, slab, lists, out, number, cell, known, length, slice_length, lane, lanes
+                )
                 if unclear > 0:
                     fetch_add(out.ambiguous, mesh, unclear)
         if wanted:

@@ -15,7 +15,7 @@ from sdm.kernels.cones import Cones, ball_matters
 from sdm.kernels.cull import agree, away, remember, triangle_is_behind
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import GPU_BLOCKS, ballot, fetch_add_once, members, rank, wait_for_lanes
+from sdm.kernels.lanes import GPU_BLOCKS, ballot, fetch_add_once, members, rank, wait_for_lanes, write4
 from sdm.kernels.lists import (
     CELL,
     NEXT_CELL,
@@ -34,7 +34,7 @@ from sdm.kernels.lists import (
 from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.regions import STACK, node_matters
 from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, first_triangle
-from sdm.kernels.witness import witness_of
+from sdm.kernels.witness import read_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,7 +72,7 @@ def _list_cells(
             base = mesh * 2 * leaves
             cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
             radius = wp.sqrt(cell.half2)
-            known = witness_of(lists, lists.count + number)
+            known = read_witness(lists.witnesses, lists.count + number)
             chain = Chain()
             chain.chunk = lists.chunks
             head = int(-1)
@@ -134,6 +134,9 @@ def _list_cells(
                     waiting = waiting + members(mask)
                 wait_for_lanes()
             if lane == 0:
+                # The nearest triangle passes every test, so what is known now is the nearest of this share.
+                u = known.to_surface
+                write4(lists.nearest, item, u[0], u[1], u[2], known.distance2)
                 lists.heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
                 lists.lengths[item] = chain.length
         item = fetch_add_once(lists.counts, _NEXT_CELL, 1, lane)
@@ -151,7 +154,7 @@ def list_cells(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Fill the cells' lists of one pass from their regions', with `workers` groups of lanes.
+    """Fill the cells' lists and `nearest` of one pass from their regions' lists, with `workers` groups of lanes.
 
     `stacks` (workers * STACK int32) is scratch.
     """

@@ -129,6 +129,7 @@ def query_slab(
     lists.heads = empty(8 * most * lists.shares, wp.int32)
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
+    lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
     # Each slice but the last of a list is full.
     lists.heavy = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)

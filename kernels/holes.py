@@ -25,7 +25,7 @@ from sdm.kernels.lanes import (
     sum_of_lanes_in_double,
 )
 from sdm.kernels.launch import threads
-from sdm.kernels.lists import BRICK, CELL, is_within, make_cell, octant
+from sdm.kernels.lists import BRICK, CELL, is_within, make_cell, octant_at
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -83,7 +83,7 @@ def _find_near_bricks(
             if not is_far(view_caps(boundary, mesh, make_cell(slab, CELL * at, CELL, scale), lane, lanes)):
                 part = int(0)
                 while part < 8:
-                    start = CELL * at + BRICK * octant(part)
+                    start = CELL * at + BRICK * octant_at(part)
                     if is_within(slab, start):
                         view = view_caps(boundary, mesh, make_cell(slab, start, BRICK, scale), lane, lanes)
                         if lane == 0 and not is_far(view):
@@ -110,7 +110,7 @@ def open_piece(
     unsure = bool(False)
     number = lane
     while number < 8:
-        v = start + octant(number)
+        v = start + octant_at(number)
         if is_within(slab, v):
             unsure = unsure or not is_sure(values[mesh, v[0], v[1], v[2]] - view.share, view.error)
         number = number + lanes
@@ -118,7 +118,7 @@ def open_piece(
         return False
     number = lane
     while number < 8:
-        v = start + octant(number)
+        v = start + octant_at(number)
         if is_within(slab, v):
             values[mesh, v[0], v[1], v[2]] = values[mesh, v[0], v[1], v[2]] - view.share
         number = number + lanes
@@ -164,14 +164,14 @@ def _open_bricks(
     while item < total:
         brick = near.bricks[item]
         mesh, at = unravel(brick / 8, near.cells)
-        start = CELL * at + BRICK * octant(brick) + PIECE * octant(group)
+        start = CELL * at + BRICK * octant_at(brick) + PIECE * octant_at(group)
         scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
         number = int(8)
         if is_within(slab, start):
             if not open_piece(boundary, slab, mesh, start, float(scale), lane, lanes, values):
                 number = lane / share
         while number < 8:
-            v = start + octant(number)
+            v = start + octant_at(number)
             point = voxel(slab, v[0], v[1], v[2])
             sight = see_caps(boundary, mesh, float(scale) * point, lane % share, share)
             error = sum_of_four(doubt(sight))
@@ -188,7 +188,7 @@ def _open_bricks(
             while left != wp.uint32(0):
                 other = first_member(left)
                 left = left & (left - wp.uint32(1))
-                v = start + octant(number - lane / share + other / share)
+                v = start + octant_at(number - lane / share + other / share)
                 open_voxel(tree, boundary, slab, mesh, v, lane, lanes, values)
             number = number + lanes / share
         item = item + groups / 8

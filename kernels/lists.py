@@ -43,9 +43,9 @@ class Lists:
     region_lengths: wp.array(dtype=wp.int32)
     heads: wp.array(dtype=wp.int32)  # (8 * count * shares) triangles (slots)
     lengths: wp.array(dtype=wp.int32)
-    witnesses: wp.array(
-        dtype=wp.float32
-    )  # (73 * count * 4) of regions, cells and bricks in turn: see `witness`, `blocks`
+    # Surface points seen from centres: the vector from there, and its square.
+    witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) near regions, then cells, then bricks
+    nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
     heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `blocks`
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
@@ -94,7 +94,7 @@ def region_start(lists: Lists, item: int):
 
 
 @wp.func
-def octant(item: int):
+def octant_at(item: int):
     """Which of eight parts: 0 or 1 along each axis."""
     return wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
 
@@ -103,7 +103,7 @@ def octant(item: int):
 def cell_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a cell."""
     mesh, start = region_start(lists, item / 8)
-    return mesh, start + CELL * octant(item)
+    return mesh, start + CELL * octant_at(item)
 
 
 @wp.func

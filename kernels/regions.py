@@ -15,7 +15,7 @@ from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
 from sdm.kernels.lists import NEXT_CHUNK, NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_box
-from sdm.kernels.witness import seen_from, witness_of
+from sdm.kernels.witness import read_witness, seen_from
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,7 +63,7 @@ def _list_regions(
         base = mesh * 2 * leaves
         cell = make_cell(slab, start, REGION, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
         radius = wp.sqrt(cell.half2)
-        known = witness_of(lists, region)
+        known = read_witness(lists.witnesses, region)
         chain = Chain()
         chain.chunk = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
         head = chain.chunk

@@ -85,9 +85,9 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
 
 
 @wp.func
-def witness_of(lists: Lists, number: int):
-    """The witness of a region, or of a cell as number `lists.count` + cell."""
-    row = load4(lists.witnesses, number)
+def read_witness(rows: wp.array(dtype=wp.float32), number: int):
+    """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
+    row = load4(rows, number)
     known = Witness()
     known.to_surface = wp.vec3(row[0], row[1], row[2])
     known.distance2 = row[3]
