@@ -1,4 +1,4 @@
-"""Third stage of the dense query: the distances themselves, block by block.
+"""Fourth stage of the dense query: the distances themselves, block by block.
 
 A block is a cell of 8^3 voxels whose list is short, or one of the eight bricks of 4^3 of a cell whose list is long.
 One group of lanes takes one block. It filters the cell's list once more, for the block, lists the parts of the
@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cones import Cones, ball_matters
-from sdm.kernels.cull import Cell, Witness, agree, no_witness, remember
+from sdm.kernels.cull import Cell, Witness, no_witness, remember
 from sdm.kernels.features import (
     NEAR_ENDS,
     VOXELS,
@@ -39,14 +39,13 @@ from sdm.kernels.lanes import (
     on_cpu,
     rank,
     wait_for_lanes,
-    write4,
 )
 from sdm.kernels.lists import (
     BRICK,
     CELL,
     HEAVY,
     NEXT_BLOCK,
-    NEXT_BRICK,
+    WHOLE,
     Lists,
     Reader,
     cell_start,
@@ -60,26 +59,20 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
+from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, slice_of, slices_of
 from sdm.kernels.regions import STACK
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 from sdm.kernels.witness import read_witness, seen_from
 
 wp.set_module_options({"enable_backward": False})
 
-# Eight slots, and eight squared distances.
-Octants = wp.types.vector(length=8, dtype=wp.int32)
-OctantDistances = wp.types.vector(length=8, dtype=wp.float32)
 # Squares beyond this one may overflow.
 LARGEST_SQUARE = wp.constant(1.0e36)
 
-# A heavy cell's number, which of its slices, how many there are less one, in one integer.
-SLICE_BITS, MOST_SLICES = 18, 64
-_SLICE_BITS, _MOST_SLICES = wp.constant(SLICE_BITS), wp.constant(MOST_SLICES)
 _STACK = wp.constant(STACK)
 _VOXELS = wp.constant(VOXELS)
-_HEAVY = wp.constant(HEAVY)
+_HEAVY, _WHOLE = wp.constant(HEAVY), wp.constant(WHOLE)
 _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
-_NEXT_BRICK = wp.constant(NEXT_BRICK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
@@ -120,74 +113,6 @@ def nearest_in_list(
 
 
 @wp.func
-def nearest_of_cell(lists: Lists, number: int):
-    """The surface point nearest to a cell's centre."""
-    known = no_witness()
-    for share in range(lists.shares):
-        known = remember(known, read_witness(lists.nearest, number * lists.shares + share).to_surface)
-    return known
-
-
-@wp.func
-def middle_of_octant(cell: Cell, octant: int):
-    """About the centre of one of a cell's bricks."""
-    half = 0.5 * cell.half
-    return cell.centre + wp.vec3(
-        wp.where((octant & 4) != 0, half[0], -half[0]),
-        wp.where((octant & 2) != 0, half[1], -half[1]),
-        wp.where((octant & 1) != 0, half[2], -half[2]),
-    )
-
-
-@wp.func
-def find_brick_witnesses(
-    frames: wp.array(dtype=wp.float32),
-    parts: Parts,
-    lists: Lists,
-    number: int,
-    cell: Cell,
-    nearest: Witness,
-    length: int,
-    lane: int,
-    lanes: int,
-):
-    """A surface point near each of a cell's bricks, seen from the middle of its octant: the cell's nearest or a nearer.
-
-    On a GPU each lane measures the triangle of the list whose ball's centre is nearest of those that it sees.
-    """
-    best = Octants()
-    best2 = OctantDistances()
-    for o in range(8):
-        best[o] = -1
-        best2[o] = float(wp.inf)
-    reader = Reader()
-    if length > 0 and not on_cpu():
-        reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
-    upcoming = read_entry(lists, reader, lane)
-    while reader.left > 0:
-        slot = upcoming
-        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
-        upcoming = read_entry(lists, reader, lane)
-        if slot >= 0:
-            ball = load4(parts.balls, slot)
-            for o in range(8):
-                u = middle_of_octant(cell, o) - wp.vec3(ball[0], ball[1], ball[2])
-                d2 = wp.dot(u, u)
-                if d2 < best2[o]:
-                    best2[o] = d2
-                    best[o] = slot
-    for o in range(8):
-        middle = middle_of_octant(cell, o)
-        known = remember(no_witness(), nearest.to_surface + (middle - cell.centre))
-        if best[o] >= 0:
-            known = remember(known, seen_from(frames, best[o], middle))
-        known = agree(known, lane)
-        if lane == 0:
-            u = known.to_surface
-            write4(lists.witnesses, 9 * lists.count + 8 * number + o, u[0], u[1], u[2], known.distance2)
-
-
-@wp.func
 def index_in(block: Block, v: int):
     """Voxel v of a block: its indices from the block's first."""
     mask = (1 << block.bits) - 1
@@ -199,10 +124,10 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
     """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple."""
     scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
     at = lane
-    while at < 24:
-        axis = at / 8
-        p = scale * wp.float64(along(slab, axis, block.start[axis] + at % 8))
-        write_place(rows, at, float(p - wp.float64(block.cell.centre[axis])))
+    while at < 8:
+        for axis in range(3):
+            p = scale * wp.float64(along(slab, axis, block.start[axis] + at))
+            write_place(rows, 8 * axis + at, float(p - wp.float64(block.cell.centre[axis])))
         at = at + lanes
 
 
@@ -386,52 +311,10 @@ def measure_block(
         fetch_add(out.ambiguous, block.mesh, unclear)
 
 
-@wp.func
-def put_off(
-    frames: wp.array(dtype=wp.float32),
-    parts: Parts,
-    slab: Slab,
-    lists: Lists,
-    out: Output,
-    number: int,
-    cell: Cell,
-    known: Witness,
-    length: int,
-    slice_length: int,
-    lane: int,
-    lanes: int,
-):
-    """Have a cell measured brick by brick, by one group of lanes for every `slice_length` triangles of its list.
-
-    Where those are several, they need a distance to lessen: an infinite one, with its sign. Returns the unclear voxels.
-    """
-    find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)
-    slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
-    unclear = int(0)
-    if slices > 1:
-        mesh, start = cell_start(lists, number)
-        v = lane
-        while v < CELL * CELL * CELL:
-            at = start + wp.vec3i(v / (CELL * CELL), (v / CELL) % CELL, v % CELL)
-            if is_within(slab, at):
-                unclear = unclear + write_distance(out, mesh, at[0], at[1], at[2], float(wp.inf))
-            v = v + lanes
-    if lane == 0:
-        # Whether a slice's voxels are missed nobody knows before the last is done.
-        if slices > 1:
-            fetch_add(out.missed, 0, 1)
-        first = fetch_add(lists.counts, _HEAVY, slices)
-        for i in range(slices):
-            lists.heavy[first + i] = number | (i << _SLICE_BITS) | ((slices - 1) << (_SLICE_BITS + 6))
-    return unclear
-
-
 @wp.kernel(launch_bounds=(128, GPU_BLOCKS))
 def _measure_blocks(
     begin: int,
     lanes: int,
-    longest: int,
-    slice_length: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
@@ -445,51 +328,38 @@ def _measure_blocks(
     thread = begin + wp.tid()
     lane = thread % lanes
     worker = thread / lanes
-    bits = int(2)
-    total = 8 * lists.counts[_HEAVY]
-    counter = _NEXT_BRICK
-    if longest > 0:
-        bits = int(3)
-        total = 8 * lists.count
-        counter = _NEXT_BLOCK
-    item = fetch_add_once(lists.counts, counter, 1, lane)
+    bricks = 8 * lists.counts[_HEAVY]
+    total = bricks + lists.counts[_WHOLE]
+    item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
     while item < total:
+        # The bricks first: they take longer.
         block = Block()
-        block.bits = bits
-        block.slices = 1
-        number = item
-        if longest == 0:
+        number = int(0)
+        witness = int(0)
+        if item < bricks:
             code = lists.heavy[item / 8]
-            number = code & ((1 << _SLICE_BITS) - 1)
-            block.slice = (code >> _SLICE_BITS) & (_MOST_SLICES - 1)
-            block.slices = 1 + (code >> (_SLICE_BITS + 6))
+            number = cell_of(code)
+            block.bits = 2
+            block.slice = slice_of(code)
+            block.slices = slices_of(code)
+            witness = brick_witness(lists, number, item % 8)
+        else:
+            number = lists.whole[item - bricks]
+            block.bits = 3
+            block.slices = 1
+            witness = lists.count + number
         mesh, start = cell_start(lists, number)
         scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
         cell = make_cell(slab, start, CELL, scale)
-        known = no_witness()
+        known = read_witness(lists.witnesses, witness)
         block.mesh = mesh
         block.start = start
         block.cell = cell
-        wanted = is_within(slab, start)
-        if longest == 0:
+        if item < bricks:
             block.start = start + BRICK * octant_at(item)
-            wanted = is_within(slab, block.start)
             block.cell = make_cell(slab, block.start, BRICK, scale)
-            octant = item % 8
-            known = read_witness(lists.witnesses, 9 * lists.count + 8 * number + octant)
-            known = remember(no_witness(), known.to_surface + (block.cell.centre - middle_of_octant(cell, octant)))
-        elif wanted:
-            length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
-            if length > 0:
-                known = nearest_of_cell(lists, number)
-            wanted = length >= 0 and length <= longest and not is_coarse(cell)
-            if not wanted:
-                unclear = put_off(
-                    frames, parts, slab, lists, out, number, cell, known, length, slice_length, lane, lanes
-                )
-                if unclear > 0:
-                    fetch_add(out.ambiguous, mesh, unclear)
-        if wanted:
+            known = remember(no_witness(), known.to_surface + (block.cell.centre - middle_of_octant(cell, item % 8)))
+        if is_within(slab, block.start):
             measure_block(
                 tree,
                 frames,
@@ -507,7 +377,7 @@ def _measure_blocks(
                 lane,
                 lanes,
             )
-        item = fetch_add_once(lists.counts, counter, 1, lane)
+        item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
 
 
 def measure_blocks(
@@ -517,8 +387,6 @@ def measure_blocks(
     cones: Cones,
     slab: Slab,
     lists: Lists,
-    longest: int,
-    slice_length: int,
     features: Features,
     stacks: wp.array,
     out: Output,
@@ -526,11 +394,10 @@ def measure_blocks(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Distances of every voxel of one pass: cells of up to `longest` triangles whole, others brick by brick.
+    """Distances of every voxel of one pass, of the cells and bricks that were planned.
 
-    One group of lanes takes up to `slice_length` triangles. `features` and `stacks` are scratch. Voxels of cells whose
-    list found no room become infinite with their sign, and are counted in `out.missed`.
+    `features` and `stacks` are scratch. Voxels of cells whose list found no room become infinite with their sign, and
+    are counted in `out.missed`.
     """
-    for most in (longest, 0):
-        inputs = [lanes, most, slice_length, tree, frames, parts, cones, slab, lists, features, stacks, out]
-        launch(_measure_blocks, workers * lanes, inputs, frames.device, smallest=1)
+    inputs = [lanes, tree, frames, parts, cones, slab, lists, features, stacks, out]
+    launch(_measure_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.blocks import SLICE_BITS, measure_blocks
+from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.features import ROWS, VOXELS, Features
@@ -16,6 +16,7 @@ from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.launch import threads
 from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
+from sdm.kernels.plan import CELL_BITS, plan_blocks
 from sdm.kernels.points import Winding
 from sdm.kernels.regions import STACK, list_regions
 from sdm.kernels.scan import slab_winding
@@ -27,7 +28,7 @@ from sdm.kernels.witness import find_witnesses
 GPU_WORKERS = 132 * 16
 # Entries of the pool of lists: 64 to 256 MiB.
 SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
-MOST_REGIONS = 1 << (SLICE_BITS - 3)
+MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
 FULL, MOST_SHARES = 1 << 12, 16
 # Cells with more triangles are measured brick by brick.
@@ -130,6 +131,7 @@ def query_slab(
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
+    lists.whole = empty(8 * most, wp.int32)
     # Each slice but the last of a list is full.
     lists.heavy = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
@@ -149,20 +151,6 @@ def query_slab(
         find_witnesses(tree, frames, slab, lists, workers, lanes, launch)
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
         list_cells(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
-        measure_blocks(
-            tree,
-            frames,
-            parts,
-            cones,
-            slab,
-            lists,
-            longest,
-            slice_length,
-            features,
-            stacks,
-            out,
-            workers,
-            lanes,
-            launch,
-        )
+        plan_blocks(tree, frames, parts, slab, lists, longest, slice_length, out, workers, lanes, launch)
+        measure_blocks(tree, frames, parts, cones, slab, lists, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

@@ -22,7 +22,17 @@ COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_BLOCK, NEXT_BRICK, NEXT_CHUNK, HEAVY, COUNTS = 0, 1, 2, 3, 4, 5, 6, 8
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_BLOCK, NEXT_CHUNK, HEAVY, WHOLE, COUNTS = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+)
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -46,7 +56,8 @@ class Lists:
     # Surface points seen from centres: the vector from there, and its square.
     witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) near regions, then cells, then bricks
     nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
-    heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `blocks`
+    whole: wp.array(dtype=wp.int32)  # (8 * count) the cells that are measured whole
+    heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `plan`
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
     counts: wp.array(dtype=wp.int32)  # (COUNTS) shared counters, zero at the start

@@ -1,0 +1,222 @@
+"""Third stage of the dense query: which cells are measured whole, and which brick by brick.
+
+A cell with a short list is a block by itself. Of one with a long list the eight bricks are, and if it is very long each
+brick is measured by several groups of lanes, with a slice of the list each.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cull import Cell, Witness, agree, no_witness, remember
+from sdm.kernels.grid import Output, Slab, write_distance
+from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, write4
+from sdm.kernels.lists import (
+    CELL,
+    HEAVY,
+    NEXT_PLAN,
+    WHOLE,
+    Lists,
+    Reader,
+    cell_start,
+    is_coarse,
+    is_within,
+    list_length,
+    make_cell,
+    read_entry,
+    read_on,
+    start_reading,
+)
+from sdm.kernels.parts import Parts
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.witness import read_witness, seen_from
+
+wp.set_module_options({"enable_backward": False})
+
+# A heavy cell's number, which of its slices, how many there are less one, in one integer.
+CELL_BITS, SLICE_BITS = 18, 6
+_CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
+_MOST_SLICES = wp.constant(1 << SLICE_BITS)
+# Eight slots, and eight squared distances.
+Octants = wp.types.vector(length=8, dtype=wp.int32)
+OctantDistances = wp.types.vector(length=8, dtype=wp.float32)
+
+_HEAVY, _WHOLE, _NEXT_PLAN = wp.constant(HEAVY), wp.constant(WHOLE), wp.constant(NEXT_PLAN)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+
+
+@wp.func
+def cell_of(code: int):
+    return code & ((1 << _CELL_BITS) - 1)
+
+
+@wp.func
+def slice_of(code: int):
+    return (code >> _CELL_BITS) & (_MOST_SLICES - 1)
+
+
+@wp.func
+def slices_of(code: int):
+    return 1 + (code >> (_CELL_BITS + _SLICE_BITS))
+
+
+@wp.func
+def brick_witness(lists: Lists, number: int, octant: int):
+    """Where in `lists.witnesses` a brick's is."""
+    return 9 * lists.count + 8 * number + octant
+
+
+@wp.func
+def nearest_of_cell(lists: Lists, number: int):
+    """The surface point nearest to a cell's centre."""
+    known = no_witness()
+    for share in range(lists.shares):
+        known = remember(known, read_witness(lists.nearest, number * lists.shares + share).to_surface)
+    return known
+
+
+@wp.func
+def middle_of_octant(cell: Cell, octant: int):
+    """About the centre of one of a cell's bricks."""
+    half = 0.5 * cell.half
+    return cell.centre + wp.vec3(
+        wp.where((octant & 4) != 0, half[0], -half[0]),
+        wp.where((octant & 2) != 0, half[1], -half[1]),
+        wp.where((octant & 1) != 0, half[2], -half[2]),
+    )
+
+
+@wp.func
+def find_brick_witnesses(
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    lists: Lists,
+    number: int,
+    cell: Cell,
+    nearest: Witness,
+    length: int,
+    lane: int,
+    lanes: int,
+):
+    """A surface point near each of a cell's bricks, seen from the middle of its octant: the cell's nearest or a nearer.
+
+    On a GPU each lane measures the triangle of the list whose ball's centre is nearest of those that it sees.
+    """
+    best = Octants()
+    best2 = OctantDistances()
+    for o in range(8):
+        best[o] = -1
+        best2[o] = float(wp.inf)
+    reader = Reader()
+    if length > 0 and not on_cpu():
+        reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    upcoming = read_entry(lists, reader, lane)
+    while reader.left > 0:
+        slot = upcoming
+        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+        upcoming = read_entry(lists, reader, lane)
+        if slot >= 0:
+            ball = load4(parts.balls, slot)
+            for o in range(8):
+                u = middle_of_octant(cell, o) - wp.vec3(ball[0], ball[1], ball[2])
+                d2 = wp.dot(u, u)
+                if d2 < best2[o]:
+                    best2[o] = d2
+                    best[o] = slot
+    for o in range(8):
+        middle = middle_of_octant(cell, o)
+        known = remember(no_witness(), nearest.to_surface + (middle - cell.centre))
+        if best[o] >= 0:
+            known = remember(known, seen_from(frames, best[o], middle))
+        known = agree(known, lane)
+        if lane == 0:
+            u = known.to_surface
+            write4(lists.witnesses, brick_witness(lists, number, o), u[0], u[1], u[2], known.distance2)
+
+
+@wp.func
+def share_out(
+    slab: Slab, lists: Lists, out: Output, number: int, length: int, slice_length: int, lane: int, lanes: int
+):
+    """Note a heavy cell, once for each slice of its list; returns the unclear voxels that were written.
+
+    Where there are several slices, they need a distance to lessen: an infinite one, with its sign.
+    """
+    slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
+    unclear = int(0)
+    if slices > 1:
+        mesh, start = cell_start(lists, number)
+        v = lane
+        while v < CELL * CELL * CELL:
+            at = start + wp.vec3i(v / (CELL * CELL), (v / CELL) % CELL, v % CELL)
+            if is_within(slab, at):
+                unclear = unclear + write_distance(out, mesh, at[0], at[1], at[2], float(wp.inf))
+            v = v + lanes
+    if lane == 0:
+        # Whether a slice's voxels are missed nobody knows before the last is done.
+        if slices > 1:
+            fetch_add(out.missed, 0, 1)
+        first = fetch_add(lists.counts, _HEAVY, slices)
+        for i in range(slices):
+            lists.heavy[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+    return unclear
+
+
+@wp.kernel
+def _plan_blocks(
+    begin: int,
+    lanes: int,
+    longest: int,
+    slice_length: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    out: Output,
+):
+    lane = (begin + wp.tid()) % lanes
+    number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
+    while number < 8 * lists.count:
+        mesh, start = cell_start(lists, number)
+        if is_within(slab, start):
+            cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+            length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+            known = no_witness()
+            if length > 0:
+                known = nearest_of_cell(lists, number)
+            if length >= 0 and length <= longest and not is_coarse(cell):
+                if lane == 0:
+                    u = known.to_surface
+                    write4(lists.witnesses, lists.count + number, u[0], u[1], u[2], known.distance2)
+                    lists.whole[fetch_add(lists.counts, _WHOLE, 1)] = number
+            else:
+                find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)
+                unclear = share_out(slab, lists, out, number, length, slice_length, lane, lanes)
+                if unclear > 0:
+                    fetch_add(out.ambiguous, mesh, unclear)
+        number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
+
+
+def plan_blocks(
+    tree: Tree,
+    frames: wp.array,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    longest: int,
+    slice_length: int,
+    out: Output,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill `lists.whole` with the cells of one pass that have up to `longest` triangles, `lists.heavy` with the others.
+
+    One group of lanes takes up to `slice_length` triangles of a heavy cell's list for each of its bricks.
+    """
+    inputs = [lanes, longest, slice_length, tree, frames, parts, slab, lists, out]
+    launch(_plan_blocks, workers * lanes, inputs, frames.device, smallest=1)
