@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cones import Cones, ball_matters
-from sdm.kernels.cull import Cell, Witness, no_witness, remember
+from sdm.kernels.cull import Cell, Witness, moved, remember
 from sdm.kernels.features import (
     NEAR_ENDS,
     VOXELS,
@@ -358,7 +358,7 @@ def _measure_blocks(
         if item < bricks:
             block.start = start + BRICK * octant_at(item)
             block.cell = make_cell(slab, block.start, BRICK, scale)
-            known = remember(no_witness(), known.to_surface + (block.cell.centre - middle_of_octant(cell, item % 8)))
+            known = moved(known, block.cell.centre - middle_of_octant(cell, item % 8))
         if is_within(slab, block.start):
             measure_block(
                 tree,

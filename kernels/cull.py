@@ -117,6 +117,14 @@ def remember(mine: Witness, u: wp.vec3):
 
 
 @wp.func
+def moved(known: Witness, by: wp.vec3):
+    """A witness as it is seen from a centre that is `by` further on."""
+    if known.distance2 < float(wp.inf):
+        return remember(no_witness(), known.to_surface + by)
+    return known
+
+
+@wp.func
 def agree(mine: Witness, lane: int):
     """The nearest of all lanes' witnesses."""
     best = lane_of_least(mine.distance2, lane)

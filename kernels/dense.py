@@ -26,8 +26,8 @@ from sdm.kernels.witness import find_witnesses
 
 # Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
 GPU_WORKERS = 132 * 16
-# Entries of the pool of lists: 64 to 256 MiB.
-SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 26
+# Entries of the pool of lists: 64 MiB on a CPU, 128 to 256 MiB on a GPU.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 26
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
 FULL, MOST_SHARES = 1 << 12, 16
@@ -36,10 +36,7 @@ LONGEST_OF_CELL = {"cuda": 128, "cpu": 256}
 # Triangles of such a cell's list that one group of lanes takes. There are fewer groups on a CPU than bricks.
 SLICE = {"cuda": 1024, "cpu": LARGEST_POOL}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
-LONGEST_LIST = {"cuda": 8000, "cpu": 5000}
-# So do shorter ones where there are too few cells to keep a GPU busy until the longest is done.
-FEW_VOXELS = 1 << 19
-LONGEST_LIST_OF_FEW = 1000
+LONGEST_LIST = 16000
 
 
 def expected_list(triangles: int, shape: Sequence[int]) -> float:
@@ -47,15 +44,12 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
 
     From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
     """
-    return 1.8 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+    return 1.4 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
 
 
-def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
+def search_is_faster(triangles: int, shape: Sequence[int]) -> bool:
     """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
-    length = expected_list(triangles, shape)
-    if gpu and (shape[1] * shape[2]) ** 1.5 < FEW_VOXELS and length > LONGEST_LIST_OF_FEW:
-        return True
-    return length > LONGEST_LIST["cuda" if gpu else "cpu"]
+    return expected_list(triangles, shape) > LONGEST_LIST
 
 
 def shares_of(shape: Sequence[int]) -> int:
@@ -103,7 +97,7 @@ def query_slab(
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
-        method = "search" if search_is_faster(tree.count, shape, gpu) else "cells"
+        method = "search" if search_is_faster(tree.count, shape) else "cells"
     out = Output()
     out.values = values
     out.ambiguous = ambiguous
@@ -118,7 +112,7 @@ def query_slab(
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
     lists.shares = shares_of(shape) if gpu else 1
-    room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL)
+    room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL) if gpu else CPU_POOL
     # A pass has room for a quarter more than is expected, and every list for one more chunk.
     cells = expected_list(tree.count, shape)
     expected = 8 * (1.25 * cells + CHUNK * lists.shares) + 4 * cells + 2 * CHUNK * lists.shares

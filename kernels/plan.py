@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, Witness, agree, no_witness, remember
+from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
 from sdm.kernels.grid import Output, Slab, write_distance
 from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, write4
 from sdm.kernels.lists import (
@@ -74,7 +74,9 @@ def nearest_of_cell(lists: Lists, number: int):
     """The surface point nearest to a cell's centre."""
     known = no_witness()
     for share in range(lists.shares):
-        known = remember(known, read_witness(lists.nearest, number * lists.shares + share).to_surface)
+        other = read_witness(lists.nearest, number * lists.shares + share)
+        if other.distance2 < known.distance2:
+            known = other
     return known
 
 
@@ -128,7 +130,7 @@ def find_brick_witnesses(
                     best[o] = slot
     for o in range(8):
         middle = middle_of_octant(cell, o)
-        known = remember(no_witness(), nearest.to_surface + (middle - cell.centre))
+        known = moved(nearest, middle - cell.centre)
         if best[o] >= 0:
             known = remember(known, seen_from(frames, best[o], middle))
         known = agree(known, lane)

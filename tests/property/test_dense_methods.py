@@ -65,8 +65,7 @@ def test_when_the_pool_of_lists_runs_out(monkeypatch):
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = index.signed_distance_map(grid).values
     for room in (1 << 13, 1 << 14, 1 << 16):
-        monkeypatch.setattr(dense, "SMALLEST_POOL", room)
-        monkeypatch.setattr(dense, "LARGEST_POOL", room)
+        monkeypatch.setattr(dense, "CPU_POOL", room)
         scarce = index.signed_distance_map(grid).values
         assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
         assert torch.equal(plenty < 0, scarce < 0)
