@@ -37,6 +37,8 @@ CHECKED = 4_000
 TRIAL, LARGER_TRIAL = 200, 2_000
 # As many of a larger grid's voxels are drawn at random.
 MOST_ORDER = 1 << 22
+# A map of as many fewer voxels along each axis tells how long the whole one will take, at most.
+COARSER = 4
 # Parts of a query are timed on all its points; larger grids leave them out.
 MOST_PART_POINTS = 1 << 25
 
@@ -53,7 +55,8 @@ class Options:
         peers: Words of which a peer's name must hold one, in any case; None for all.
         runs: Timed calls for each figure; the median counts.
         budget_s: About how long one peer may take for one mesh and grid. A peer that would take longer is timed on
-            fewer voxels, chosen at random, and the table says how many.
+            fewer voxels, chosen at random, and the table says how many. One that does better on a whole map than
+            voxel by voxel is judged by a coarse map.
         quick: Small choices: under a minute on two cores, compiling aside.
         out: Also write the results: to this file if it ends with .json, else to this folder, with tables and plots.
         add: Python files with meshes and peers of one's own: see bench/own.py.
@@ -248,7 +251,7 @@ def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]
     """Check one peer's answers to one question, then time it."""
     device, budget = peer.device, 1e3 * options.budget_s
     asked, warm_up = question.size, 0.0
-    if peer.points_too:
+    if peer.points_too and not _whole_map_fits(peer, question, budget):
         asked, warm_up = _affordable(peer, question, budget)
     if asked < question.size:
         some = torch.from_numpy(question.points(question.order[:asked])).to(device)
@@ -286,6 +289,19 @@ def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]
                 function(at[:TRIAL])  # compiles
                 row[f"{part}_ms"] = median(lambda f=function: f(at), device, options.runs, budget / 2).ms
     return row
+
+
+def _whole_map_fits(peer: Peer, question: Question, budget: float) -> bool:
+    """Whether a peer with a way of its own to make maps has time for this one, going by one a quarter as fine."""
+    if question.grid is None or type(peer).signed_distance_map is Peer.signed_distance_map:
+        return False
+    shape = [-(-n // COARSER) for n in question.grid.shape]
+    coarse = sdm.Grid(question.grid.origin, [COARSER * step for step in question.grid.spacing], shape)
+    peer.prepare(coarse)
+    once(lambda: peer.signed_distance_map(coarse), peer.device)
+    ms, _ = once(lambda: peer.signed_distance_map(coarse), peer.device)
+    # As in `_affordable`: the first call, and at least half a call more.
+    return ms * question.size / coarse.size <= budget / 1.5
 
 
 def _affordable(peer: Peer, question: Question, budget: float) -> tuple[int, float]:

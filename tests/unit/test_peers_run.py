@@ -32,8 +32,20 @@ def test_comparison(tmp_path, capsys):
     assert "Warp winding number" in printed
 
 
+def test_a_fast_map_is_timed_whole_even_where_points_are_slow(tmp_path, monkeypatch):
+    out = tmp_path / "results.json"
+    monkeypatch.setattr(run, "_affordable", lambda peer, question, budget: (250, 0.0))
+    assert (
+        run.main(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)])
+        == 0
+    )
+    (row,) = json.loads(out.read_text())["results"][0]["rows"]
+    assert row["asked"] == 512
+
+
 def test_a_slow_peer_is_asked_less(tmp_path, monkeypatch):
     out = tmp_path / "results.json"
+    monkeypatch.setattr(run, "_whole_map_fits", lambda peer, question, budget: False)
     monkeypatch.setattr(run, "_affordable", lambda peer, question, budget: (250, 0.0))
     assert (
         run.main(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)])
