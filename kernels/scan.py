@@ -23,6 +23,8 @@ from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
+# Lanes for each triangle of a mesh that is finer than the grid.
+FEWEST_LANES = 4
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _SOUP = wp.constant(SOUP)
@@ -153,6 +155,14 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
+def lanes_per_triangle(triangles: int, columns: int) -> int:
+    """Lanes of a GPU for each triangle: enough for some times the columns that one covers, as some cover more."""
+    lanes = FEWEST_LANES
+    while lanes < GPU_LANES and lanes * triangles < 4 * columns:
+        lanes *= 2
+    return lanes
+
+
 def slab_winding(
     tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
 ) -> None:
@@ -172,9 +182,10 @@ def slab_winding(
         values.zero_()
         counts = values.view(wp.int32)
         boundary = winding.boundary
-        lanes = GPU_LANES if device.is_cuda else 1
+        lanes = lanes_per_triangle(tree.count, ny * nz) if device.is_cuda else 1
         launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)
         if winding.kind == OPEN:
+            lanes = GPU_LANES if device.is_cuda else 1
             edges = meshes * boundary.count * lanes
             launch(_scan_caps, edges, [tree, boundary, slab, lanes, counts.flatten()], device)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
