@@ -1,0 +1,89 @@
+"""Boundary edges once vertices at equal positions count as one.
+
+Only the edges that faces leave over by their vertices' indices matter here, and only the ends of those. Every other
+pair of vertices has as many faces' edges in one direction as in the other, and wherever its two ends move, both
+directions move alike: it goes on adding nothing to any edge. So the sums over the edges left over are the sums over
+all edges, and a vertex that ends none of them is of no interest, whatever its position.
+
+An end is replaced by the first of all ends at its position, and edges come sorted by their lower vertex, then their
+higher, so that the result depends on neither the order of the edges nor on where it is found.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Boundary edges (E,2) int32, for few edges left over.
+
+    Args:
+        left_over: (N,3) int32: two vertices, and how many more edges lead from the first to the second than back.
+        places: (2 * N, K) float32, the ends' coordinates in all meshes.
+    """
+    ends = left_over[:, :2].ravel()
+    # Adding zero makes -0 and +0 one; then the bytes are equal where the numbers are. They sort in one go, however
+    # many meshes there are, and any order will do that puts equal ones together.
+    places = (places + np.float32(0.0)).view(np.int32)
+    order = np.argsort(places.view(f"V{4 * places.shape[1]}").ravel())
+    places = places[order]
+    begins = _begins((places[1:] != places[:-1]).any(1))
+    first = np.minimum.reduceat(ends[order], np.flatnonzero(begins))
+    same = np.empty_like(ends)
+    same[order] = first[np.cumsum(begins) - 1]
+
+    start, end = same.reshape(-1, 2).T
+    times = np.sign(end - start) * left_over[:, 2]
+    keys = np.minimum(start, end).astype(np.int64) << 32 | np.maximum(start, end)
+    order = np.argsort(keys)
+    keys = keys[order]
+    begins = np.flatnonzero(_begins(keys[1:] != keys[:-1]))
+    balance = np.add.reduceat(times[order], begins)
+    keys = np.repeat(np.where(balance > 0, keys[begins], _turned(keys[begins])), np.abs(balance))
+    return np.stack([keys >> 32, keys & 0xFFFFFFFF], 1).astype(np.int32)
+
+
+def join_on_device(left_over: Tensor, vertices: Tensor) -> Tensor:
+    """The same of `vertices` (B,V,3), by torch on their device, which it waits for once."""
+    ends = left_over[:, :2].reshape(-1).long()
+    # Adding zero makes -0 and +0 one; the bits then compare as the numbers do.
+    places = (vertices[:, ends] + 0.0).permute(0, 2, 1).reshape(-1, len(ends)).view(torch.int32)
+    order = torch.arange(len(ends), device=ends.device)
+    for column in places:
+        order = order[column[order].sort(stable=True)[1]]
+    changes = torch.zeros(len(ends) - 1, dtype=torch.bool, device=ends.device)
+    for column in places:
+        column = column[order]
+        changes |= column[1:] != column[:-1]
+    group = _groups(changes)
+    first = torch.full_like(ends, 1 << 32).scatter_reduce_(0, group, ends[order], "amin")
+    same = torch.empty_like(ends)
+    same[order] = first[group]
+
+    start, end = same.reshape(-1, 2).unbind(1)
+    times = (end - start).sign() * left_over[:, 2]
+    keys, order = (torch.minimum(start, end) << 32 | torch.maximum(start, end)).sort()
+    group = _groups(keys[1:] != keys[:-1])
+    balance = torch.zeros_like(keys).scatter_add_(0, group, times[order])
+    # As long as the edges, with nothing beyond the last group: its length is known without a look.
+    keys = torch.zeros_like(keys).scatter_(0, group, keys)
+    keys = torch.where(balance > 0, keys, _turned(keys)).repeat_interleave(balance.abs())
+    return torch.stack([keys >> 32, keys & 0xFFFFFFFF], 1).int()
+
+
+def _turned(keys: Any) -> Any:
+    return (keys & 0xFFFFFFFF) << 32 | keys >> 32
+
+
+def _begins(changes: np.ndarray) -> np.ndarray:
+    """Where groups begin, given between which neighbours something changes."""
+    return np.concatenate([[True], changes])
+
+
+def _groups(changes: Tensor) -> Tensor:
+    """The number of each one's group, int64."""
+    return torch.nn.functional.pad(changes.cumsum(0), (1, 0))
