@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
@@ -18,11 +16,11 @@ from sdm.errors import MeshError
 from sdm.kernels.edges import REMARKS, gather_ends, pair_edges
 from sdm.kernels.launch import launch
 from sdm.memory import as_warp, on_current_stream, scratch_on
-from sdm.seams import join_on_device, join_on_host
+from sdm.seams import join_on_device, join_on_host, loops_on_host
 
 # Up to this many edges left over, and this many in all meshes, are joined on the host: on a GPU each of the many small
 # steps costs more than its work.
-MOST_ON_HOST = 1 << 13
+MOST_ON_HOST = 1 << 12
 MOST_ON_HOST_IN_ALL = 1 << 19
 
 # What is known of tensors seen before: a stream asks about the same faces for every batch.
@@ -109,11 +107,7 @@ def loops(edges: Tensor) -> Tensor:
     """
 
     def find() -> Tensor:
-        host = _on_host(edges)
-        ends, index = np.unique(host, return_inverse=True)
-        start, end = index.reshape(host.shape).T
-        graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(len(ends), len(ends)))
-        return torch.from_numpy(connected_components(graph, directed=False)[1][start].astype(np.int32)).to(edges.device)
+        return torch.from_numpy(loops_on_host(_on_host(edges))).to(edges.device)
 
     return _remembered(_seen_loops, edges, find)
 

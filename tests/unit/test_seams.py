@@ -149,3 +149,17 @@ def test_the_order_of_faces_changes_neither_edges_nor_loops():
     turned = _both(vertices, np.roll(faces[::-1], 1, 1).copy())
     assert torch.equal(found, turned)
     assert torch.equal(loops(found), loops(turned))
+
+
+@settings(max_examples=100)
+@given(strategies.soups(most=8))
+def test_loops_are_what_hangs_together(mesh):
+    edges = boundary_edges(torch.tensor(mesh.vertices), torch.tensor(mesh.faces)).tolist()
+    lowest = {vertex: vertex for edge in edges for vertex in edge}
+    for _ in edges:
+        for edge in edges:
+            lowest[edge[0]] = lowest[edge[1]] = min(lowest[edge[0]], lowest[edge[1]])
+    numbers = {vertex: number for number, vertex in enumerate(sorted(set(lowest.values())))}
+    assert loops(torch.tensor(edges, dtype=torch.int32).reshape(-1, 2)).tolist() == [
+        numbers[lowest[start]] for start, _ in edges
+    ]
