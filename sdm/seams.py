@@ -59,8 +59,8 @@ def join_on_device(left_over: Tensor, vertices: Tensor) -> Tensor:
         order = order[column[order].sort(stable=True)[1]]
     changes = torch.zeros(len(ends) - 1, dtype=torch.bool, device=ends.device)
     for column in places:
-        column = column[order]
-        changes |= column[1:] != column[:-1]
+        ordered = column[order]
+        changes |= ordered[1:] != ordered[:-1]
     group = _groups(changes)
     first = torch.full_like(ends, 1 << 32).scatter_reduce_(0, group, ends[order], "amin")
     same = torch.empty_like(ends)
