@@ -31,7 +31,7 @@ def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
     # Adding zero makes -0 and +0 one; then the bytes are equal where the numbers are. They sort in one go, however
     # many meshes there are, and any order will do that puts equal ones together.
     places = (places + np.float32(0.0)).view(np.int32)
-    order = np.argsort(places.view(f"V{4 * places.shape[1]}").ravel())
+    order = np.argsort(places.view(f"S{4 * places.shape[1]}").ravel())
     places = places[order]
     begins = _begins((places[1:] != places[:-1]).any(1))
     first = np.minimum.reduceat(ends[order], np.flatnonzero(begins))
@@ -50,23 +50,25 @@ def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def join_on_device(left_over: Tensor, vertices: Tensor) -> Tensor:
-    """The same of `vertices` (B,V,3), by torch on their device, which it waits for once."""
-    ends = left_over[:, :2].reshape(-1).long()
+    """The same of `vertices` (B,V,3), by torch on their device, which it waits for twice."""
+    ends = left_over[:, :2].long()
+    # In an ordinary mesh few of all vertices, and each ends two edges.
+    same = torch.zeros(vertices.shape[1], dtype=torch.int64, device=ends.device)
+    used = same.index_fill_(0, ends.reshape(-1), 1).nonzero().squeeze(1)
     # Adding zero makes -0 and +0 one; the bits then compare as the numbers do.
-    places = (vertices[:, ends] + 0.0).permute(0, 2, 1).reshape(-1, len(ends)).view(torch.int32)
-    order = torch.arange(len(ends), device=ends.device)
-    for column in places:
+    places = (vertices[:, used] + 0.0).permute(0, 2, 1).reshape(-1, len(used)).view(torch.int32)
+    order = places[0].sort(stable=True)[1]
+    for column in places[1:]:
         order = order[column[order].sort(stable=True)[1]]
-    changes = torch.zeros(len(ends) - 1, dtype=torch.bool, device=ends.device)
+    changes = torch.zeros(len(used) - 1, dtype=torch.bool, device=ends.device)
     for column in places:
         ordered = column[order]
         changes |= ordered[1:] != ordered[:-1]
-    group = _groups(changes)
-    first = torch.full_like(ends, 1 << 32).scatter_reduce_(0, group, ends[order], "amin")
-    same = torch.empty_like(ends)
-    same[order] = first[group]
+    group, used = _groups(changes), used[order]
+    first = torch.full_like(used, vertices.shape[1]).scatter_reduce_(0, group, used, "amin")
+    same[used] = first[group]
 
-    start, end = same.reshape(-1, 2).unbind(1)
+    start, end = same[ends].unbind(1)
     times = (end - start).sign() * left_over[:, 2]
     keys, order = (torch.minimum(start, end) << 32 | torch.maximum(start, end)).sort()
     group = _groups(keys[1:] != keys[:-1])

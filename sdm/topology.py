@@ -69,10 +69,11 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     batch = vertices.detach().reshape(-1, count, 3)
     edges = paired.left_over.shape[0]
     if edges > MOST_ON_HOST or edges * batch.shape[0] > MOST_ON_HOST_IN_ALL:
-        edges = join_on_device(paired.left_over, batch)
-        # A part of a larger tensor would keep it all.
-        paired.left_over = paired.left_over.clone()
-        return edges
+        found = join_on_device(paired.left_over, batch)
+        if paired.left_over.untyped_storage().nbytes() > paired.left_over.nbytes:
+            # A part of a larger tensor would keep it all.
+            paired.left_over = paired.left_over.clone()
+        return found
     paired.left_over, found = _join_on_host(paired.left_over, batch)
     # As long as a mesh that moves keeps its boundary, so do those who remember something about it.
     if paired.edges is None or not np.array_equal(_on_host(paired.edges), found):
