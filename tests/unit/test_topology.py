@@ -228,3 +228,15 @@ def test_in_inference_mode_nothing_is_remembered_wrongly():
         assert boundary_edges(vertices, index).shape == (3 * len(index), 2)
         once = faces[1:].clone()
         assert loops(boundary_edges(vertices, once)).tolist() == [0, 0, 0]
+
+
+def test_what_inference_mode_found_serves_outside():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    faces = faces[1:].contiguous()
+    with torch.inference_mode():
+        inside = boundary_edges(vertices, faces)
+        around = loops(inside)
+    outside = boundary_edges(vertices, faces)
+    assert torch.equal(inside, outside)
+    assert torch.equal(around, loops(outside))
+    assert sdm.MeshIndex(sdm.TriangleMesh(vertices, faces), "cpu").closed is False
