@@ -39,6 +39,20 @@ def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
     ...
 
 
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return atomicAdd(values.data + index, 1);
+#else
+    return __atomic_fetch_add(values.data + index, 1, __ATOMIC_RELAXED);
+#endif
+"""
+)
+def count_one(values: wp.array(dtype=wp.int32), index: int) -> int:
+    """Add one to a value, and return what it was; Warp's own is not atomic on a CPU."""
+    ...
+
+
 @wp.kernel
 def _make_keys(
     begin: int,
@@ -58,7 +72,7 @@ def _make_keys(
     if start < 0 or start >= vertices:
         remarks[_OUT_OF_RANGE] = 1
     else:
-        keep_least(first, start, face)
+        keep_least(first, start, face - faces.shape[0])
         key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
     keys[edge] = key
     edges[edge] = edge
@@ -78,7 +92,7 @@ def _pair(
     faces: wp.array2d(dtype=wp.int32),
     keys: wp.array(dtype=wp.int64),
     edges: wp.array(dtype=wp.int32),
-    left_over: wp.array(dtype=wp.int32),
+    left_over: wp.array2d(dtype=wp.int32),
     owned: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
     remarks: wp.array(dtype=wp.int32),
@@ -86,7 +100,6 @@ def _pair(
     """One thread for each group of edges with the same ends."""
     i = begin + wp.tid()
     total = 3 * faces.shape[0]
-    left_over[i] = 0
     key = keys[i]
     if i > 0:
         if keys[i - 1] == key:
@@ -111,8 +124,12 @@ def _pair(
         owned[edge] = wp.where(somewhere and edge == lead, 1, 0)
         edge = following
     if balance != 0:
-        left_over[i] = balance
-        remarks[_LEFT_OVER] = 1
+        start = faces[lead / 3, lead % 3]
+        end = faces[lead / 3, (lead + 1) % 3]
+        row = count_one(remarks, _LEFT_OVER)
+        left_over[row, 0] = wp.min(start, end)
+        left_over[row, 1] = wp.max(start, end)
+        left_over[row, 2] = balance
 
 
 @wp.kernel
@@ -130,7 +147,7 @@ def _own(
     bits = int(0)
     for k in range(3):
         bits = bits | (owned[3 * face + k] << (k + 1))
-        if first[faces[face, k]] == face:
+        if first[faces[face, k]] == face - faces.shape[0]:
             bits = bits | (1 << (k + 4))
     neighbours[face, 3] = bits
 
@@ -139,7 +156,6 @@ def pair_edges(
     faces: wp.array,
     first: wp.array,
     remarks: wp.array,
-    keys: wp.array,
     left_over: wp.array,
     neighbours: wp.array,
     launch: Any,
@@ -149,19 +165,43 @@ def pair_edges(
 
     Args:
         faces: (F,3) int32.
-        first: (V) int32, F or more each; afterwards the first face at each vertex.
-        remarks: (REMARKS) int32, zero; afterwards 1 where there is a vertex out of range (then all else has no
-            meaning), and where there is an edge left over.
-        keys: (6 * F) int64; afterwards the first half is the edges' keys, sorted.
-        left_over: (3 * F) int32, filled: at the first of each key, how many more of its edges lead up than back.
+        first: (V) int32, zero; afterwards F less than the first face at each vertex.
+        remarks: (REMARKS) int32, zero; afterwards 1 if there is a vertex out of range (then all else has no meaning),
+            and the number of edges left over.
+        left_over: (3 * F, 3) int32; afterwards the first rows are the edges left over, in any order: the lower vertex,
+            the higher, and how many more of the edges between them lead up than back.
         neighbours: (F,4) int32, filled as `sdm.topology.neighbours` says.
         launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
     """
     count, vertices, device = faces.shape[0], first.shape[0], faces.device
     total, bits = 3 * count, bits_for(vertices)
-    edges, owned = empty(2 * total, wp.int32), empty(total, wp.int32)
+    keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
     launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, remarks], device)
     wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
     launch(_pair, total, [faces, keys, edges, left_over, owned, neighbours, remarks], device)
     launch(_own, count, [faces, owned, first, remarks, neighbours], device)
+
+
+@wp.kernel
+def _gather_ends(
+    begin: int,
+    left_over: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    rows: wp.array2d(dtype=wp.int32),
+    places: wp.array2d(dtype=wp.vec3),
+):
+    i = begin + wp.tid()
+    edge = i / 2
+    for k in range(3):
+        rows[edge, k] = left_over[edge, k]
+    for mesh in range(vertices.shape[0]):
+        places[i, mesh] = vertices[mesh, left_over[edge, i % 2]]
+
+
+def gather_ends(left_over: wp.array, vertices: wp.array, rows: wp.array, places: wp.array, launch: Any) -> None:
+    """Copy what is left over (N,3) to `rows`, and where its ends are in each of the `vertices` (meshes,V) to `places`.
+
+    `places` is (2 * N, meshes) vec3, the lower vertex of each edge first.
+    """
+    launch(_gather_ends, places.shape[0], [left_over, vertices, rows, places], vertices.device)

@@ -1,26 +1,47 @@
-"""Which edges bound a mesh: what is left when every face's directed edges are added up."""
+"""Which edges bound a mesh, and which faces meet: what is left when every face's directed edges are added up."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
-from sdm.kernels.edges import REMARKS, bits_for, pair_edges
+from sdm.kernels.edges import REMARKS, gather_ends, pair_edges
 from sdm.kernels.launch import launch
 from sdm.memory import as_warp, on_current_stream, scratch_on
+from sdm.seams import join_on_device, join_on_host, loops_on_host
 
-# What is known of faces seen before: a stream asks about the same faces for every batch.
+# Up to this many edges left over, and this many in all meshes, are joined on the host: on a GPU each of the many small
+# steps costs more than its work.
+MOST_ON_HOST = 1 << 12
+MOST_ON_HOST_IN_ALL = 1 << 19
+
+# What is known of tensors seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _seen_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
+_seen_host: WeakIdKeyDictionary = WeakIdKeyDictionary()
+
+
+@dataclass
+class _Paired:
+    """What faces say by themselves, wherever their vertices are.
+
+    Args:
+        left_over: (N,3) int32, the edges left over, as `sdm.kernels.edges` gives them.
+        shared: (F,4) int32, what `neighbours` returns.
+        edges: (E,2) int32, the last boundary found.
+    """
+
+    left_over: Tensor
+    shared: Tensor
+    edges: Tensor | None = None
 
 
 def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -31,19 +52,34 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
         faces: (F,3) int32.
 
     Returns:
-        (E,2) int32 vertex indices, the surface on the left. An edge whose directions do not cancel stands as often
-        as they are left over. Empty means closed: the winding number is a whole number everywhere off the surface.
+        (E,2) int32 vertex indices, the surface on the left, sorted by the lower of both, then the higher. An edge
+        whose directions do not cancel stands as often as they are left over. Empty means closed: the winding number
+        is a whole number everywhere off the surface. Nobody may write into it: the next call may return the same.
 
-    Vertices at exactly equal positions count as one, as in an STL file, if that is so in every mesh of the batch.
+    Vertices at exactly equal positions count as one, as in an STL file, if that is so in every mesh of the batch: as
+    the first of those at which an edge is left over by its indices.
 
     Raises:
         MeshError: A face index out of range.
     """
-    found, _ = _paired(faces, vertices.shape[-2])
-    if found.shape[0] == 0:
+    count = vertices.shape[-2]
+    paired = _paired(faces, count)
+    if paired.left_over.shape[0] == 0:
+        return paired.left_over[:, :2]
+    batch = vertices.detach().reshape(-1, count, 3)
+    edges = paired.left_over.shape[0]
+    if edges > MOST_ON_HOST or edges * batch.shape[0] > MOST_ON_HOST_IN_ALL:
+        found = join_on_device(paired.left_over, batch)
+        if paired.left_over.untyped_storage().nbytes() > paired.left_over.nbytes:
+            # A part of a larger tensor would keep it all.
+            paired.left_over = paired.left_over.clone()
         return found
-    same = _first_with_position(vertices.detach().reshape(-1, vertices.shape[-2], 3))
-    return _pair_up(same[faces.long()].int(), vertices.shape[-2])[0]
+    paired.left_over, found = _join_on_host(paired.left_over, batch)
+    # As long as a mesh that moves keeps its boundary, so do those who remember something about it.
+    if paired.edges is None or not np.array_equal(_on_host(paired.edges), found):
+        paired.edges = torch.from_numpy(found).to(faces.device)
+        _remembered(_seen_host, paired.edges, lambda: found)
+    return paired.edges
 
 
 def neighbours(faces: Tensor, count: int) -> Tensor:
@@ -61,28 +97,38 @@ def neighbours(faces: Tensor, count: int) -> Tensor:
     Raises:
         MeshError: A face index out of range.
     """
-    return _paired(faces, count)[1]
+    return _paired(faces, count).shared
 
 
-def _paired(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    return _remembered(_seen, faces, lambda: _pair_up(faces, count))
+def loops(edges: Tensor) -> Tensor:
+    """For each boundary edge of (E,2), directed as `boundary_edges` gives them, the number of its loop: (E,) int32.
+
+    Loops that meet at a vertex count as one; they are numbered by their lowest vertices. In a loop as many edges end
+    at each vertex as begin there.
+    """
+
+    def find() -> Tensor:
+        return torch.from_numpy(loops_on_host(_on_host(edges))).to(edges.device)
+
+    return _remembered(_seen_loops, edges, find)
 
 
-def _pair_up(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Boundary edges by vertex indices, and `neighbours`, from one sort of all edges; waits for the device once."""
+def _paired(faces: Tensor, count: int) -> _Paired:
+    return _remembered(_seen, faces, lambda: _pair_up(faces, count), count)
+
+
+def _pair_up(faces: Tensor, count: int) -> _Paired:
+    """All that faces say, from one sort of all edges; waits for the device once."""
     faces = faces.contiguous()
     total = faces.numel()
-    first = torch.full((count,), total, dtype=torch.int32, device=faces.device)
-    remarks = torch.zeros(REMARKS, dtype=torch.int32, device=faces.device)
-    keys = torch.empty(2 * total, dtype=torch.int64, device=faces.device)
-    left_over = torch.empty(total, dtype=torch.int32, device=faces.device)
+    first, remarks = torch.zeros(count + REMARKS, dtype=torch.int32, device=faces.device).split([count, REMARKS])
+    left_over = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
     shared = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):
         pair_edges(
             as_warp(faces, wp.int32),
             as_warp(first, wp.int32),
             as_warp(remarks, wp.int32),
-            as_warp(keys, wp.int64),
             as_warp(left_over, wp.int32),
             as_warp(shared, wp.int32),
             launch,
@@ -93,49 +139,40 @@ def _pair_up(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
         low, high = (int(bound) for bound in faces.aminmax())
         bad = low if low < 0 else high
         raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
-    if not open_edges:
-        return faces.new_empty((0, 2)), shared
-    at = left_over.nonzero().squeeze(1)
-    times, key, bits = left_over[at], keys[at], bits_for(count)
-    ends = torch.stack([key >> bits, key & ((1 << bits) - 1)], 1)
-    ends = torch.where(times[:, None] > 0, ends, ends.flip(1))
-    return ends.repeat_interleave(times.abs(), 0).int(), shared
+    return _Paired(left_over[:open_edges] if open_edges else left_over.new_empty((0, 3)), shared)
 
 
-def _remembered(seen: WeakIdKeyDictionary, faces: Tensor, find: Callable[[], Any]) -> Any:
+def _join_on_host(left_over: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:
+    """What is left over, in memory of its own, and the boundary edges; waits for the device once."""
+    count, meshes = left_over.shape[0], vertices.shape[0]
+    vertices = vertices.contiguous()
+    # One piece of memory, so that one copy brings it to the host.
+    both = torch.empty(3 * count + 6 * count * meshes, dtype=torch.int32, device=left_over.device)
+    rows, places = both.split([3 * count, 6 * count * meshes])
+    rows = rows.view(count, 3)
+    with on_current_stream(vertices, vertices, left_over):
+        gather_ends(
+            as_warp(left_over, wp.int32),
+            as_warp(vertices, wp.vec3),
+            as_warp(rows, wp.int32),
+            as_warp(places.view(torch.float32).view(2 * count, meshes, 3), wp.vec3),
+            launch,
+        )
+    host = both.cpu().numpy()
+    bits = host[3 * count :].reshape(2 * count, 3 * meshes)
+    return rows, join_on_host(host[: 3 * count].reshape(count, 3), bits.view(np.float32))
+
+
+def _on_host(edges: Tensor) -> np.ndarray:
+    return _remembered(_seen_host, edges, lambda: edges.cpu().numpy().copy())
+
+
+def _remembered(seen: WeakIdKeyDictionary, about: Tensor, find: Callable[[], Any], count: int = 0) -> Any:
+    """What `find` found for a tensor, as long as nobody writes into it, and `count` stays."""
     # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
-    now = None if faces.is_inference() else faces._version
-    known: tuple[int | None, Any] | None = seen.get(faces)
+    now = None if about.is_inference() else (about._version, count)
+    known: tuple[Any, Any] | None = seen.get(about)
     if known is None or known[0] is None or known[0] != now:
         known = (now, find())
-        seen[faces] = known
+        seen[about] = known
     return known[1]
-
-
-def loops(edges: Tensor) -> Tensor:
-    """For each boundary edge of (E,2), directed as `boundary_edges` gives them, the number of its loop: (E,) int32.
-
-    Loops that meet at a vertex count as one. In a loop as many edges end at each vertex as begin there.
-    """
-
-    def find() -> Tensor:
-        host = edges.cpu().numpy()
-        ends, index = np.unique(host, return_inverse=True)
-        start, end = index.reshape(host.shape).T
-        graph = coo_matrix((np.ones(len(start)), (start, end)), shape=(len(ends), len(ends)))
-        return torch.from_numpy(connected_components(graph, directed=False)[1][start].astype(np.int32)).to(edges.device)
-
-    return _remembered(_seen_loops, edges, find)
-
-
-def _first_with_position(vertices: Tensor) -> Tensor:
-    """For each vertex of (B,V,3) the first one at its position in every mesh of the batch, (V,) int64."""
-    count = vertices.shape[1]
-    group = torch.zeros(count, dtype=torch.int64, device=vertices.device)
-    # Adding zero makes -0 and +0 one; the bits then sort and compare as well as the numbers do.
-    columns = (vertices + 0.0).permute(0, 2, 1).reshape(-1, count).view(torch.int32)
-    for column in columns:
-        _, group = torch.unique((group << 32) + column.long(), return_inverse=True)
-    first = torch.full((count,), count, dtype=torch.int64, device=vertices.device)
-    first.scatter_reduce_(0, group, torch.arange(count, device=vertices.device), "amin")
-    return first[group]

@@ -7,9 +7,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 
+import sdm.topology
 from bench.meshes import cube, load_case, sphere
 from sdm.errors import MeshError
-from sdm.topology import boundary_edges
+from sdm.topology import boundary_edges, loops
 from tests import strategies
 
 
@@ -134,8 +135,6 @@ def test_boundaries_of_solids_are_closed(mesh):
 
 
 def test_the_same_faces_are_sorted_once(monkeypatch):
-    import sdm.topology
-
     calls = []
     plain = sdm.topology._pair_up
     monkeypatch.setattr(sdm.topology, "_pair_up", lambda *args: calls.append(1) or plain(*args))
@@ -158,3 +157,86 @@ def test_faces_are_not_kept_alive():
     del faces
     gc.collect()
     assert gone() is None
+
+
+def _counted(monkeypatch, name: str) -> list:
+    calls = []
+    plain = getattr(sdm.topology, name)
+    monkeypatch.setattr(sdm.topology, name, lambda *args: calls.append(name) or plain(*args))
+    return calls
+
+
+def test_a_mesh_that_moves_keeps_what_its_faces_say(monkeypatch):
+    case = load_case("open hemisphere")
+    paired, looped = _counted(monkeypatch, "_pair_up"), _counted(monkeypatch, "loops_on_host")
+    mesh = sdm.TriangleMesh(torch.tensor(case.vertices), torch.tensor(case.faces))
+    index = sdm.MeshIndex(mesh, "cpu")
+    index.update(mesh.vertices * 2)
+    sdm.MeshIndex(mesh, "cpu")
+    sdm.MeshIndex(sdm.TriangleMesh(mesh.vertices + 1, mesh.faces), "cpu")
+    assert (len(paired), len(looped)) == (1, 1)
+
+
+def test_a_boundary_that_opens_is_found_anew():
+    vertices, faces = cube()
+    loose, index = torch.tensor(vertices[faces].reshape(-1, 3)), torch.arange(36, dtype=torch.int32).reshape(-1, 3)
+    assert boundary_edges(loose, index).shape == (0, 2)
+    torn = loose.clone()
+    torn[0] += 1
+    found = boundary_edges(torn, index)
+    assert found.shape == (4, 2)
+    assert boundary_edges(torn * 2, index) is found
+    assert boundary_edges(loose, index).shape == (0, 2)
+    assert torch.equal(boundary_edges(torn, index), found)
+
+
+def test_an_edge_written_into_is_not_given_again():
+    vertices, faces = (torch.tensor(array) for array in cube())
+    faces = faces[:-1].contiguous()
+    found = boundary_edges(vertices, faces)
+    kept = found.clone()
+    found += 1
+    assert torch.equal(boundary_edges(vertices, faces), kept)
+
+
+def test_remembered_faces_are_checked_for_fewer_vertices_too():
+    vertices, faces = (torch.tensor(array) for array in cube())
+    assert boundary_edges(vertices, faces).shape == (0, 2)
+    with pytest.raises(MeshError, match="vertex 7, but the 7 vertices"):
+        boundary_edges(vertices[:7], faces)
+
+
+def test_nothing_large_is_kept_of_a_mesh_with_a_small_hole():
+    vertices, faces = (torch.tensor(array) for array in sphere(40))
+    faces = faces[1:].contiguous()
+    for limit in (1 << 12, 1):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sdm.topology, "MOST_ON_HOST", limit)
+            fresh = faces.clone()
+            assert boundary_edges(vertices, fresh).shape == (3, 2)
+            kept = sdm.topology._paired(fresh, len(vertices)).left_over
+            assert kept.shape == (3, 3)
+            assert kept.untyped_storage().nbytes() < 1000
+
+
+def test_in_inference_mode_nothing_is_remembered_wrongly():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    with torch.inference_mode():
+        index = faces[1:].clone()
+        assert boundary_edges(vertices, index).shape == (3, 2)
+        index[:] = faces[0]
+        assert boundary_edges(vertices, index).shape == (3 * len(index), 2)
+        once = faces[1:].clone()
+        assert loops(boundary_edges(vertices, once)).tolist() == [0, 0, 0]
+
+
+def test_what_inference_mode_found_serves_outside():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    faces = faces[1:].contiguous()
+    with torch.inference_mode():
+        inside = boundary_edges(vertices, faces)
+        around = loops(inside)
+    outside = boundary_edges(vertices, faces)
+    assert torch.equal(inside, outside)
+    assert torch.equal(around, loops(outside))
+    assert sdm.MeshIndex(sdm.TriangleMesh(vertices, faces), "cpu").closed is False
