@@ -1,0 +1,256 @@
+"""How lists are made by several groups and measured in slices: maps are right however the work is shared out."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+import sdm
+import sdm.ops
+from bench.meshes import load_case, sphere
+from sdm.kernels import dense
+from sdm.kernels.lanes import shrink
+from sdm.kernels.launch import launch
+from sdm.kernels.lists import HEAVY, WHOLE
+from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
+from tests.exactness import ROUNDING, assert_exact, scale_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _shrink(begin: int, values: wp.array4d(dtype=wp.float32), sizes: wp.array(dtype=wp.float32)):
+    i = begin + wp.tid()
+    count = values.shape[0] * values.shape[1] * values.shape[2] * values.shape[3]
+    shrink(values, wp.int64(i % count), sizes[i])
+
+
+@wp.kernel
+def _decode(codes: wp.array(dtype=int), out: wp.array(dtype=wp.vec3i)):
+    i = wp.tid()
+    out[i] = wp.vec3i(cell_of(codes[i]), slice_of(codes[i]), slices_of(codes[i]))
+
+
+def decoded(codes: np.ndarray) -> np.ndarray:
+    """Cell, slice and slices (N,3) of each code."""
+    out = wp.zeros(len(codes), dtype=wp.vec3i, device="cpu")
+    wp.launch(_decode, len(codes), [wp.array(codes.astype(np.int32), dtype=int, device="cpu"), out], device="cpu")
+    return out.numpy()
+
+
+@dataclass
+class Seen:
+    """What the passes of a map planned."""
+
+    whole: list[int] = field(default_factory=list)
+    heavy: list[np.ndarray] = field(default_factory=list)
+    lengths: list[np.ndarray] = field(default_factory=list)
+    without_room: int = 0
+    count: int = 0
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
+    """Only the fast path, and a look at its plans."""
+    found = Seen()
+    measure = dense.measure_blocks
+
+    def spy(*inputs: Any) -> None:
+        lists = inputs[5]
+        counts = lists.counts.numpy()
+        heads = lists.heads.numpy().reshape(-1, lists.shares)[: 8 * lists.count]
+        found.without_room += int((heads == -1).any(1).sum())
+        found.whole += lists.whole.numpy()[: counts[WHOLE]].tolist()
+        found.heavy.append(decoded(lists.heavy.numpy()[: counts[HEAVY]]))
+        found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[: 8 * lists.count].copy())
+        found.count += lists.count
+        measure(*inputs)
+
+    monkeypatch.setattr(dense, "measure_blocks", spy)
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    return found
+
+
+def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
+    """As many groups for each list on this CPU as a GPU might have: all that they share is made larger."""
+    find = dense.find_witnesses
+
+    def shared(*inputs: Any) -> None:
+        lists = inputs[3]
+        if lists.shares != shares:
+            lists.shares = shares
+            for name in ("region_heads", "region_lengths", "heads", "lengths", "nearest"):
+                before = getattr(lists, name)
+                setattr(lists, name, wp.full(shares * before.shape[0], -7, dtype=before.dtype, device="cpu"))
+        find(*inputs)
+
+    monkeypatch.setattr(dense, "find_witnesses", shared)
+
+
+def slice_lists(monkeypatch: pytest.MonkeyPatch, longest: int, slice_length: int) -> None:
+    monkeypatch.setitem(dense.LONGEST_OF_CELL, "cpu", longest)
+    monkeypatch.setitem(dense.SLICE, "cpu", slice_length)
+
+
+NAMES = ["overlapping shells", "random soup", "needle fan"]
+
+
+def mesh_of(name: str) -> sdm.TriangleMesh:
+    if name == "all alike":
+        # About the centre every triangle is as near as any.
+        vertices, faces = sphere(24)
+        turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+        return sdm.TriangleMesh((vertices @ turn).astype(np.float32), faces)
+    case = load_case(name)
+    return sdm.TriangleMesh(case.vertices, case.faces)
+
+
+def grid_of(name: str, mesh: sdm.TriangleMesh) -> sdm.Grid:
+    return (
+        sdm.Grid([-0.1] * 3, [0.012] * 3, [17, 18, 20]) if name == "all alike" else sdm.Grid.around(mesh, resolution=26)
+    )
+
+
+def values_of(mesh: sdm.TriangleMesh, grid: sdm.Grid) -> torch.Tensor:
+    return sdm.signed_distance_map(mesh, grid, device="cpu").values
+
+
+def check(mesh: sdm.TriangleMesh, grid: sdm.Grid, values: torch.Tensor) -> None:
+    vertices, faces = mesh.numpy()
+    centres = grid.points().reshape(-1, 3).numpy()
+    some = np.random.default_rng(0).permutation(len(centres))[:300]
+    assert_exact(vertices, faces, centres[some], values.reshape(-1)[torch.from_numpy(some)])
+
+
+def test_codes_hold_the_largest_numbers():
+    cells, slices = 1 << CELL_BITS, 1 << SLICE_BITS
+    wanted = [(c, s, n) for n in (1, 2, slices) for s in {0, n - 1} for c in (0, 1, cells - 1)]
+    codes = np.array([c | s << CELL_BITS | (n - 1) << CELL_BITS + SLICE_BITS for c, s, n in wanted])
+    assert codes.max() < 1 << 31
+    np.testing.assert_array_equal(decoded(codes), wanted)
+    # Every cell of the largest pass has a number that fits.
+    assert cells >= 8 * dense.MOST_REGIONS
+
+
+@pytest.mark.parametrize("longest", [0, 300, 10**6])
+def test_each_cell_is_planned_once(monkeypatch, seen, longest):
+    slice_lists(monkeypatch, longest, 20)
+    mesh = mesh_of("all alike")
+    grid = sdm.Grid([-0.3] * 3, [0.03] * 3, [16, 16, 32])
+    values = values_of(mesh, grid)
+    assert len(seen.heavy) == 1
+    codes, lengths = seen.heavy[0], seen.lengths[0].sum(1)
+    assert sorted([*seen.whole, *np.unique(codes[:, 0]).tolist()]) == list(range(8 * seen.count))
+    assert all(lengths[number] <= longest for number in seen.whole)
+    for number in np.unique(codes[:, 0]):
+        assert lengths[number] > longest
+        mine = codes[codes[:, 0] == number]
+        assert sorted(mine[:, 1]) == list(range(len(mine)))
+        assert (mine[:, 2] == len(mine)).all()
+        assert len(mine) == min(-(-lengths[number] // 20), 1 << SLICE_BITS)
+    assert (longest == 0) == (not seen.whole)
+    assert (longest == 10**6) == (len(codes) == 0)
+    check(mesh, grid, values)
+
+
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_slices_change_no_bit(monkeypatch, seen, name):
+    mesh = mesh_of(name)
+    grid = grid_of(name, mesh)
+    slice_lists(monkeypatch, 5, 10**6)
+    plain = values_of(mesh, grid)
+    check(mesh, grid, plain)
+    assert all((codes[:, 2] == 1).all() for codes in seen.heavy)
+    for slice_length in (1, 7, 100):
+        seen.heavy.clear()
+        slice_lists(monkeypatch, 5, slice_length)
+        values = values_of(mesh, grid)
+        most = max(int(codes[:, 2].max(initial=0)) for codes in seen.heavy)
+        assert most > (1 if slice_length < 100 or name == "all alike" else 0)
+        assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
+
+
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_bricks_or_whole_cells(monkeypatch, seen, name):
+    mesh = mesh_of(name)
+    grid = grid_of(name, mesh)
+    maps = []
+    for longest in (0, 20, 10**6):
+        slice_lists(monkeypatch, longest, 16)
+        maps.append(values_of(mesh, grid))
+        check(mesh, grid, maps[-1])
+    centres = grid.points().reshape(-1, 3).numpy()
+    limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
+    for other in maps[1:]:
+        assert ((maps[0].abs() - other.abs()).abs() <= limit).all()
+        assert torch.equal(maps[0] < 0, other < 0)
+
+
+@pytest.mark.parametrize("shares", [2, 16])
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
+    mesh = mesh_of(name)
+    grid = grid_of(name, mesh)
+    alone = values_of(mesh, grid)
+    alone_lengths = np.concatenate([lengths.sum(1) for lengths in seen.lengths])
+    seen.lengths.clear()
+    share_lists(monkeypatch, shares)
+    maps = [values_of(mesh, grid)]
+    lengths = np.concatenate(seen.lengths)
+    assert lengths.shape[1] == shares
+    # Cells with nothing in them are not looked at; of the others more than one group found something.
+    filled = lengths[(lengths >= 0).all(1)]
+    assert ((filled > 0).sum(1) > 1).any()
+    # What one group does not know of the others' it keeps, but not much.
+    assert filled.sum() < 4 * alone_lengths[alone_lengths > 0].sum() + 100 * shares
+    slice_lists(monkeypatch, 10, 13)
+    maps.append(values_of(mesh, grid))
+    centres = grid.points().reshape(-1, 3).numpy()
+    limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
+    for values in maps:
+        check(mesh, grid, values)
+        assert ((values.abs() - alone.abs()).abs() <= limit).all()
+        assert torch.equal(values < 0, alone < 0)
+
+
+@pytest.mark.parametrize("shares", [1, 4])
+@pytest.mark.parametrize("room", [1 << 11, 1 << 13])
+def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
+    """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its slices."""
+    mesh = mesh_of("overlapping shells")
+    grid = sdm.Grid.around(mesh, resolution=40)
+    plenty = values_of(mesh, grid)
+    assert seen.without_room == 0
+    monkeypatch.setattr(dense, "CPU_POOL", room)
+    slice_lists(monkeypatch, 10, 13)
+    share_lists(monkeypatch, shares)
+    scarce = values_of(mesh, grid)
+    assert seen.without_room > 0
+    check(mesh, grid, scarce)
+    assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
+    assert torch.equal(plenty < 0, scarce < 0)
+
+
+def test_shrink_keeps_the_sign_and_the_least(monkeypatch):
+    monkeypatch.setenv("SDM_NUM_THREADS", "4")
+    rng = np.random.default_rng(2)
+    shape, turns = (1, 2, 3, 4), 40_000
+    count = int(np.prod(shape))
+    sizes = (10.0 ** rng.uniform(-40, 38, turns * count)).astype(np.float32)
+    sizes[rng.random(len(sizes)) < 1e-3] = np.inf
+    before = np.array([np.inf, -np.inf, 3.0, -3.0, 0.0, -0.0, 1e-42, -1e-42] * 3, np.float32)
+    # One by one the values become ever smaller, so that everybody meets at each.
+    by_turns = sizes.reshape(turns, count)
+    by_turns[:, :4] = np.sort(by_turns[:, :4], 0)[::-1]
+    least = np.minimum(np.abs(before), by_turns.min(0))
+    values = wp.array(before.reshape(shape), dtype=wp.float32, device="cpu")
+    launch(_shrink, len(sizes), [values, wp.array(by_turns.ravel(), dtype=wp.float32, device="cpu")], "cpu", smallest=1)
+    after = values.numpy().ravel()
+    np.testing.assert_array_equal(np.signbit(after), np.signbit(before))
+    np.testing.assert_array_equal(np.abs(after), least)
