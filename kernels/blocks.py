@@ -28,7 +28,7 @@ from sdm.kernels.features import (
     rows_of,
     write_place,
 )
-from sdm.kernels.grid import Output, Slab, along, lessen_distance, voxel, write_distance
+from sdm.kernels.grid import Output, Slab, along, index_of, voxel, write_distance
 from sdm.kernels.lanes import (
     GPU_BLOCKS,
     ballot,
@@ -38,6 +38,7 @@ from sdm.kernels.lanes import (
     members,
     on_cpu,
     rank,
+    shrink,
     wait_for_lanes,
 )
 from sdm.kernels.lists import (
@@ -87,6 +88,8 @@ class Block:
     bits: wp.int32  # 3 or 2: the voxels along each edge are 2^bits
     slice: wp.int32  # which part of its cell's list counts: every `slices`-th batch of the lanes' entries
     slices: wp.int32
+    index: wp.int32  # of its first voxel, see `index_of`
+    unscale: float  # from scaled distances to the mesh's unit
     cell: Cell
     radius2: float  # squared distance of its centre from the surface
 
@@ -143,23 +146,22 @@ def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, v: int):
 
 
 @wp.func
-def finish_voxel(tree: Tree, slab: Slab, out: Output, block: Block, v: int, p: wp.vec3, least: float):
+def finish_voxel(slab: Slab, out: Output, block: Block, v: int, p: wp.vec3, least: float):
     """Write the distance of a voxel; 1 if its winding number is unclear."""
-    at = block.start + index_in(block, v)
-    if not is_within(slab, at):
+    at = index_in(block, v)
+    if not is_within(slab, block.start + at):
         return 0
-    near = is_near(block.radius2, block.cell.half2)
-    distance = least_distance(least, p, block.radius2, near)
-    unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    index = block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
+    distance = block.unscale * least_distance(least, p, block.radius2, is_near(block.radius2, block.cell.half2))
     if block.slices > 1:
         if least < LARGEST_SQUARE:
-            lessen_distance(out, block.mesh, at[0], at[1], at[2], distance * unscale)
+            shrink(out.values, index, distance)
         return 0
-    if not (least < LARGEST_SQUARE and distance < LARGEST_SQUARE):
+    if not least < LARGEST_SQUARE:
         # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
         distance = float(wp.inf)
         fetch_add(out.missed, 0, 1)
-    return write_distance(out, block.mesh, at[0], at[1], at[2], distance * unscale)
+    return write_distance(out, index, distance)
 
 
 @wp.func
@@ -211,7 +213,7 @@ def measure_voxels(
             for v in range(total):
                 at = 3 * first + v
                 p = wp.vec3(features.points[at], features.points[at + _VOXELS], features.points[at + 2 * _VOXELS])
-                unclear = unclear + finish_voxel(tree, slab, out, block, v, p, features.least[first + v])
+                unclear = unclear + finish_voxel(slab, out, block, v, p, features.least[first + v])
         return unclear
     # Two voxels at a time: each feature is loaded once for both.
     v = lane
@@ -224,8 +226,8 @@ def measure_voxels(
             least = wp.vec2(features.least[_VOXELS * worker + v], features.least[_VOXELS * worker + w])
         least = least_values(least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near)
         if last:
-            unclear = unclear + finish_voxel(tree, slab, out, block, v, p, least[0])
-            unclear = unclear + finish_voxel(tree, slab, out, block, w, q, least[1])
+            unclear = unclear + finish_voxel(slab, out, block, v, p, least[0])
+            unclear = unclear + finish_voxel(slab, out, block, w, q, least[1])
         else:
             features.least[_VOXELS * worker + v] = least[0]
             features.least[_VOXELS * worker + w] = least[1]
@@ -359,6 +361,8 @@ def _measure_blocks(
             block.start = start + BRICK * octant_at(item)
             block.cell = make_cell(slab, block.start, BRICK, scale)
             known = moved(known, block.cell.centre - middle_of_octant(cell, item % 8))
+        block.index = index_of(slab, mesh, block.start)
+        block.unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
         if is_within(slab, block.start):
             measure_block(
                 tree,

@@ -31,6 +31,8 @@ CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 26
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
 FULL, MOST_SHARES = 1 << 12, 16
+# Triangles of a cell's list, on average, that one group may make without holding up the others.
+LONG_SHARE = 512
 # Cells with more triangles are measured brick by brick.
 LONGEST_OF_CELL = {"cuda": 128, "cpu": 256}
 # Triangles of such a cell's list that one group of lanes takes. There are fewer groups on a CPU than bricks.
@@ -52,14 +54,15 @@ def search_is_faster(triangles: int, shape: Sequence[int]) -> bool:
     return expected_list(triangles, shape) > LONGEST_LIST
 
 
-def shares_of(shape: Sequence[int]) -> int:
-    """Groups of lanes that make each list on a GPU: more where a grid has few regions, so that the longest end sooner.
+def shares_of(triangles: int, shape: Sequence[int]) -> int:
+    """Groups of lanes that make each list on a GPU: more for few regions and long lists, so that none is waited for.
 
     From the slab's cross-section alone, as `expected_list`.
     """
     regions = max(1, -(-max(shape[1:]) // int(REGION))) ** 3
+    length = expected_list(triangles, shape)
     shares = 1
-    while shares < MOST_SHARES and 2 * shares * regions <= FULL:
+    while shares < MOST_SHARES and (2 * shares * regions <= FULL or shares * LONG_SHARE < length):
         shares *= 2
     return shares
 
@@ -99,11 +102,11 @@ def query_slab(
     if method == "auto":
         method = "search" if search_is_faster(tree.count, shape) else "cells"
     out = Output()
-    out.values = values
+    out.values = values.flatten()
     out.ambiguous = ambiguous
     out.missed = empty(1, wp.int32)
     if method == "search":
-        search_slab(tree, slab, out, launch)
+        search_slab(tree, slab, out, meshes, launch)
         return
     longest = LONGEST_OF_CELL["cuda" if gpu else "cpu"]
     slice_length = SLICE["cuda" if gpu else "cpu"]
@@ -111,7 +114,7 @@ def query_slab(
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
-    lists.shares = shares_of(shape) if gpu else 1
+    lists.shares = shares_of(tree.count, shape) if gpu else 1
     room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL) if gpu else CPU_POOL
     # A pass has room for a quarter more than is expected, and every list for one more chunk.
     cells = expected_list(tree.count, shape)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.lanes import shrink
-
 wp.set_module_options({"enable_backward": False})
 
 
@@ -66,28 +64,24 @@ def unravel(number: int, shape: wp.vec3i):
     return rest / shape[0], wp.vec3i(rest % shape[0], j, k)
 
 
+@wp.func
+def index_of(slab: Slab, mesh: int, at: wp.vec3i):
+    """The number of a voxel, counting through the meshes of a batch, k fastest: there are at most 2^30."""
+    return ((mesh * slab.shape[0] + at[0]) * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
+
+
 @wp.struct
 class Output:
-    """Where distances go: the values hold winding numbers before."""
+    """Where distances go, voxel by voxel as `index_of` counts them: the values hold winding numbers before."""
 
-    values: wp.array4d(dtype=wp.float32)
+    values: wp.array(dtype=wp.float32)
     ambiguous: wp.array(dtype=wp.int32)
     missed: wp.array(dtype=wp.int32)  # (1) voxels that were given an infinite distance, to be searched for later
 
 
 @wp.func
-def write_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: float):
+def write_distance(out: Output, index: int, distance: float):
     """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
-    winding = out.values[mesh, i, j, k]
-    out.values[mesh, i, j, k] = wp.where(winding > 0.5, -distance, distance)
+    winding = out.values[index]
+    out.values[index] = wp.where(winding > 0.5, -distance, distance)
     return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
-
-
-@wp.func
-def lessen_distance(out: Output, mesh: int, i: int, j: int, k: int, distance: float):
-    """Bring a voxel's signed distance closer to zero, if this distance is less; others may do so at the same time."""
-    index = wp.int64(mesh)
-    index = index * wp.int64(out.values.shape[1]) + wp.int64(i)
-    index = index * wp.int64(out.values.shape[2]) + wp.int64(j)
-    index = index * wp.int64(out.values.shape[3]) + wp.int64(k)
-    shrink(out.values, index, distance)

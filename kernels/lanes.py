@@ -222,8 +222,8 @@ def fetch_add(counts: wp.array(dtype=wp.int32), index: int, value: int) -> int:
 #endif
 """
 )
-def shrink(values: wp.array4d(dtype=wp.float32), index: wp.int64, size: float):
-    """Bring a value's magnitude down to `size` if it is larger; its sign stays. The array has no gaps."""
+def shrink(values: wp.array(dtype=wp.float32), index: int, size: float):
+    """Bring a value's magnitude down to `size` if it is larger, while others do the same; its sign stays."""
     ...
 
 

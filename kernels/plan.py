@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
-from sdm.kernels.grid import Output, Slab, write_distance
+from sdm.kernels.grid import Output, Slab, index_of, write_distance
 from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, write4
 from sdm.kernels.lists import (
     CELL,
@@ -155,7 +155,7 @@ def share_out(
         while v < CELL * CELL * CELL:
             at = start + wp.vec3i(v / (CELL * CELL), (v / CELL) % CELL, v % CELL)
             if is_within(slab, at):
-                unclear = unclear + write_distance(out, mesh, at[0], at[1], at[2], float(wp.inf))
+                unclear = unclear + write_distance(out, index_of(slab, mesh, at), float(wp.inf))
             v = v + lanes
     if lane == 0:
         # Whether a slice's voxels are missed nobody knows before the last is done.

@@ -8,7 +8,7 @@ import warp as wp
 
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.geometry import closest_point
-from sdm.kernels.grid import Output, Slab, unravel, voxel, write_distance
+from sdm.kernels.grid import Output, Slab, index_of, unravel, voxel, write_distance
 from sdm.kernels.lanes import fetch_add
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
@@ -66,34 +66,33 @@ def _measure(
         k = run * length + step
         if k < slab.shape[2]:
             distance, guess = searched_distance(tree, mesh, voxel(slab, i, j, k), guess)
-            unclear = unclear + write_distance(out, mesh, i, j, k, distance)
+            unclear = unclear + write_distance(out, index_of(slab, mesh, wp.vec3i(i, j, k)), distance)
     if unclear > 0:
         fetch_add(out.ambiguous, mesh, unclear)
 
 
-def search_slab(tree: Tree, slab: Slab, out: Output, launch: Any) -> None:
+def search_slab(tree: Tree, slab: Slab, out: Output, meshes: int, launch: Any) -> None:
     """Replace winding numbers by signed distances, and count the unclear ones."""
-    meshes, nx, ny, nz = out.values.shape
+    nx, ny, nz = slab.shape
     tile, run = int(TILE), 1 if out.values.device.is_cuda else CPU_RUN
     threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
     launch(_measure, threads, [tree, slab, run, out], out.values.device)
 
 
 @wp.kernel
-def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output, values: wp.array(dtype=wp.float32)):
+def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
     number = begin + wp.tid()
-    total = out.values.shape[0] * slab.shape[0] * slab.shape[1] * slab.shape[2]
     if out.missed[0] == 0:
         return
-    while number < total:
-        value = values[number]
+    while number < out.values.shape[0]:
+        value = out.values[number]
         if value == wp.inf or value == -wp.inf:
             mesh, at = unravel(number, slab.shape)
             distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
-            values[number] = wp.where(value < 0.0, -distance, distance)
+            out.values[number] = wp.where(value < 0.0, -distance, distance)
         number = number + step
 
 
 def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int, launch: Any) -> None:
     """Search for the distances of the voxels that were missed, if there are any: those that are infinite."""
-    launch(_mend, threads, [tree, slab, threads, out, out.values.flatten()], out.values.device, smallest=1)
+    launch(_mend, threads, [tree, slab, threads, out], out.values.device, smallest=1)

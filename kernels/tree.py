@@ -298,7 +298,8 @@ def build(
     run = 64
     launch(_reset_bounds, 6 * meshes, [bounds], device)
     # Warp's atomic minimum is not atomic on a CPU, so this one stays on one thread there.
-    wp.launch(_reduce_bounds, meshes * -(-faces.shape[0] // run), [0, vertices, faces, run, bounds], device=device)
+    runs = meshes * -(-faces.shape[0] // run)
+    launch(_reduce_bounds, runs, [vertices, faces, run, bounds], device, smallest=runs)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
     # The meshes' numbers are above the curve's codes.

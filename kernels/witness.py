@@ -1,7 +1,8 @@
 """A surface point near the centre of every region and cell: what all else is compared with (see `cull`).
 
-The lanes of a group look on all sides: from the centre, then from places as far from it as the surface is, each goes
-down the tree, always to the nearer child, and measures the triangles that it comes to.
+The lanes of a group look on all sides of a region: from the centre, then from places as far from it as the surface is,
+each goes down the tree, always to the nearer child, and measures the triangles that it comes to. A cell takes what its
+region found, or what is found from its own centre.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Witness, agree, away, no_witness, remember
+from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import fetch_add_once, load4, write4
@@ -56,31 +57,49 @@ def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
     return away(f, see(f, centre))
 
 
+@wp.func
+def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp.vec3, centre: wp.vec3, known: Witness):
+    """What was known of a centre, or a nearer triangle from a leaf near p."""
+    leaf = greedy_leaf(tree, mesh, p)
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        known = remember(known, seen_from(frames, mesh * tree.count + t, centre))
+    return known
+
+
+@wp.func
+def write_witness(lists: Lists, number: int, known: Witness):
+    u = known.to_surface
+    write4(lists.witnesses, number, u[0], u[1], u[2], known.distance2)
+
+
 @wp.kernel
 def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
     lane = (begin + wp.tid()) % lanes
     item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
-    while item < 9 * lists.count:
-        size = REGION
+    while item < lists.count:
         mesh, start = region_start(lists, item)
-        if item >= lists.count:
-            size = CELL
-            mesh, start = cell_start(lists, item - lists.count)
-        if is_within(slab, start):
-            cell = make_cell(slab, start, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-            known = no_witness()
-            reach = float(0.0)
-            probe = lane
-            while probe < PROBES + lanes:
-                leaf = greedy_leaf(tree, mesh, cell.centre + reach * probe_direction(probe))
-                for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                    known = remember(known, seen_from(frames, mesh * tree.count + t, cell.centre))
-                known = agree(known, lane)
-                reach = wp.sqrt(known.distance2)
-                probe = probe + lanes
-            if lane == 0:
-                u = known.to_surface
-                write4(lists.witnesses, item, u[0], u[1], u[2], known.distance2)
+        scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+        region = make_cell(slab, start, REGION, scale)
+        known = no_witness()
+        reach = float(0.0)
+        probe = lane
+        while probe < PROBES + lanes:
+            p = region.centre + reach * probe_direction(probe)
+            known = agree(nearer_leaf(tree, frames, mesh, p, region.centre, known), lane)
+            reach = wp.sqrt(known.distance2)
+            probe = probe + lanes
+        if lane == 0:
+            write_witness(lists, item, known)
+        # Each cell begins with its region's, and one lane looks for a nearer one.
+        octant = lane
+        while octant < 8:
+            number = 8 * item + octant
+            _mesh, first = cell_start(lists, number)
+            if is_within(slab, first):
+                centre = make_cell(slab, first, CELL, scale).centre
+                mine = moved(known, centre - region.centre)
+                write_witness(lists, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine))
+            octant = octant + lanes
         item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
 
 

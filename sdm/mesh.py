@@ -110,7 +110,7 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
         if tensor.dtype in (torch.uint16, torch.uint32, torch.uint64):
             tensor = tensor.to(torch.int64)
         if tensor.dtype == torch.int64 and tensor.numel():
-            low, high = int(tensor.min()), int(tensor.max())
+            low, high = torch.stack(tensor.aminmax()).tolist()
             if low < -(2**31) or high >= 2**31:
                 raise MeshError(f"{what} hold the index {high if high >= 2**31 else low}, which is out of range")
     return tensor.to(device=device, dtype=dtype).contiguous()

@@ -17,8 +17,9 @@ def test_coarse_grids_are_searched_and_fine_ones_are_not():
 def test_every_slab_of_a_grid_is_treated_alike(triangles):
     slabs = [[layers, 90, 110] for layers in (8, 40, 300)]
     assert len({search_is_faster(triangles, slab) for slab in slabs}) == 1
-    assert len({shares_of(slab) for slab in slabs}) == 1
+    assert len({shares_of(triangles, slab) for slab in slabs}) == 1
 
 
 def test_lists_are_shared_where_regions_are_few():
-    assert shares_of([64, 64, 64]) > shares_of([128, 128, 128]) > shares_of([256, 256, 256]) == 1
+    assert shares_of(20_000, [64] * 3) > shares_of(20_000, [128] * 3) > shares_of(20_000, [256] * 3) == 1
+    assert shares_of(1_000_000, [256] * 3) > 1
