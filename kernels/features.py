@@ -141,6 +141,9 @@ def add_features(
     a = wp.vec3d(zero, zero, zero)
     b = a
     c = a
+    ab = a
+    bc = a
+    ca = a
     normal = wp.vec3(0.0, 0.0, 0.0)
     inverses = wp.vec4d(zero, zero, zero, zero)
     if which != 0:
@@ -149,6 +152,10 @@ def add_features(
         a = wp.vec3d(corner_a) - middle
         b = wp.vec3d(corner_b) - middle
         c = wp.vec3d(corner_c) - middle
+        # Not b - a, which would be zero for a triangle that is very small for its distance.
+        ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
+        bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
+        ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
         normal = unit
         # All at once: loads one after the other wait for each other.
         for k in range(4):
@@ -159,7 +166,7 @@ def add_features(
     number = counts.faces + rank(mask, lane)
     face_row = _FACE_ROW + 4 * number
     if face:
-        n = wp.cross(b - a, c - a)
+        n = wp.cross(ab, -ca)
         h = -wp.dot(n, a) * inverses[3]
         write_row(rows, face_row, normal[0], normal[1], normal[2], 2.0 * float(h))
         write_number(rows, _OFFSETS + number, float(h * h - radius2))
@@ -172,7 +179,6 @@ def add_features(
         mask = ballot(edge)
         if edge or face:
             inverse = inverses[k]
-            ab = b - a
             along = -wp.dot(a, ab) * inverse
             share = along * inverse
             m = a + share * ab
@@ -199,6 +205,10 @@ def add_features(
         a = b
         b = c
         c = first
+        first = ab
+        ab = bc
+        bc = ca
+        ca = first
     return counts
 
 

@@ -82,16 +82,17 @@ def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
     a = corner_a - cell.centre
     b = corner_b - cell.centre
     c = corner_c - cell.centre
-    beyond_ab = wp.vec3(r2[1], r2[2], r2[3]) - cell.centre
-    beyond_bc = wp.vec3(r3[0], r3[1], r3[2]) - cell.centre
-    beyond_ca = wp.vec3(r3[3], r4[0], r4[1]) - cell.centre
+    beyond_ab = wp.vec3(r2[1], r2[2], r2[3])
+    beyond_bc = wp.vec3(r3[0], r3[1], r3[2])
+    beyond_ca = wp.vec3(r3[3], r4[0], r4[1])
     owned = int(r4[2])
     half = cell.half
     far = wp.max(sum_abs(a), wp.max(sum_abs(b), sum_abs(c)))
     room = ROOM * (far + half[0] + half[1] + half[2])
-    ab = b - a
-    bc = c - b
-    ca = a - c
+    # Not b - a, which rounding from afar has turned.
+    ab = corner_b - corner_a
+    bc = corner_c - corner_b
+    ca = corner_a - corner_c
     result = int(0)
 
     # Heights above the three planes on the edges, at the cell's centre and how they vary.
@@ -118,28 +119,28 @@ def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
     along_ca = -wp.dot(c, ca)
     length_ca = wp.dot(ca, ca)
     spread_ca = reach(half, ca) + room * sum_abs(ca)
-    if (owned & EDGE) != 0 and height_ab - reach_ab <= 0.0 and length_ab > 0.0:
+    if (owned & EDGE) != 0 and height_ab - reach_ab <= 0.0 and sum_abs(ab) > 0.0:
         if along_ab + spread_ab >= 0.0 and along_ab - spread_ab <= length_ab:
             if may_be_below(half, a, wp.vec3(r0[0], r0[1], r0[2]), room):
                 result = result | EDGE
-    if (owned & (2 * EDGE)) != 0 and height_bc - reach_bc <= 0.0 and length_bc > 0.0:
+    if (owned & (2 * EDGE)) != 0 and height_bc - reach_bc <= 0.0 and sum_abs(bc) > 0.0:
         if along_bc + spread_bc >= 0.0 and along_bc - spread_bc <= length_bc:
             if may_be_below(half, b, wp.vec3(r0[3], r1[0], r1[1]), room):
                 result = result | (2 * EDGE)
-    if (owned & (4 * EDGE)) != 0 and height_ca - reach_ca <= 0.0 and length_ca > 0.0:
+    if (owned & (4 * EDGE)) != 0 and height_ca - reach_ca <= 0.0 and sum_abs(ca) > 0.0:
         if along_ca + spread_ca >= 0.0 and along_ca - spread_ca <= length_ca:
             if may_be_below(half, c, wp.vec3(r1[2], r1[3], r2[0]), room):
                 result = result | (4 * EDGE)
 
     # Each corner: behind its two edges, and behind the neighbours' edges there.
     if (owned & CORNER) != 0 and along_ab - spread_ab <= 0.0 and along_ca + spread_ca >= length_ca:
-        if may_be_below(half, a, beyond_ab - a, room) and may_be_below(half, a, beyond_ca - a, room):
+        if may_be_below(half, a, beyond_ab - corner_a, room) and may_be_below(half, a, beyond_ca - corner_a, room):
             result = result | CORNER
     if (owned & (2 * CORNER)) != 0 and along_bc - spread_bc <= 0.0 and along_ab + spread_ab >= length_ab:
-        if may_be_below(half, b, beyond_bc - b, room) and may_be_below(half, b, beyond_ab - b, room):
+        if may_be_below(half, b, beyond_bc - corner_b, room) and may_be_below(half, b, beyond_ab - corner_b, room):
             result = result | (2 * CORNER)
     if (owned & (4 * CORNER)) != 0 and along_ca - spread_ca <= 0.0 and along_bc + spread_bc >= length_bc:
-        if may_be_below(half, c, beyond_ca - c, room) and may_be_below(half, c, beyond_bc - c, room):
+        if may_be_below(half, c, beyond_ca - corner_c, room) and may_be_below(half, c, beyond_bc - corner_c, room):
             result = result | (4 * CORNER)
     return result
 
