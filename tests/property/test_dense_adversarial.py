@@ -165,6 +165,30 @@ def test_between_a_fine_plate_and_a_far_triangle_here():
     check(vertices, faces, sdm.Grid(origin, [step] * 3, [16, 16, 8]), 2048)
 
 
+@pytest.mark.parametrize("seed", [7, 35, 529, 547, 3710, 4258, 4699])
+def test_at_the_end_of_a_long_edge(seed):
+    """Where a ridge ends at small triangles, in a small block with a voxel hardly within its ends (lost once).
+
+    A lid above is about as near, so that there is something wrong to be found.
+    """
+    rng = np.random.default_rng(seed)
+    long, short, height, step = rng.uniform(0.6, 1), 2e-4, 1e-4, 2e-6
+    within = 10 ** rng.uniform(-9, -8)
+    above = 2 * height + rng.uniform(-1e-5, 1e-5)
+    turn = turned(rng)
+    turn[2] *= np.sign(np.linalg.det(turn))
+    ridge = [[0, 0, 0], [long, 0, 0], [-0.5 * short, short, -short], [-0.5 * short, -short, -short]]
+    lid = [[-1e-3, -1e-3, above], [1e-3, -1e-3, above], [0, 1e-3, above]]
+    vertices = (np.array(ridge + lid) @ turn).astype(np.float32)
+    along = vertices[1].astype(np.float64) / np.linalg.norm(vertices[1].astype(np.float64))
+    up = turn[2] - turn[2] @ along * along
+    up /= np.linalg.norm(up)
+    origin = within * along + height * up - np.where(along > 0, 0, 7) * step
+    check(
+        vertices, np.array([[0, 2, 3], [0, 1, 2], [0, 3, 1], [4, 5, 6]]), sdm.Grid(origin, [step] * 3, [8, 8, 8]), 512
+    )
+
+
 @pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-10, 1e-13, 1e-15, 1e-16, 1e-18, 1e-22, 1e-28, 1e-38])
 @pytest.mark.parametrize("shape", ["octahedron", "sphere"])
 def test_tiny_beside_huge(shape, size):
