@@ -1,6 +1,7 @@
 """Draw the stages of the fast dense path on a slice of the built-in mesh: `python -m bench.picture_stages`.
 
 Every list and every value in the picture is computed by bench/_stages.py, the test of kernels/cull.py in the plane.
+Regions, cones of normals and parts of triangles are left out, and every cell is measured brick by brick.
 """
 
 from __future__ import annotations
