@@ -31,13 +31,13 @@ wp.set_module_options({"enable_backward": False})
 FACES, EDGES, CORNERS = 76, 128, 128
 # Voxels of the largest block.
 VOXELS = 512
-# A worker's rows of four floats: corners (-2m, w); edges (-2m, w) (e, place of the middle along it); faces (n, 2h) and
-# three planes (inward, height); then single numbers: half of each edge's length, w of each face, and 24 coordinates
+# A worker's rows of four floats: corners (-2m, w); edges (-2m, w) (e, where it begins along it); faces (n, 2h) and
+# three planes (inward, height); then single numbers: where each edge ends, w of each face, and 24 coordinates
 # of the block's voxels. On a GPU they are in shared memory, whose latency is a tenth of what it is to memory.
 EDGE_ROW = CORNERS
 FACE_ROW = EDGE_ROW + 2 * EDGES
-HALVES = 4 * (FACE_ROW + 4 * FACES)
-OFFSETS = HALVES + EDGES
+ENDS = 4 * (FACE_ROW + 4 * FACES)
+OFFSETS = ENDS + EDGES
 PLACES = OFFSETS + FACES
 ROWS = (PLACES + 24) // 4
 # Blocks of threads have four groups of lanes.
@@ -45,7 +45,7 @@ _GROUPS = 4
 
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
-_HALVES, _OFFSETS, _PLACES = wp.constant(HALVES), wp.constant(OFFSETS), wp.constant(PLACES)
+_ENDS, _OFFSETS, _PLACES = wp.constant(ENDS), wp.constant(OFFSETS), wp.constant(PLACES)
 _INVERSES = wp.constant(INVERSES)
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
@@ -187,11 +187,10 @@ def add_features(
                 number = counts.edges + rank(mask, lane)
                 to_row = _EDGE_ROW + 2 * number
                 w = float(wp.dot(m, m) - radius2)
-                half = wp.float64(0.5) * wp.length(ab)
                 m2 = -2.0 * wp.vec3(m)
                 write_row(rows, to_row, m2[0], m2[1], m2[2], w)
-                write_row(rows, to_row + 1, e[0], e[1], e[2], float(half - along))
-                write_number(rows, _HALVES + number, float(half))
+                write_row(rows, to_row + 1, e[0], e[1], e[2], float(-along))
+                write_number(rows, _ENDS + number, float(wp.length(ab) - along))
             if face:
                 u = wp.cross(normal, e)
                 write_row(rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
@@ -233,14 +232,14 @@ _MEASURE = f"""
     for (int i = 0; i < edges; ++i) {{
         const Row* at = row + {EDGE_ROW} + 2 * i;
         const Row r = at[0], e = at[1];
-        const float half = number[{HALVES} + i] + room;
+        const float begin = e.w - room, end = number[{ENDS} + i] + room;
         for (int v = 0; v < count; ++v) {{
             const float along = x[v] * e.x + y[v] * e.y + z[v] * e.z;
             const float dx = x[v] + 0.5f * r.x - along * e.x, dy = y[v] + 0.5f * r.y - along * e.y;
             const float dz = z[v] + 0.5f * r.z - along * e.z;
             const float far = r.w + (x[v] * r.x + y[v] * r.y + z[v] * r.z) - along * along;
             const float d = NEAR ? dx * dx + dy * dy + dz * dz : far;
-            const float here = fabsf(along - e.w) <= half ? d : INFINITY;
+            const float here = ((along >= begin) & (along <= end)) ? d : INFINITY;
             best[v] = here < best[v] ? here : best[v];
         }}
     }}
