@@ -149,5 +149,5 @@ def query_slab(
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
         list_cells(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
         plan_blocks(tree, frames, parts, slab, lists, longest, slice_length, out, workers, lanes, launch)
-        measure_blocks(tree, frames, parts, cones, slab, lists, features, stacks, out, workers, lanes, launch)
+        measure_blocks(tree, parts, cones, slab, lists, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

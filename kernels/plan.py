@@ -12,7 +12,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
 from sdm.kernels.grid import Output, Slab, index_of, write_distance
-from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu, write4
+from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu
 from sdm.kernels.lists import (
     CELL,
     HEAVY,
@@ -31,7 +31,7 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.parts import Parts
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.witness import read_witness, seen_from
+from sdm.kernels.witness import read_witness, seen_from, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -67,6 +67,27 @@ def slices_of(code: int):
 def brick_witness(lists: Lists, number: int, octant: int):
     """Where in `lists.witnesses` a brick's is."""
     return 9 * lists.count + 8 * number + octant
+
+
+@wp.func
+def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
+    """Whether a ball reaches nearer to a centre than what is known."""
+    reach = wp.length(centre - wp.vec3(ball[0], ball[1], ball[2])) - ball[3]
+    return reach <= 0.0 or reach * reach < known.distance2
+
+
+@wp.func
+def nearest_in_list(
+    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, first: int, centre: wp.vec3, known: Witness
+):
+    """The surface point nearest to a centre from a cell's list, or what was known: by one lane alone."""
+    reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
+    while reader.left > 0:
+        slot = read_entry(lists, reader, 0)
+        if may_be_nearer(load4(parts.balls, slot), centre, known):
+            known = remember(known, seen_from(frames, slot, centre))
+        reader = read_on(lists, lists.heads, lists.lengths, reader, 1)
+    return known
 
 
 @wp.func
@@ -107,14 +128,24 @@ def find_brick_witnesses(
 
     On a GPU each lane measures the triangle of the list whose ball's centre is nearest of those that it sees.
     """
+    first = number * lists.shares
+    if on_cpu():
+        octants = int(8)
+        for o in range(octants):
+            middle = middle_of_octant(cell, o)
+            known = moved(nearest, middle - cell.centre)
+            if length > 0:
+                known = nearest_in_list(frames, parts, lists, first, middle, known)
+            write_witness(lists, brick_witness(lists, number, o), known)
+        return
     best = Octants()
     best2 = OctantDistances()
     for o in range(8):
         best[o] = -1
         best2[o] = float(wp.inf)
     reader = Reader()
-    if length > 0 and not on_cpu():
-        reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    if length > 0:
+        reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
     upcoming = read_entry(lists, reader, lane)
     while reader.left > 0:
         slot = upcoming
@@ -135,8 +166,7 @@ def find_brick_witnesses(
             known = remember(known, seen_from(frames, best[o], middle))
         known = agree(known, lane)
         if lane == 0:
-            u = known.to_surface
-            write4(lists.witnesses, brick_witness(lists, number, o), u[0], u[1], u[2], known.distance2)
+            write_witness(lists, brick_witness(lists, number, o), known)
 
 
 @wp.func
@@ -192,8 +222,7 @@ def _plan_blocks(
                 known = nearest_of_cell(lists, number)
             if length >= 0 and length <= longest and not is_coarse(cell):
                 if lane == 0:
-                    u = known.to_surface
-                    write4(lists.witnesses, lists.count + number, u[0], u[1], u[2], known.distance2)
+                    write_witness(lists, lists.count + number, known)
                     lists.whole[fetch_add(lists.counts, _WHOLE, 1)] = number
             else:
                 find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)
