@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import sdm
@@ -114,8 +114,12 @@ def test_almost_folded_edges(fold, count, offset, size, seed):
     size=st.floats(-6, -0.5),
     seed=strategies.seeds,
 )
+@example(width=1e-7, size=-1.9, seed=1950730)
 def test_strips_of_needles(width, size, seed):
-    """Long needles side by side, in a plane or nearly so, and a far surface that is as near as they are."""
+    """Long needles side by side, in a plane or nearly so, and a far surface that is as near as they are.
+
+    In the example a voxel beyond a needle's tip was once taken to project into it.
+    """
     rng = np.random.default_rng(seed)
     count = 40
     i = np.arange(count)
