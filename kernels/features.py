@@ -13,8 +13,9 @@ equally far from c; the rest is of the block's size. So float32 is more accurate
 distances themselves, of which the least is made only at the end. Near the surface it is the other way round: there the
 distances are smaller than the brick, and are taken from p - m, its part across the line, or the height.
 
-A line counts where p is between its ends, a plane where p projects into the face, both with room for rounding: next to
-them the neighbouring part is in the list too, if it can be nearest (see `parts`).
+A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
+be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
+are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ _ENDS, _OFFSETS, _PLACES = wp.constant(ENDS), wp.constant(OFFSETS), wp.constant(
 _INVERSES = wp.constant(INVERSES)
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
+# And what rounding can add to a height inside a plane, in units of the distance from its edge.
+WITHIN = wp.constant(4.0e-7)
 
 
 @wp.struct
@@ -193,7 +196,9 @@ def add_features(
                 write_number(rows, _ENDS + number, float(wp.length(ab) - along))
             if face:
                 u = wp.cross(normal, e)
-                write_row(rows, face_row + 1 + k, u[0], u[1], u[2], -wp.dot(wp.vec3(m), u))
+                away = wp.vec3(m)
+                within = -wp.dot(away, u) - WITHIN * wp.length(away)
+                write_row(rows, face_row + 1 + k, u[0], u[1], u[2], within)
         counts.edges = counts.edges + members(mask)
         mask = ballot(corner)
         if corner:
@@ -246,7 +251,7 @@ _MEASURE = f"""
     for (int i = 0; i < faces; ++i) {{
         const Row* at = row + {FACE_ROW} + 4 * i;
         const Row r = at[0], a = at[1], b = at[2], c = at[3];
-        const float w = number[{OFFSETS} + i], above_a = a.w + room, above_b = b.w + room, above_c = c.w + room;
+        const float w = number[{OFFSETS} + i], above_a = a.w - room, above_b = b.w - room, above_c = c.w - room;
         for (int v = 0; v < count; ++v) {{
             const float height = x[v] * r.x + y[v] * r.y + z[v] * r.z;
             const float plain = height + 0.5f * r.w;

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -26,10 +27,11 @@ def fast_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def check(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, most: int = 500, seed: int = 0) -> None:
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
-    values = sdm.signed_distance_map(sdm.TriangleMesh(vertices, faces), grid, device="cpu").values.reshape(-1)
     centres = grid.points().reshape(-1, 3)
     some = np.random.default_rng(seed).permutation(len(centres))[:most]
-    assert_exact(vertices, faces, centres[some].numpy(), values[some])
+    for device in ("cpu", "cuda")[: 1 + torch.cuda.is_available()]:
+        values = sdm.signed_distance_map(sdm.TriangleMesh(vertices, faces), grid, device=device).values.reshape(-1)
+        assert_exact(vertices, faces, centres[some].numpy(), values.cpu()[some])
 
 
 def turned(rng: np.random.Generator) -> np.ndarray:
