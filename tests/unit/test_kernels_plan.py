@@ -61,7 +61,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     measure = dense.measure_blocks
 
     def spy(*inputs: Any) -> None:
-        lists = inputs[5]
+        lists = inputs[4]
         counts = lists.counts.numpy()
         whole, heavy = lists.whole.numpy()[: counts[WHOLE]], decoded(lists.heavy.numpy()[: counts[HEAVY]])
         # Nothing is known of cells outside of the grid.
