@@ -106,10 +106,11 @@ def launch(
     if workers == 1 or count <= share:
         _run(kernel, 0, count, inputs, device, 1)
         return
-    # The first share compiles and loads the module while no other thread wants it.
-    _run(kernel, 0, share, inputs, device, 1)
+    # Compiled and loaded before any thread wants it. A share of a kernel whose threads fetch their work may take all of
+    # it, so none runs alone.
+    kernel.module.load(device, 1)
 
     def run(begin: int) -> None:
         _run(kernel, begin, min(share, count - begin), inputs, device, 1)
 
-    list(_pool(os.getpid()).map(run, range(share, count, share)))
+    list(_pool(os.getpid()).map(run, range(0, count, share)))
