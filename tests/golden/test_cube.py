@@ -73,5 +73,6 @@ def test_one_row(axis):
     grid = sdm.Grid(origin, [0.03125] * 3, shape)
     values = sdm.signed_distance_map(sdm.TriangleMesh(VERTICES, FACES), grid, device="cpu").numpy()
     expected = _box(grid.points().double().numpy())
-    assert (np.abs(values) == np.abs(expected).astype(np.float32)).all()
+    # To the last bit, but for the voxels on the diagonal of a face.
+    np.testing.assert_allclose(np.abs(values), np.abs(expected), rtol=0, atol=2.0**-40)
     assert ((values < 0) == (expected < 0))[expected != 0].all()
