@@ -52,7 +52,7 @@ class MeshIndex:
     Raises:
         DeviceError: The device is not there.
 
-    Takes about 330 bytes a triangle of memory on the device (400 for a mesh with more than 1024 boundary edges).
+    Takes about 350 bytes a triangle of memory on the device (420 for a mesh with more than 1024 boundary edges).
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
     """
 
@@ -164,7 +164,7 @@ def signed_distance_map(
         DeviceError: The device is not there.
         GridError: The map does not fit into memory.
 
-    Memory beyond the map itself: about 330 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
+    Memory beyond the map itself: about 350 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
     whatever the grid. Maps larger than memory: `MeshIndex.slabs`.
     """
     return MeshIndex(mesh, device, orient=orient).signed_distance_map(grid)
