@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+import sdm
 from bench.meshes import Case
 
 # Float32's unit of rounding: a coordinate x is stored to within this times |x|.
@@ -16,6 +17,14 @@ LIMIT = 4.0
 # Signs are compared where the winding number is further than this from one half ...
 WINDING_BAND = 1e-3
 INSIDE = 0.5
+
+
+def voxel_centres(grid: sdm.Grid, which: np.ndarray | None = None) -> np.ndarray:
+    """Centres (n,3) float32 of the voxels of an axis-aligned grid with these numbers: rows of `grid.points()`."""
+    if which is None:
+        return grid.points().numpy().reshape(-1, 3)
+    index = np.stack(np.unravel_index(which, grid.shape), -1)
+    return (np.asarray(grid.origin) + np.asarray(grid.spacing) * index).astype(np.float32)
 
 
 def rounding(case: Case, points: np.ndarray) -> np.ndarray:

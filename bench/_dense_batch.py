@@ -11,13 +11,12 @@ import torch
 from torch import Tensor
 
 import sdm
-from bench._checks import compare
+from bench._checks import compare, voxel_centres
 from bench._dense_job import MIB, Job, as_dict, peak_mib
 from bench._sampling import generator
 from bench._timing import median, once
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note
-from bench.run import voxel_centres
 
 BATCH, RESOLUTION = 64, 64
 # A batch at a time that a training step takes, and a large one.

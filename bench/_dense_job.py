@@ -14,13 +14,12 @@ import torch
 from torch import Tensor
 
 import sdm
-from bench._checks import compare
+from bench._checks import compare, voxel_centres
 from bench._sampling import generator
 from bench._timing import Timing, median, once
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note
 from bench.peers import Peer
-from bench.run import voxel_centres
 
 MIB = 1 << 20
 # Slabs of a grid that stand for all of it, one drawn in each of as many equal parts.

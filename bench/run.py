@@ -20,7 +20,7 @@ from torch import Tensor
 
 import sdm
 from bench import _sampling as sampling
-from bench._checks import compare
+from bench._checks import compare, voxel_centres
 from bench._folder import write_results
 from bench._machine import describe, version_of
 from bench._tables import print_results
@@ -224,14 +224,6 @@ def _questions(case: Case, options: Options) -> list[Question]:
 
         found.append(Question(f"{case.name} at {options.points:,} points", case, len(scattered), some, None))
     return found
-
-
-def voxel_centres(grid: sdm.Grid, which: np.ndarray | None = None) -> np.ndarray:
-    """Centres (n,3) float32 of the voxels of an axis-aligned grid with these numbers: rows of `grid.points()`."""
-    if which is None:
-        return grid.points().numpy().reshape(-1, 3)
-    index = np.stack(np.unravel_index(which, grid.shape), -1)
-    return (np.asarray(grid.origin) + np.asarray(grid.spacing) * index).astype(np.float32)
 
 
 def _build(peer: Peer, case: Case, options: Options) -> dict[str, Any]:
