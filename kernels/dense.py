@@ -57,7 +57,7 @@ def search_is_faster(triangles: int, shape: Sequence[int]) -> bool:
 def shares_of(triangles: int, shape: Sequence[int]) -> int:
     """Groups of lanes that make each list on a GPU: more for few regions and long lists, so that none is waited for.
 
-    From the slab's cross-section alone, as `expected_list`.
+    From the slab's cross-section alone, as `expected_list`. A power of two: a level of the tree is shared out.
     """
     regions = max(1, -(-max(shape[1:]) // int(REGION))) ** 3
     length = expected_list(triangles, shape)

@@ -107,28 +107,6 @@ def lane_of_least(value: float, lane: int) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    for (int step = 1; step < 4; step <<= 1) {
-        float other = __shfl_xor_sync(0xffffffffu, value, step);
-        int theirs = __shfl_xor_sync(0xffffffffu, item, step);
-        if (other < value || (other == value && theirs < item)) {
-            value = other;
-            item = theirs;
-        }
-    }
-    return item;
-#else
-    return item;
-#endif
-"""
-)
-def group_of_least(value: float, item: int, lane: int) -> int:
-    """Among each four neighbouring lanes, the item of the one with the least value."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step >>= 1)
         value += __shfl_xor_sync(0xffffffffu, value, step);
 #endif
