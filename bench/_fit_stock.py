@@ -16,7 +16,7 @@ from bench.peers._base import Peer
 from bench.peers._libigl import LibiglWinding
 from bench.peers._warp import StockWarp
 from sdm.fit.backend import Distances
-from sdm.fit.exact import TRIANGLES, ExactBackend
+from sdm.fit.exact import ROUGH_TRIANGLES, TRIANGLES, ExactBackend
 from sdm.shapes import Cochlea
 
 # Share of each parameter's range, and millimetres: far above the rounding of float32, far below a voxel.
@@ -35,7 +35,7 @@ class StockBackend:
     slack = 1e-4
 
     def __init__(self, name: str, triangles: int = TRIANGLES) -> None:
-        self.name = name
+        self.name = self.library = name
         self.device = torch.device("cpu")
         self.family = Cochlea(triangles)
         self.parameters = self.family.parameters
@@ -45,10 +45,18 @@ class StockBackend:
         self._theta: Tensor | None = None
         self._peer = self._new_peer()
 
+    def rough(self) -> StockBackend | None:
+        """As the exact backend's."""
+        if self.family.faces.shape[0] <= 2 * ROUGH_TRIANGLES:
+            return None
+        rough = StockBackend(self.library, ROUGH_TRIANGLES)
+        rough.name, rough.centre = f"{self.name}, rough", self.centre
+        return rough
+
     def distances(self, theta: Tensor, points: Tensor) -> Tensor:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
         if self._theta is None or not torch.equal(theta, self._theta):
-            self._peer, self._theta = self._built(theta), theta.clone()
+            self._peer, self._theta = self.built(theta), theta.clone()
         return self._peer.signed_distance(points.float()).double()
 
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
@@ -62,11 +70,11 @@ class StockBackend:
         for column, parameter in enumerate(self.parameters):
             step = torch.zeros_like(theta)
             step[column] = STEP_OF_RANGE * (parameter.high - parameter.low)
-            moved = self._built(theta + step).signed_distance(points.float()).double()
+            moved = self.built(theta + step).signed_distance(points.float()).double()
             by_theta.append((moved - values) / step[column])
         return Distances(values, torch.stack(by_theta, 1), torch.stack(by_point, 1))
 
-    def _built(self, theta: Tensor) -> Peer:
+    def built(self, theta: Tensor) -> Peer:
         self.evaluations += 1
         vertices = self.family.vertices(theta.float()[None])[0].numpy()
         peer = self._new_peer()
@@ -76,4 +84,4 @@ class StockBackend:
         return peer
 
     def _new_peer(self) -> Peer:
-        return LibiglWinding() if self.name == "libigl" else StockWarp("cpu")
+        return LibiglWinding() if self.library == "libigl" else StockWarp("cpu")

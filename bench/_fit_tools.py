@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench._fit_maps import StockMaps
 from bench._fit_stock import StockBackend
 from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
 from sdm.fit.backend import Backend
@@ -15,7 +16,7 @@ from sdm.shapes import Cochlea
 
 # Meshes of simulated truth are four times as fine as those of the fit.
 TRUTH_TRIANGLES = 80_000
-STOCK = ("libigl", "warp")
+STOCK = ("libigl", "warp", "libigl-map", "warp-map")
 
 
 def truth_backend(device: str = "cpu") -> ExactBackend:
@@ -31,7 +32,10 @@ def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -
 
 def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
     """Ours by `make_backends`, or a stock library's."""
-    return (StockBackend(name), None) if name in STOCK else make_backends(name, weights=weights, device=device)
+    if name in STOCK:
+        library, *whole = name.split("-")
+        return (StockMaps(library) if whole else StockBackend(library)), None
+    return make_backends(name, weights=weights, device=device)
 
 
 def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None]) -> FitResult:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -47,3 +47,17 @@ class Backend(Protocol):
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
         """The same with their derivatives."""
         ...
+
+
+@runtime_checkable
+class HasRough(Protocol):
+    """A backend that has a cheaper one for coarse images."""
+
+    def rough(self) -> Backend | None:
+        """The same shapes, less exactly and for less time, turned about the same centre; None if there is none."""
+        ...
+
+
+def rough_of(backend: Backend) -> Backend:
+    """What to look at coarse images with: the backend's cheaper one if there is one, else itself."""
+    return (backend.rough() if isinstance(backend, HasRough) else None) or backend

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sdm.errors import GridError, SDMError
 from sdm.fit.appearance import MODELS, Appearance
-from sdm.fit.backend import Backend
+from sdm.fit.backend import Backend, rough_of
 from sdm.fit.diagnosis import diagnose
 from sdm.fit.exact import ExactBackend
 from sdm.fit.initial import candidates, coarser, middle_of
@@ -24,6 +24,7 @@ from sdm.fit.prior import Prior
 from sdm.fit.render import Renderer
 from sdm.fit.result import FitResult
 from sdm.fit.solver import Outcome, Point, minimise
+from sdm.fit.threads import one_thread_for
 from sdm.grid import Grid
 
 LARGEST_IMAGE = 1 << 23
@@ -103,11 +104,25 @@ def fit_shape(
     if options.model not in MODELS:
         raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
     values = image_tensor(image, grid, backend.device)
-    before = _counts(backend, finish)
+    with one_thread_for(values.numel(), backend.device):
+        found = _fit(values, grid, backend, finish, options, report)
+    return replace(found, seconds=time.perf_counter() - begin)
+
+
+def _fit(
+    values: Tensor,
+    grid: Grid,
+    backend: Backend,
+    finish: Backend | None,
+    options: FitOptions,
+    report: Callable[[str, int, Point], None] | None,
+) -> FitResult:
+    rough = rough_of(backend)
+    before = _counts(rough, backend, finish)
     prior = prior_of(grid, backend, options)
     names = [p.name for p in backend.parameters]
     small, wide = coarser(values, grid)
-    start = _begin(small, wide, backend, prior, options)
+    start = _begin(small, wide, rough, prior, options)
     steps = {"start": start.steps}
     hopeless = diagnose(small, wide, start.point, prior, start.converged, names).hopeless
 
@@ -131,7 +146,7 @@ def fit_shape(
     at = found.point
     diagnosis = diagnose(values, grid, at, prior, found.converged, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
-    after = _counts(backend, finish)
+    after = _counts(rough, backend, finish)
     return FitResult(
         parameters=backend.parameters,
         posterior=posterior,
@@ -141,7 +156,7 @@ def fit_shape(
         diagnosis=diagnosis,
         evaluations={name: after[name] - before[name] for name in after},
         steps=steps,
-        seconds=time.perf_counter() - begin,
+        seconds=0.0,
     )
 
 
