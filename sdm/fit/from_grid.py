@@ -77,15 +77,18 @@ class GridBackend:
         if same and (not derivatives or len(self._stack) > 1):  # type: ignore[arg-type]
             return
         self.evaluations += not same
-        with torch.no_grad():
-            if derivatives:
-                maps, by_theta = with_jacobian(lambda t: self.model(t[None])[0, 0], theta.float())
-                maps = torch.cat([maps[None], by_theta.movedim(-1, 0)])
-            else:
-                maps = self.model(theta.float()[None])[0]
+        maps = self.maps(theta, derivatives)
         for axis, matrix in enumerate(self._to_coefficients):
             maps = (maps.movedim(axis + 1, -1) @ matrix.T.to(maps.dtype)).movedim(-1, axis + 1)
         self._stack, self._theta = maps.contiguous(), theta.clone()
+
+    def maps(self, theta: Tensor, derivatives: bool) -> Tensor:
+        """The map for theta (P,), and its derivatives by each parameter: (1 or 1+P,nx,ny,nz)."""
+        with torch.no_grad():
+            if not derivatives:
+                return self.model(theta.float()[None])[0]
+            values, by_theta = with_jacobian(lambda t: self.model(t[None])[0, 0], theta.float())
+            return torch.cat([values[None], by_theta.movedim(-1, 0)])
 
     def _places(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Voxel coordinates (N,3), pulled into the grid, and how far outside it they were [mm]."""

@@ -88,8 +88,7 @@ class Renderer:
             at = state.to_shape(self._points(near, edge))
             distance = self.backend.distances(theta, at)
             inside[tuple(near.T)] = distance < 0
-            # From the block's middle to its outermost sample points.
-            half = float((self._steps * (torch.tensor(edge, device=device) - 1)).norm()) / 2
+            half = float((self._steps * torch.tensor(edge, device=device)).norm()) / 2
             near = near[distance.abs() < half + reach + self.backend.slack]
             split = [e // f for e, f in zip(edge, finer, strict=True)]
             inside = _repeat(inside, split)
