@@ -1,0 +1,29 @@
+"""Torch's threads while a fit runs on a CPU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+# Images of fewer voxels than this are no work for several threads.
+SMALLEST_SHARED = 1 << 19
+
+
+@contextmanager
+def one_thread_for(voxels: int, device: torch.device) -> Iterator[None]:
+    """One torch thread for small images on a CPU; as many as before for others, and afterwards.
+
+    A fit does thousands of small operations, between which the engine uses all cores. Torch's idle threads keep theirs
+    busy waiting for the next operation, which slows the engine down, and many times so where other programs run too.
+    """
+    before = torch.get_num_threads()
+    if device.type != "cpu" or voxels >= SMALLEST_SHARED or before == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
