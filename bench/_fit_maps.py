@@ -55,6 +55,7 @@ class StockMaps(GridBackend):
             step = torch.zeros_like(theta)
             step[column] = STEP_OF_RANGE * (parameter.high - parameter.low)
             found.append((self._map(theta + step) - values) / step[column])
+            self.evaluations += 1
         return torch.stack(found)
 
     def _map(self, theta: Tensor) -> Tensor:

@@ -75,6 +75,7 @@ class StockBackend:
         return Distances(values, torch.stack(by_theta, 1), torch.stack(by_point, 1))
 
     def built(self, theta: Tensor) -> Peer:
+        """The library with the mesh for theta (P,)."""
         self.evaluations += 1
         vertices = self.family.vertices(theta.float()[None])[0].numpy()
         peer = self._new_peer()

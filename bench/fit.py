@@ -5,8 +5,10 @@
     python -m bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m bench.fit pictures                docs/fit-*.png from what the others left
 
-Each writes bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,warp` says what fits; the last two
-are the same fit with a stock library's distances and finite differences, as a method without our derivatives has it.
+Each writes bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits; the last
+two are the same fit with a stock library's distances and finite differences, as a method without our derivatives has
+it: `libigl` is asked about the points near the surface alone, which our search for them allows, `libigl-map` makes
+whole maps, as a mesh's signed distance map in the place of a surrogate. `warp` and `warp-map` are stock Warp's.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ def main() -> None:
         study.add_argument("--device", default="cpu", help="cpu, cuda or cuda:N, for our own backends")
     for name in ("cases", "coverage", "real"):
         each[name].add_argument("--weights", type=Path, default=None, help="a surrogate's; the shipped ones by default")
-    each["cases"].add_argument("--backends", default="exact,libigl", help="of exact,surrogate,hybrid,libigl,warp")
+    each["cases"].add_argument(
+        "--backends", default="exact,libigl", help="of exact,surrogate,hybrid,libigl,libigl-map,warp,warp-map"
+    )
     each["cases"].add_argument("--count", type=int, default=9)
     each["cases"].add_argument("--quick", action="store_true", help="two cases")
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
