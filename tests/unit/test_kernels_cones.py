@@ -77,7 +77,9 @@ class Built:
 
     @property
     def nodes(self) -> np.ndarray:
-        return self.cones.nodes.numpy().reshape(-1, 4).astype(np.float64)
+        # Large nodes have none: what stands there is whatever the memory held.
+        with np.errstate(invalid="ignore"):
+            return self.cones.nodes.numpy().reshape(-1, 4).astype(np.float64)
 
     @property
     def lowest(self) -> int:
