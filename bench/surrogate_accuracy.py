@@ -84,7 +84,7 @@ def _exact(family: Cochlea, theta: Tensor) -> Tensor:
 
 def _pod(options: argparse.Namespace) -> tuple[PODChebyshev, dict[str, Any]]:
     start = time.perf_counter()
-    stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="sobol", device=options.device)
+    stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device=options.device)
     replay = Replay(stream, options.pod)
     replay.fill()
     made = time.perf_counter() - start

@@ -61,7 +61,8 @@ def generate(
         resolution: Voxels along each axis, of a cube that holds every shape.
         margin: Room around the shapes, as a share of the longest edge of their box.
         seed: Whole number that the samples depend on.
-        sampler: uniform, sobol, grid:N (N points along each parameter), grid:N:ordered, or mixture:SHARE (of grid:5).
+        sampler: uniform, sobol, chebyshev (denser towards the ends of each parameter), grid:N (N points along each
+            parameter), grid:N:ordered, or mixture:SHARE (of grid:5).
         dtype: Type of the maps in the dataset.
         truncate: Distances beyond this length become this, with their sign.
         shard: Samples in one file, which is what is lost at most if the work is cut off.

@@ -24,7 +24,7 @@ def sdmnn(
     fill_share: float = 0.25,
     warm_share: float = 0.2,
     rate: float = 1e-3,
-    surface: float = 8.0,
+    surface: float = 1.0,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
     seed: int = 0,
@@ -42,7 +42,7 @@ def sdmnn(
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
         channels: Feature maps of the network.
         recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
-            ones alone; mostly-online has a tenth of the 625, so as to be good at the corners of the box too.
+            ones alone; mostly-online has a tenth of the 625, the others denser towards the ends of each parameter.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
         budget_s: Seconds for all of it; the learning rate follows the clock.
         steps: Steps for all of it, if that is sooner.
@@ -52,7 +52,7 @@ def sdmnn(
         fill_share: Share of the seconds in which the store is filled first.
         warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
         rate: Largest learning rate.
-        surface: How many times more an error at the surface counts.
+        surface: Weight of the error at the surface, beside that of all voxels.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.
         seed: Whole number that the training depends on.

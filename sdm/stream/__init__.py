@@ -2,12 +2,13 @@
 
 from sdm.stream.batch import Batch
 from sdm.stream.maker import Maker
-from sdm.stream.samplers import Mixture, Sampler, Sobol, Table, TensorGrid, Uniform, as_sampler
+from sdm.stream.samplers import Chebyshev, Mixture, Sampler, Sobol, Table, TensorGrid, Uniform, as_sampler
 from sdm.stream.stream import SDMStream
 from sdm.stream.validation import ValidationSet
 
 __all__ = [
     "Batch",
+    "Chebyshev",
     "Maker",
     "Mixture",
     "SDMStream",

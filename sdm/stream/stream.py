@@ -34,8 +34,8 @@ class SDMStream(IterableDataset[Batch]):
         rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun, asked
             again by each `iter`, so that the process group may be made after the stream.
         world_size: Number of processes that share the stream.
-        sampler: "uniform", "sobol", "grid:5" (the tensor grid, again and again), "mixture:0.5" (half static, half
-            online), or a `Sampler`.
+        sampler: "uniform", "sobol", "chebyshev" (denser towards faces and corners), "grid:5" (the tensor grid, again
+            and again), "mixture:0.5" (half static, half online), or a `Sampler`.
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign.

@@ -16,7 +16,7 @@ from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
 from sdm.io.atomic import replacing
 from sdm.shapes import Cochlea
-from sdm.stream import SDMStream
+from sdm.stream import Mixture, Sampler, SDMStream
 from sdm.surrogate.box import GRID
 from sdm.surrogate.curves import Curves
 from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
@@ -28,8 +28,13 @@ from sdm.surrogate.validation import validation_batches, validation_theta
 from sdm.surrogate.warm_start import warm_start
 
 # Which samples a recipe streams; the paper's is the mixture of 625 static maps and random ones.
-# "mostly-online" has enough of the static ones, which lie on the faces and corners of the box, to be good there too.
-RECIPES = {"paper": "mixture:0.5", "static": "grid:5", "online": "uniform", "mostly-online": "mixture:0.1"}
+# In "mostly-online" the random ones are denser towards the faces and corners of the box, so as to be good there too.
+RECIPES: dict[str, str | Sampler] = {
+    "paper": "mixture:0.5",
+    "static": "grid:5",
+    "online": "uniform",
+    "mostly-online": Mixture("grid:5", "chebyshev", 0.1),
+}
 STATIC = 625
 
 
@@ -42,7 +47,7 @@ class Settings:
         modes: Modes of SDMNN+.
         channels: Feature maps of the network; by default its own.
         recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
-            ones alone) or "mostly-online" (a tenth of the 625).
+            ones alone) or "mostly-online" (a tenth of the 625, the others by the sampler "chebyshev").
         loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
@@ -52,7 +57,7 @@ class Settings:
         fill_share: Share of the budget in which the store is filled before the first step.
         warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.
         rate: Largest learning rate.
-        surface: How many times more an error at the surface counts.
+        surface: Weight of the error at the surface, beside that of all voxels.
         eikonal: Weight of | |grad f| - 1 |.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
         sobolev_every: Steps between its uses, on 4 fresh shapes each.
@@ -73,7 +78,7 @@ class Settings:
     fill_share: float = 0.25
     warm_share: float = 0.2
     rate: float = 1e-3
-    surface: float = 8.0
+    surface: float = 1.0
     eikonal: float = 0.01
     sobolev: float = 0.0
     sobolev_every: int = 16

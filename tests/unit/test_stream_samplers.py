@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -17,7 +19,7 @@ def rows(theta: torch.Tensor) -> list[tuple[float, ...]]:
     return [tuple(row) for row in theta.tolist()]
 
 
-@pytest.mark.parametrize("name", ["uniform", "sobol", "grid:3", "grid:3:ordered", "mixture:0.25"])
+@pytest.mark.parametrize("name", ["uniform", "sobol", "chebyshev", "grid:3", "grid:3:ordered", "mixture:0.25"])
 def test_a_number_alone_is_the_same_as_in_a_batch(name):
     sampler = as_sampler(name)
     whole = sampler.theta(FAMILY, 7, INDEX)
@@ -28,6 +30,15 @@ def test_a_number_alone_is_the_same_as_in_a_batch(name):
     FAMILY.check(whole)
     if name != "grid:3:ordered":
         assert not torch.equal(sampler.theta(FAMILY, 8, INDEX), whole)
+
+
+def test_chebyshev_has_the_arcsine_distribution():
+    low, high = (torch.tensor([getattr(p, end) for p in FAMILY.parameters]) for end in ("low", "high"))
+    unit = (as_sampler("chebyshev").theta(FAMILY, 3, torch.arange(20_000)) - low) / (high - low)
+    for x in (0.01, 0.1, 0.5, 0.9, 0.99):
+        share = 2 / math.pi * math.asin(math.sqrt(x))
+        # Four deviations of a share of 20,000.
+        assert (unit < x).double().mean(0).sub(share).abs().max() < 4 * math.sqrt(share * (1 - share) / 20_000)
 
 
 def test_grid_is_the_papers_static_set_in_each_pass():
@@ -66,7 +77,7 @@ def test_mixture_has_its_share_everywhere(share):
 
 
 def test_names_say_which_sampler_it_is():
-    for name in ("uniform", "sobol", "grid:3", "grid:3:ordered", "mixture:0.3"):
+    for name in ("uniform", "sobol", "chebyshev", "grid:3", "grid:3:ordered", "mixture:0.3"):
         sampler = as_sampler(name)
         again = as_sampler(str(sampler))
         assert torch.equal(again.theta(FAMILY, 1, INDEX), sampler.theta(FAMILY, 1, INDEX))
