@@ -27,6 +27,7 @@ def sdmnn(
     surface: float = 1.0,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
+    start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     seed: int = 0,
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: in OUT)")] = None,
     device: str = "auto",
@@ -55,6 +56,7 @@ def sdmnn(
         surface: Weight of the error at the surface, beside that of all voxels.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.
+        start: Weights to go on from, for example the shipped ones; their sizes replace --modes and --channels.
         seed: Whole number that the training depends on.
         checkpoint: File of the checkpoint, up to 100 MB.
         device: auto, cpu, cuda or cuda:N.
@@ -84,6 +86,7 @@ def sdmnn(
         surface=surface,
         eikonal=0.0 if plain else eikonal,
         sobolev=0.0 if plain else sobolev,
+        start=None if start is None else str(start),
         seed=seed,
     )
     try:
@@ -100,8 +103,7 @@ def sdmnn(
     )
     trained = trainer.run()
     target = out / f"{name}.safetensors"
-    save_weights(
-        trained, target, training={**asdict(settings), "step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
-    )
+    facts = {**asdict(settings), "start": start and start.name}
+    save_weights(trained, target, training={**facts, "step": trainer.step, "seconds": round(trainer.clock.seconds, 1)})
     print(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
     return None

@@ -24,6 +24,7 @@ from sdm.surrogate.models import build
 from sdm.surrogate.plus import SDMNNPlus
 from sdm.surrogate.replay import Replay
 from sdm.surrogate.schedule import Clock, learning_rate
+from sdm.surrogate.store import load_weights
 from sdm.surrogate.validation import validation_batches, validation_theta
 from sdm.surrogate.warm_start import warm_start
 
@@ -61,6 +62,7 @@ class Settings:
         eikonal: Weight of | |grad f| - 1 |.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
         sobolev_every: Steps between its uses, on 4 fresh shapes each.
+        start: File of weights to go on from, in place of a beginning of its own; its sizes replace those given here.
         ema: Decay of the running mean of the weights, which is what is kept.
         seed: Of the stream and all else that is random.
     """
@@ -82,6 +84,7 @@ class Settings:
     eikonal: float = 0.01
     sobolev: float = 0.0
     sobolev_every: int = 16
+    start: str | None = None
     ema: float = 0.998
     seed: int = 0
 
@@ -127,7 +130,7 @@ class Trainer:
         self.family = Cochlea()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            self.model = build(settings.model, **_config(settings)).to(self.device)
+            self.model = _begin(settings).to(self.device)
         self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
         self.step, spent = 0, 0.0
@@ -162,7 +165,7 @@ class Trainer:
         budget = settings.budget_s or float("inf")
         self.replay.fill(settings.fill_share * budget)
         self._report(f"{self.replay.count:,} maps stored after {self.clock.seconds:.1f} s")
-        if self.step == 0 and isinstance(self.model, SDMNNPlus):
+        if self.step == 0 and settings.start is None and isinstance(self.model, SDMNNPlus):
             seconds = settings.warm_share * budget
             warm_start(self.model, self.replay, seconds=seconds, seed=settings.seed, report=self._report)
             self.ema.module.load_state_dict(self.model.state_dict())
@@ -250,6 +253,15 @@ class Trainer:
 def _identity(settings: Settings) -> dict[str, Any]:
     """The settings that cannot change half-way: all but how long it takes."""
     return {k: v for k, v in asdict(settings).items() if k not in ("steps", "budget_s")}
+
+
+def _begin(settings: Settings) -> nn.Module:
+    if settings.start is None:
+        return build(settings.model, **_config(settings))
+    model, facts = load_weights(Path(settings.start))
+    if facts["model"] != settings.model:
+        raise FormatError(f"{settings.start} holds {facts['model']}, not {settings.model}; name the model it holds")
+    return model.train().requires_grad_()
 
 
 def _config(settings: Settings) -> dict[str, Any]:

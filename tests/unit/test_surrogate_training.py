@@ -15,6 +15,7 @@ from sdm.surrogate import training as module
 from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
 from sdm.surrogate.replay import Replay
 from sdm.surrogate.schedule import Clock, learning_rate
+from sdm.surrogate.store import load_weights, save_weights
 
 TINY = {
     "model": "sdmnn",
@@ -55,6 +56,20 @@ def test_the_loss_falls_and_curves_are_written(tmp_path):
     assert points[0]["step"] == 1
     assert points[-1]["step"] == 12
     assert points[-1]["mae"] < points[0]["mae"]
+
+
+def test_a_training_may_begin_with_weights(tmp_path):
+    first = train(3)
+    weights = tmp_path / "first.safetensors"
+    save_weights(first.ema.module, weights)
+    still = train(1, start=str(weights), channels=8, rate=0.0)
+    for name, value in load_weights(weights)[0].state_dict().items():
+        assert torch.equal(still.model.state_dict()[name], value), name
+    moved = train(1, start=str(weights), rate=1e-2)
+    assert all(p.requires_grad for p in moved.model.parameters())
+    assert not torch.equal(next(moved.model.parameters()), next(still.model.parameters()))
+    with pytest.raises(FormatError, match="holds sdmnn, not sdmnn-plus"):
+        Trainer(Settings(model="sdmnn-plus", start=str(weights)), device="cpu")
 
 
 def test_a_training_goes_on_from_its_checkpoint(tmp_path):
