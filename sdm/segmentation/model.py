@@ -53,15 +53,20 @@ class SegmentationModel(nn.Module):
         The main one is a logit or a signed distance, as the method says. The auxiliary one is in 0..1 for the map of
         the foreground, in -1..1 for a signed one.
         """
-        features = self.encoder(image)
-        value = self.decoder(features)
+        value, branched = self.decoded(image)
         main = self.main(value).float()
         if self.method.output == "tanh":
             main = main.tanh()
         if self.auxiliary is None:
             return main, None
-        other = self.auxiliary(value if self.branch is None else self.branch(features)).float()
+        other = self.auxiliary(branched).float()
         return main, other.sigmoid() if self.method.map == "foreground" else other.tanh()
+
+    def decoded(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """What the main and the auxiliary output are made of, (B,filters,x,y,z) each: the same but with a branch."""
+        features = self.encoder(image)
+        value = self.decoder(features)
+        return value, value if self.branch is None else self.branch(features)
 
     def field(self, image: Tensor) -> Tensor:
         """(B,1,x,y,z) float32 that is negative where the foreground is predicted.

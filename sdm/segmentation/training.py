@@ -6,10 +6,10 @@ import os
 import pickle
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import nn
@@ -96,17 +96,17 @@ def train(
         training = Training(model)
         if checkpoint is not None and checkpoint.is_file():
             _restore(checkpoint, training, optimizer, settings, device)
-        network = torch.compile(model, dynamic=False) if compiled else model
         model.train()
         begin, saved = time.monotonic(), time.monotonic()
         before = training.seconds
-        while training.step < settings.steps and (deadline is None or time.monotonic() < deadline):
-            _step(training, network, optimizer, patches, settings)
-            progress(training.step, settings.steps)
-            training.seconds = before + time.monotonic() - begin
-            if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY_S:
-                _save(checkpoint, training, optimizer, settings, device)
-                saved = time.monotonic()
+        with _compiled(model) if compiled else nullcontext():
+            while training.step < settings.steps and (deadline is None or time.monotonic() < deadline):
+                _step(training, optimizer, patches, settings)
+                progress(training.step, settings.steps)
+                training.seconds = before + time.monotonic() - begin
+                if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY_S:
+                    _save(checkpoint, training, optimizer, settings, device)
+                    saved = time.monotonic()
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         training.seconds = before + time.monotonic() - begin
@@ -116,13 +116,7 @@ def train(
     return training
 
 
-def _step(
-    training: Training,
-    network: Callable[..., Any],
-    optimizer: torch.optim.Optimizer,
-    patches: Source,
-    settings: Settings,
-) -> None:
+def _step(training: Training, optimizer: torch.optim.Optimizer, patches: Source, settings: Settings) -> None:
     step = training.step
     patch = patches.batch(settings.batch, seed=settings.seed, step=step, augment=settings.augment)
     for group in optimizer.param_groups:
@@ -131,7 +125,7 @@ def _step(
     if image.is_cuda:
         image = image.to(memory_format=torch.channels_last_3d)
     with torch.autocast(image.device.type, torch.bfloat16, enabled=image.is_cuda):
-        main, auxiliary = network(image)
+        main, auxiliary = training.model(image)
     done = step / settings.steps
     state = Step(training.model.method, main, patch.label, patch.map, done, patches.spacing)
     loss = objective(state, auxiliary)
@@ -145,6 +139,16 @@ def _step(
         if value != value or abs(value) == float("inf"):
             raise SDMError(f"the loss of {settings.method} is {value} at step {training.step}: lower the learning rate")
         training.losses.append((training.step, round(value, 6)))
+
+
+@contextmanager
+def _compiled(model: SegmentationModel) -> Iterator[None]:
+    """Encoder and decoders compiled: code that methods share, so that a process with many trainings compiles once."""
+    model.decoded = torch.compile(model.decoded, dynamic=False)
+    try:
+        yield
+    finally:
+        del model.decoded
 
 
 def _optimizer(model: nn.Module, settings: Settings) -> torch.optim.Optimizer:

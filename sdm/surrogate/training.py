@@ -37,6 +37,8 @@ RECIPES: dict[str, str | Sampler] = {
     "mostly-online": Mixture("grid:5", "chebyshev", 0.1),
 }
 STATIC = 625
+# Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
+RISE = 500
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ class Trainer:
     def _train(self, share: float) -> Tensor:
         settings = self.settings
         for group in self._optimizer.param_groups:
-            group["lr"] = settings.rate * group["share"] * learning_rate(share)
+            group["lr"] = settings.rate * group["share"] * learning_rate(share) * min(1.0, (self.step + 1) / RISE)
         if self._fresh:
             self.replay.renew()
         theta, exact = self.replay.draw(settings.batch_size, self.step)

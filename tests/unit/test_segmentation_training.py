@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import pytest
 import torch
+from torch._dynamo.utils import counters
 
 from sdm.errors import FormatError, SDMError
 from sdm.segmentation import METHODS, Patches, Settings, TrainedModel, load_model, predict, save_model, train
@@ -33,6 +35,20 @@ def test_it_learns(method):
     found = predict(training.model, truth.image, SIZE)
     assert scores_of(found.label, truth.label, truth.spacing)["dice"] > 0.8
     assert training.losses[-1][1] < 0.75 * training.losses[0][1]
+
+
+def test_methods_share_what_is_compiled(monkeypatch):
+    plain = train(patches("baseline"), settings(steps=2))
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
+    graphs = counters["stats"]
+    graphs.clear()
+    compiled = train(patches("baseline"), settings(steps=2), compiled=True)
+    assert compiled.losses == plain.losses
+    assert "decoded" not in vars(compiled.model)
+    assert graphs["unique_graphs"] == 1
+    train(patches("head-sdf-l1"), settings(steps=2, method="head-sdf-l1"), compiled=True)
+    train(patches("pwr"), settings(steps=2, method="pwr"), compiled=True)
+    assert graphs["unique_graphs"] == 1
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "sgd"])
