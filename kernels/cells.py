@@ -15,7 +15,7 @@ from sdm.kernels.cones import Cones, ball_matters
 from sdm.kernels.cull import agree, away, remember, triangle_is_behind
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import GPU_BLOCKS, ballot, fetch_add_once, members, rank, wait_for_lanes, write4
+from sdm.kernels.lanes import GPU_BLOCKS, ballot, fetch_add_once, members, rank, wait_for_lanes
 from sdm.kernels.lists import (
     CELL,
     NEXT_CELL,
@@ -34,7 +34,7 @@ from sdm.kernels.lists import (
 from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.regions import STACK, node_matters
 from sdm.kernels.tree import FRAME_SIZE, SCALE, TRIANGLES_PER_LEAF, Tree, first_triangle
-from sdm.kernels.witness import read_witness
+from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -135,8 +135,7 @@ def _list_cells(
                 wait_for_lanes()
             if lane == 0:
                 # The nearest triangle passes every test, so what is known now is the nearest of this share.
-                u = known.to_surface
-                write4(lists.nearest, item, u[0], u[1], u[2], known.distance2)
+                write_witness(lists.nearest, item, known)
                 lists.heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
                 lists.lengths[item] = chain.length
         item = fetch_add_once(lists.counts, _NEXT_CELL, 1, lane)

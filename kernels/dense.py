@@ -12,7 +12,7 @@ from sdm.kernels.cells import list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.features import ROWS, VOXELS, Features
 from sdm.kernels.grid import Output, Slab
-from sdm.kernels.lanes import GPU_LANES
+from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS
 from sdm.kernels.launch import threads
 from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
@@ -24,8 +24,6 @@ from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.tree import Tree
 from sdm.kernels.witness import find_witnesses
 
-# Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
-GPU_WORKERS = 132 * 16
 # Entries of the pool of lists: 64 MiB on a CPU, 128 to 256 MiB on a GPU.
 CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 26
 MOST_REGIONS = 1 << (CELL_BITS - 3)

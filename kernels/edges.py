@@ -10,6 +10,8 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.lanes import fetch_add, keep_least
+
 wp.set_module_options({"enable_backward": False})
 
 # Places of the remarks about a mesh.
@@ -21,36 +23,6 @@ _LEFT_OVER = wp.constant(LEFT_OVER)
 def bits_for(vertices: int) -> int:
     """Bits of a vertex index in a key: the key of an edge is the lower of its ends, then the higher."""
     return max(1, (vertices - 1).bit_length())
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    atomicMin(values.data + index, value);
-#else
-    int now = __atomic_load_n(values.data + index, __ATOMIC_RELAXED);
-    while (value < now && !__atomic_compare_exchange_n(
-        values.data + index, &now, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
-#endif
-"""
-)
-def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
-    """Make a value the lesser of what it is and another; Warp's own is not atomic on a CPU."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    return atomicAdd(values.data + index, 1);
-#else
-    return __atomic_fetch_add(values.data + index, 1, __ATOMIC_RELAXED);
-#endif
-"""
-)
-def count_one(values: wp.array(dtype=wp.int32), index: int) -> int:
-    """Add one to a value, and return what it was; Warp's own is not atomic on a CPU."""
-    ...
 
 
 @wp.kernel
@@ -126,7 +98,7 @@ def _pair(
     if balance != 0:
         start = faces[lead / 3, lead % 3]
         end = faces[lead / 3, (lead + 1) % 3]
-        row = count_one(remarks, _LEFT_OVER)
+        row = fetch_add(remarks, _LEFT_OVER, 1)
         left_over[row, 0] = wp.min(start, end)
         left_over[row, 1] = wp.max(start, end)
         left_over[row, 2] = balance

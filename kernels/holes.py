@@ -17,6 +17,7 @@ from sdm.kernels.caps import count_caps, doubt, is_far, is_sure, see_caps, share
 from sdm.kernels.grid import Slab, unravel, voxel
 from sdm.kernels.lanes import (
     GPU_LANES,
+    GPU_WORKERS,
     ballot,
     fetch_add,
     first_member,
@@ -39,8 +40,6 @@ PIECE = wp.constant(2)
 SHARE = 4
 # Groups of lanes at most, so that their threads can be counted; each takes more than one item then.
 MOST_GROUPS = 1 << 20
-# Groups that open bricks: 16 for each of an H100's multiprocessors.
-GPU_WORKERS = 132 * 16
 
 
 @wp.struct

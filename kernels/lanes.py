@@ -1,7 +1,7 @@
 """A group of lanes that works on one item: the 32 threads of a warp on a GPU, one thread on a CPU.
 
 Kernels written with these few functions run the same algorithm on both. Warp's own atomics are plain additions on a
-CPU, where `launch` runs a kernel on several threads, so the one that is needed is here as well.
+CPU, where `launch` runs a kernel on several threads, so those that are needed are here as well.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ wp.set_module_options({"enable_backward": False})
 GPU_LANES = 32
 # A multiprocessor holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
 GPU_BLOCKS = 4
+# Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
+GPU_WORKERS = 132 * 16
 
 
 @wp.func_native(
@@ -183,6 +185,23 @@ def wait_for_lanes():
 )
 def fetch_add(counts: wp.array(dtype=wp.int32), index: int, value: int) -> int:
     """Add to a count that other threads add to as well; returns what it was before."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    atomicMin(values.data + index, value);
+#else
+    int* at = values.data + index;
+    int before = __atomic_load_n(at, __ATOMIC_RELAXED);
+    while (value < before && !__atomic_compare_exchange_n(at, &before, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED))
+        ;
+#endif
+"""
+)
+def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
+    """Bring a value down to another if it is larger, while others do the same."""
     ...
 
 

@@ -136,7 +136,7 @@ def find_brick_witnesses(
             known = moved(nearest, middle - cell.centre)
             if length > 0:
                 known = nearest_in_list(frames, parts, lists, first, middle, known)
-            write_witness(lists, brick_witness(lists, number, o), known)
+            write_witness(lists.witnesses, brick_witness(lists, number, o), known)
         return
     best = Octants()
     best2 = OctantDistances()
@@ -166,7 +166,7 @@ def find_brick_witnesses(
             known = remember(known, seen_from(frames, best[o], middle))
         known = agree(known, lane)
         if lane == 0:
-            write_witness(lists, brick_witness(lists, number, o), known)
+            write_witness(lists.witnesses, brick_witness(lists, number, o), known)
 
 
 @wp.func
@@ -222,7 +222,7 @@ def _plan_blocks(
                 known = nearest_of_cell(lists, number)
             if length >= 0 and length <= longest and not is_coarse(cell):
                 if lane == 0:
-                    write_witness(lists, lists.count + number, known)
+                    write_witness(lists.witnesses, lists.count + number, known)
                     lists.whole[fetch_add(lists.counts, _WHOLE, 1)] = number
             else:
                 find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)

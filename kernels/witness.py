@@ -67,9 +67,10 @@ def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp
 
 
 @wp.func
-def write_witness(lists: Lists, number: int, known: Witness):
+def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness):
+    """A witness into `lists.witnesses` or `lists.nearest`."""
     u = known.to_surface
-    write4(lists.witnesses, number, u[0], u[1], u[2], known.distance2)
+    write4(rows, number, u[0], u[1], u[2], known.distance2)
 
 
 @wp.kernel
@@ -89,7 +90,7 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
             reach = wp.sqrt(known.distance2)
             probe = probe + lanes
         if lane == 0:
-            write_witness(lists, item, known)
+            write_witness(lists.witnesses, item, known)
         # Each cell begins with its region's, and one lane looks for a nearer one.
         octant = lane
         while octant < 8:
@@ -98,7 +99,9 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
             if is_within(slab, first):
                 centre = make_cell(slab, first, CELL, scale).centre
                 mine = moved(known, centre - region.centre)
-                write_witness(lists, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine))
+                write_witness(
+                    lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
+                )
             octant = octant + lanes
         item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
 
