@@ -92,7 +92,9 @@ def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float
         if log is None:
             print(f"{job['name']}: cut short on {device}", flush=True)
             continue
-        write_log(_log(logs, job), {"job": job, "seconds": round(time.monotonic() - begin, 1), **log})
+        # Where the data lay is of no use to others.
+        told = {key: value for key, value in job.items() if key != "data"}
+        write_log(_log(logs, job), {"job": told, "seconds": round(time.monotonic() - begin, 1), **log})
         print(f"{job['name']}: {time.monotonic() - begin:.1f} s on {device}: {log.get('summary', '')}", flush=True)
 
 
