@@ -12,7 +12,7 @@ from sdm.fit.backend import Backend
 from sdm.fit.exact import TRIANGLES, ExactBackend
 from sdm.fit.from_grid import GridBackend
 from sdm.shapes import Cochlea
-from sdm.surrogate import GRID, load_surrogate
+from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_surrogate
 
 NAMES = ("exact", "surrogate", "hybrid")
 
@@ -41,5 +41,7 @@ def make_backends(
     where = choose_device(device)
     if name == "exact":
         return ExactBackend(Cochlea(triangles), where), None
-    surrogate = GridBackend(load_surrogate(weights, device=where).eval(), GRID, device=where)
+    model = load_surrogate(weights, device=where).eval()
+    rough = (model.coarse, COARSE_GRID) if isinstance(model, SDMNNPlus) else None
+    surrogate = GridBackend(model, GRID, device=where, rough=rough)
     return surrogate, ExactBackend(Cochlea(triangles), where) if name == "hybrid" else None

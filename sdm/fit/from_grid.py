@@ -14,6 +14,7 @@ from torch import Tensor
 from sdm.fit.backend import Distances
 from sdm.fit.initial import middle_of
 from sdm.fit.jacobian import with_jacobian
+from sdm.fit.threads import threads
 from sdm.grid import Grid
 from sdm.shapes import Cochlea, Parameter
 
@@ -31,6 +32,7 @@ class GridBackend:
         device: Where the model is.
         name: What to call it in reports.
         slack: How far values may be from true distances near the surface [mm].
+        rough: A model of the same maps on a coarser grid, for coarse images.
 
     Values and derivatives in space and in theta belong to one and the same smooth function.
     """
@@ -44,15 +46,27 @@ class GridBackend:
         device: str | torch.device = "cpu",
         name: str = "surrogate",
         slack: float = SLACK,
+        rough: tuple[Callable[[Tensor], Tensor], Grid] | None = None,
     ) -> None:
         self.model, self.grid, self.name, self.slack = model, grid, name, slack
         self.parameters = Cochlea.parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
+        self._rough = rough
+        # The model is work for all threads, whatever the fit around it uses.
+        self._threads = torch.get_num_threads()
         self.centre = self._centre()
         self._to_coefficients = [_spline_matrix(n).to(self.device) for n in grid.shape]
         self._theta: Tensor | None = None
         self._stack: Tensor | None = None
+
+    def rough(self) -> GridBackend | None:
+        """The coarser model, if there is one."""
+        if self._rough is None:
+            return None
+        rough = GridBackend(*self._rough, self.parameters, device=self.device, name=f"{self.name}, rough")
+        rough.centre, rough.slack = self.centre, 2 * self.slack
+        return rough
 
     def distances(self, theta: Tensor, points: Tensor) -> Tensor:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
@@ -84,7 +98,7 @@ class GridBackend:
 
     def maps(self, theta: Tensor, derivatives: bool) -> Tensor:
         """The map for theta (P,), and its derivatives by each parameter: (1 or 1+P,nx,ny,nz)."""
-        with torch.no_grad():
+        with torch.no_grad(), threads(self._threads):
             if not derivatives:
                 return self.model(theta.float()[None])[0]
             values, by_theta = with_jacobian(lambda t: self.model(t[None])[0, 0], theta.float())
@@ -132,16 +146,18 @@ def _interpolate(stack: Tensor, at: Tensor, *, slopes: bool = False) -> tuple[Te
     flat = stack.flatten(1)
     strides = (stack.shape[2] * stack.shape[3], stack.shape[3], 1)
     first = (base * torch.tensor(strides, device=at.device)).sum(1)
+    line = torch.arange(4, device=at.device)
+    x, y, z = weights.unbind(1)
+    by_x, by_y, by_z = by_place.unbind(1)
     for i in range(4):
         for j in range(4):
-            pair = weights[:, 0, i] * weights[:, 1, j]
-            for k in range(4):
-                taken = flat[:, first + (i * strides[0] + j * strides[1] + k)].double()
-                values += taken * (pair * weights[:, 2, k])
-                if slopes:
-                    slope[:, 0] += taken[0] * (by_place[:, 0, i] * weights[:, 1, j] * weights[:, 2, k])
-                    slope[:, 1] += taken[0] * (weights[:, 0, i] * by_place[:, 1, j] * weights[:, 2, k])
-                    slope[:, 2] += taken[0] * (pair * by_place[:, 2, k])
+            taken = flat[:, (first + (i * strides[0] + j * strides[1]))[:, None] + line].double()
+            along = (taken * z).sum(-1)
+            values += along * (x[:, i] * y[:, j])
+            if slopes:
+                slope[:, 0] += along[0] * (by_x[:, i] * y[:, j])
+                slope[:, 1] += along[0] * (x[:, i] * by_y[:, j])
+                slope[:, 2] += (taken[0] * by_z).sum(-1) * (x[:, i] * y[:, j])
     return values, slope if slopes else None
 
 

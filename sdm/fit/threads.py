@@ -18,11 +18,19 @@ def one_thread_for(voxels: int, device: torch.device) -> Iterator[None]:
     A fit does thousands of small operations, between which the engine uses all cores. Torch's idle threads keep theirs
     busy waiting for the next operation, which slows the engine down, and many times so where other programs run too.
     """
+    share = device.type != "cpu" or voxels >= SMALLEST_SHARED
+    with threads(torch.get_num_threads() if share else 1):
+        yield
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """So many torch threads; as many as before afterwards."""
     before = torch.get_num_threads()
-    if device.type != "cpu" or voxels >= SMALLEST_SHARED or before == 1:
+    if count == before:
         yield
         return
-    torch.set_num_threads(1)
+    torch.set_num_threads(count)
     try:
         yield
     finally:

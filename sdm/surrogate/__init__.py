@@ -1,7 +1,7 @@
 """Surrogates of the cochlea family: from four parameters to a signed distance map, without a mesh. See README.md."""
 
 from sdm.surrogate.accuracy import Accuracy, measure
-from sdm.surrogate.box import GRID
+from sdm.surrogate.box import COARSE_GRID, GRID
 from sdm.surrogate.exact import exact_map
 from sdm.surrogate.models import MODELS, build
 from sdm.surrogate.onnx import export_onnx
@@ -13,6 +13,7 @@ from sdm.surrogate.store import load_weights, save_weights
 from sdm.surrogate.training import Settings, Trainer
 
 __all__ = [
+    "COARSE_GRID",
     "GRID",
     "MODELS",
     "SDMNN",

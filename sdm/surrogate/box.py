@@ -10,3 +10,7 @@ ORIGIN_MM = (-6.5, -6.0, -2.8)
 SPACING_MM = 0.2
 SHAPE = (80, 64, 40)
 GRID = Grid(ORIGIN_MM, (SPACING_MM,) * 3, SHAPE)
+# The same box in voxels of 0.4 mm, each of eight of the others.
+COARSE_GRID = Grid(
+    tuple(x + SPACING_MM / 2 for x in ORIGIN_MM), (2 * SPACING_MM,) * 3, tuple(count // 2 for count in SHAPE)
+)

@@ -65,6 +65,10 @@ class SDMNNPlus(nn.Module):
 
     def forward(self, theta: Tensor) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of theta (B,4)."""
+        return self.both(theta)[1]
+
+    def both(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """The coarse maps as `low_rank` gives them, and the maps that are made of them."""
         with full_precision(theta):
             state = self.trunk(self.features(theta))
             coarse = self.low_rank(self.coefficients(state) * self.scale)
@@ -74,7 +78,16 @@ class SDMNNPlus(nn.Module):
         x = _modulated(self.first(around) + self.place, gains[:, 0])
         for number, layer in enumerate(self.middle, 1):
             x = x + _modulated(layer(x), gains[:, number])
-        return merge(plain + self.last(x).to(plain.dtype), FINE)
+        return coarse, merge(plain + self.last(x).to(plain.dtype), FINE)
+
+    def coarse(self, theta: Tensor) -> Tensor:
+        """Maps (B,1,40,32,20) [mm] of theta (B,4) on `COARSE_GRID`, before they are refined: a tenth of the work.
+
+        For a first look: the refinement may take back a tenth of a millimetre of it.
+        """
+        with full_precision(theta):
+            state = self.trunk(self.features(theta))
+            return merge(self.low_rank(self.coefficients(state) * self.scale), COARSE)
 
     def low_rank(self, coefficients: Tensor) -> Tensor:
         """Coarse maps (B,8,20,16,10) [mm] in blocks, of coefficients (B,modes) [mm]."""

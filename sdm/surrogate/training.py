@@ -61,6 +61,7 @@ class Settings:
         warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.
         rate: Largest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
+        coarse: Weight of the error of the coarse maps of SDMNN+, so that they are of use on their own.
         eikonal: Weight of | |grad f| - 1 |.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
         sobolev_every: Steps between its uses, on 4 fresh shapes each.
@@ -83,6 +84,7 @@ class Settings:
     warm_share: float = 0.2
     rate: float = 1e-3
     surface: float = 1.0
+    coarse: float = 0.1
     eikonal: float = 0.01
     sobolev: float = 0.0
     sobolev_every: int = 16
@@ -202,10 +204,14 @@ class Trainer:
 
     def _loss(self, theta: Tensor, exact: Tensor) -> Tensor:
         settings = self.settings
-        predicted = self.model(theta)
         if settings.loss == "mse":
-            return nn.functional.mse_loss(predicted, exact)
-        loss = surface_weighted(predicted, exact, settings.surface)
+            return nn.functional.mse_loss(self.model(theta), exact)
+        if isinstance(self.model, SDMNNPlus):
+            coarse, predicted = self.model.both(theta)
+            loss = settings.coarse * (coarse.flatten(1) - self.model.coarse_of(exact)).abs().mean()
+        else:
+            predicted, loss = self.model(theta), 0.0
+        loss = loss + surface_weighted(predicted, exact, settings.surface)
         return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
 
     @torch.no_grad()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 
 from sdm import Grid
+from sdm.fit.backend import rough_of
+from sdm.fit.backends import make_backends
 from sdm.fit.from_grid import GridBackend
 from sdm.shapes import Parameter
 
@@ -60,3 +62,19 @@ def test_a_theta_is_evaluated_once() -> None:
     backend.with_derivatives(theta, point)
     backend.distances(theta, point + 1)
     assert backend.evaluations == 1
+
+
+def test_the_shipped_surrogate_has_a_rough_one() -> None:
+    backend = make_backends("surrogate", device="cpu")[0]
+    rough = rough_of(backend)
+    assert rough is not backend
+    assert torch.equal(rough.centre, backend.centre)
+    theta = torch.tensor([3.7, 0.45, 0.146, 0.6], dtype=torch.float64)
+    points = torch.rand(3_000, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    points = points * torch.tensor([10.0, 8.0, 4.0]) - torch.tensor([4.0, 4.0, 1.0])
+    fine, coarse = backend.with_derivatives(theta, points), rough.with_derivatives(theta, points)
+    near = fine.values.abs() < 0.5
+    assert float((fine.values - coarse.values)[near].abs().mean()) < 0.15
+    for number in range(4):
+        a, b = fine.by_theta[near][:, number], coarse.by_theta[near][:, number]
+        assert float((a * b).sum() / (a.norm() * b.norm())) > 0.98
