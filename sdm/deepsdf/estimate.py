@@ -11,11 +11,15 @@ from torch import Tensor
 
 from sdm.deepsdf.auto_decoder import bounded, errors
 from sdm.deepsdf.model import DeepSDF
+from sdm.deepsdf.prior import CodePrior
+from sdm.deepsdf.scan import Scan
 from sdm.errors import SDMError
 from sdm.sampling import Samples
 
 # A step's samples (B,N,3) and (B,N) for a batch of shapes.
 Draw = Callable[[int], Samples]
+# Weights of the prior: the paper's, and those of the "local" variant for scans and for exact samples all around.
+PUBLISHED, OF_SCANS, OF_SHAPES = 1e-4, 1e-6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,9 +52,8 @@ def estimate_codes(
         steps: Of Adam; the rate is a tenth from the middle on for the "published" variant, as in the original, and
             falls along a cosine for the "local" one.
         rate: Adam's learning rate; 5e-3 as published, or 2e-2 for the "local" variant.
-        prior: Weight of the squared distance of a code from the prior's mean. As published the mean is 0 and the weight
-            1e-4; for the "local" variant they are the mean of the training's codes and the training's weight, so that
-            parts of which nothing was seen are as they are on average.
+        prior: Weight of `CodePrior`. By default 1e-4 for the "published" variant; for the "local" one 1e-6 if `draw` is
+            a `Scan`, which leaves much open, else 1e-9.
         compile_network: By torch.compile, which pays for many steps on a GPU.
 
     Returns:
@@ -64,12 +67,12 @@ def estimate_codes(
     settings = model.settings
     published = settings.variant == "published"
     rate = (5e-3 if published else 2e-2) if rate is None else rate
-    prior = (1e-4 if published else settings.code_weight) if prior is None else prior
+    if prior is None:
+        prior = PUBLISHED if published else OF_SCANS if isinstance(draw, Scan) else OF_SHAPES
+    unlikely = CodePrior(model)
     points, values = draw(0)
     # From the middle of what was learned, whatever the order of the shapes.
-    start = model.codes.mean(0)
-    mean = torch.zeros_like(start) if published else start
-    codes = start.repeat(points.shape[0], 1).requires_grad_()
+    codes = unlikely.start.repeat(points.shape[0], 1).requires_grad_()
     optimizer = torch.optim.Adam([codes], lr=rate)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda s: _rate_at(s / steps, published))
 
@@ -84,7 +87,7 @@ def estimate_codes(
                 points, values = draw(step)
             losses = of(codes, points, values)
             # Sums over shapes: each shape's gradient is what it would be alone.
-            (losses.sum() + prior * (codes - mean).square().sum()).backward()
+            (losses.sum() + prior * unlikely(codes).sum()).backward()
             optimizer.step()
             optimizer.zero_grad()
             schedule.step()
