@@ -165,6 +165,9 @@ def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, ab
             print(f"{name} is left for the next time: the budget is over")
             continue
         result[name] = part()
+        # Parts may come from several machines.
+        where = f"{result['machine']['device']}, commit {result['machine']['commit']}"
+        result["measured_on"] = {**result.get("measured_on", {}), name: where}
         short = {k: v for k, v in result[name].items() if k != "rows"} if isinstance(result[name], dict) else None
         print(json.dumps({name: short}, indent=1)[:4000], f"\n{time.monotonic() - start:.1f} s", flush=True)
         write(result, path)

@@ -29,7 +29,7 @@ def report(runs: list[Path], to: Path) -> None:
     scores = {run.name: json.loads((run / "scores.json").read_text()) for run in runs if (run / "scores.json").exists()}
     lines = ["# DeepSDF", "", "Made by `python -m bench.deepsdf report`. Chamfer distances are times 1000."]
     for name, found in scores.items():
-        lines += ["", f"## {name}", "", f"On {found['machine']['device']}, commit {found['machine']['commit']}."]
+        lines += ["", f"## {name}", "", *_machines(found)]
         for title, part in _tables(found):
             lines += ["", f"### {title}", "", *part]
     to.mkdir(parents=True, exist_ok=True)
@@ -39,6 +39,16 @@ def report(runs: list[Path], to: Path) -> None:
         if "recipe_study" in found:
             _picture(found["recipe_study"], to / "deepsdf_recipe.png")
     print("\n".join(lines))
+
+
+def _machines(found: dict[str, Any]) -> list[str]:
+    """Where each part was measured."""
+    machine, parts = found["machine"], {}
+    for part, where in found.get("measured_on", {}).items():
+        parts.setdefault(where, []).append(part)
+    if not parts:
+        return [f"On {machine['device']}, commit {machine['commit']}."]
+    return [f"On {where}: {', '.join(names)}." for where, names in parts.items()]
 
 
 def _tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
