@@ -29,7 +29,7 @@ def decode(
 
     Args:
         code: What sdm encode wrote.
-        model: The model that the code belongs to.
+        model: The model that the code belongs to, or cochlea: the one that comes with the package.
         out: File to write.
         to: Another code: a strip of pictures from the first to this one.
         count: Pictures of the strip.

@@ -30,7 +30,7 @@ def encode(
     Args:
         shapes: Closed meshes; with --scan, points: .npy of (N,3), or (N,6) with outward normals, or a mesh file whose
             vertices are the points.
-        model: What sdm train deepsdf wrote.
+        model: What sdm train deepsdf wrote, or cochlea: the one that comes with the package.
         out: File to write, ending in .npz; or for several shapes a folder.
         scan: The shapes are points of surfaces, perhaps of a part: find whole shapes that go through them.
         sphere: Centre and radius of the sphere around the whole shape. A scan of a part needs it.

@@ -14,6 +14,8 @@ from sdm.io.atomic import replacing
 KIND = "sdm-deepsdf"
 VERSION = 1
 MODEL, OPTIMIZER = "model.pt", "optimizer.pt"
+# Models that come with the package, by name.
+SHIPPED = {path.stem: path for path in (Path(__file__).parent / "weights").glob("*.pt")}
 
 
 def write(content: dict[str, Any], path: Path) -> None:
@@ -38,10 +40,14 @@ def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     """
     if path.is_dir():
         path = path / MODEL
+    elif not path.exists():
+        path = SHIPPED.get(str(path), path)
     try:
         content = torch.load(path, map_location=device, weights_only=True)
     except FileNotFoundError:
-        raise FormatError(f"{path} is not there; train a model first, or give another file") from None
+        raise FormatError(
+            f"{path} is not there; train a model first, or give another file or a name ({', '.join(SHIPPED)})"
+        ) from None
     except (OSError, pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
         raise FormatError(f"{path} is no DeepSDF model, or it is damaged; train it again") from error
     if not isinstance(content, dict) or content.get("kind") != KIND:

@@ -56,7 +56,7 @@ class DeepSDF:
 
     @classmethod
     def load(cls, path: str | Path, device: str | torch.device | None = None) -> DeepSDF:
-        """Read a model that `sdm train deepsdf` wrote.
+        """Read a model that `sdm train deepsdf` wrote, or, by the name "cochlea", the one that comes with the package.
 
         Raises:
             FormatError: The file is not there, is something else, is damaged, or is of another version.
