@@ -26,11 +26,11 @@ def test_a_mesh_there_and_back(cochlea: sdm.TriangleMesh, tmp_path: Path) -> Non
 
     trimesh.Trimesh(*cochlea.numpy(), process=False).export(tmp_path / "cochlea.ply")
     code, out = tmp_path / "cochlea.npz", tmp_path / "again.ply"
-    words = ["encode", str(tmp_path / "cochlea.ply"), "-m", "cochlea", "-o", str(code), "--steps", "60"]
+    words = ["encode", str(tmp_path / "cochlea.ply"), "-m", "cochlea", "-o", str(code), "--steps", "25"]
     assert main([*words, "--device", "cpu"]) == 0
     assert main(["decode", str(code), "-m", "cochlea", "-o", str(out), "--resolution", "64", "--device", "cpu"]) == 0
     away = sdm.signed_distance(cochlea, sdm.load_mesh(out).vertices)
-    assert away.abs().mean() < 0.05
+    assert away.abs().mean() < 0.1
 
 
 def test_the_other_half_follows(cochlea: sdm.TriangleMesh) -> None:
