@@ -14,8 +14,10 @@ import numpy as np
 from bench._fit_tools import STOCK, backends_by_name, case, fit_case, truth_backend, write
 from bench._machine import describe
 from sdm.fit import FitResult, Image, State
+from sdm.shapes import Cochlea
 
 EDGE = 0.1
+WIDTHS = np.array([p.high - p.low for p in Cochlea.parameters])
 
 
 def cases(options: argparse.Namespace) -> None:
@@ -75,12 +77,15 @@ def _row(result: FitResult, exact: FitResult, truth: State) -> dict[str, Any]:
 
 def _summary(rows: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
     summary: dict[str, Any] = {}
+    exact = np.array([list(row["exact"]["error"].values()) for row in rows])
     for name in names:
         found = [row[name] for row in rows]
         errors = np.array([list(f["error"].values()) for f in found])
         summary[name] = {
             "mean_absolute_error": dict(zip(found[0]["error"], np.abs(errors).mean(0).round(6).tolist(), strict=True)),
             "largest_relative_to_exact": max(f["relative_to_exact"] for f in found),
+            # phi has no natural zero: beside that, the difference as a share of the parameter's range.
+            "largest_share_of_range_from_exact": float((np.abs(errors - exact) / WIDTHS).max().round(7)),
             "median_shapes_built": float(np.median([sum(f["shapes_built"].values()) for f in found])),
             "median_seconds": float(np.median([f["seconds"] for f in found])),
         }
