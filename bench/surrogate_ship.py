@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from bench.surrogate_accuracy import COLUMNS
 from sdm.shapes import Cochlea
-from sdm.surrogate import GRID
+from sdm.surrogate import GRID, Settings
 from sdm.surrogate.shipped import WEIGHTS
 
 LARGEST_MB = 8.0
@@ -54,6 +55,10 @@ def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Pat
     """The model card."""
     errors, training = facts["errors"], facts["training"]
     box = "\n".join(f"| {name} | {low:g} | {high:g} | {unit} |" for name, low, high, unit in facts["parameters"])
+    # What a command would have to say; all else is as it comes (the Sobolev term by the command's default).
+    usual = asdict(Settings(sobolev=0.05))
+    asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
+    options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
     lines = "\n".join(f"| {label} | {errors[key]:.4f} |" for key, label in COLUMNS.items())
     return f"""# Model card: {facts["model"]}
 
@@ -85,7 +90,7 @@ Measured by `python -m bench.surrogate --parts accuracy` on: {machine["device"]}
 
 ## Training
 
-`sdm train sdmnn --model {training["model"]} --recipe {training["recipe"]} --budget-s {training["budget_s"]:g}`:
+`sdm train sdmnn {" ".join(options)}`:
 {training["step"]:,} steps of {training["batch_size"]} maps in {training["seconds"]:g} s, all made by the exact engine
 during the training (seed {training["seed"]}). Data: synthetic alone; the family's constants were tuned to the mean of
 15 real human scalae tympani (Froehlich 2024, CC BY 4.0).
