@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # The cochlea whose map the surrogate shows: a [mm], alpha [mm], b [1/rad], phi [rad].
 SURROGATE_THETA = (3.7, 0.45, 0.146, 0.6)
+SURROGATE_RUNS = 9
 
 
 def demo(
@@ -80,11 +82,13 @@ def _surrogate(target: Path) -> None:
     from sdm.surrogate.shipped import predict
     from sdm.surrogate.side_by_side import side_by_side
 
-    exact = exact_map(SURROGATE_THETA)
-    predict(SURROGATE_THETA)
-    start = time.perf_counter()
-    predicted = predict(SURROGATE_THETA)
-    seconds = time.perf_counter() - start
+    exact, predicted = exact_map(SURROGATE_THETA), predict(SURROGATE_THETA)
+    times = []
+    for _ in range(SURROGATE_RUNS):
+        start = time.perf_counter()
+        predict(SURROGATE_THETA)
+        times.append(time.perf_counter() - start)
+    seconds = statistics.median(times)
     error = (predicted.values - exact.values).abs()
     near = error[exact.values.abs() < 0.5]
     _say(
