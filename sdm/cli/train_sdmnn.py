@@ -65,8 +65,9 @@ def sdmnn(
 
     from sdm.device import choose_device
     from sdm.errors import FormatError
+    from sdm.surrogate.settings import Settings
     from sdm.surrogate.store import save_weights
-    from sdm.surrogate.training import Settings, Trainer
+    from sdm.surrogate.training import Trainer
 
     plain = loss == "mse"
     settings = Settings(

@@ -8,9 +8,10 @@ from sdm.surrogate.onnx import export_onnx
 from sdm.surrogate.plus import SDMNNPlus
 from sdm.surrogate.pod import PODChebyshev
 from sdm.surrogate.sdmnn import SDMNN
+from sdm.surrogate.settings import Settings
 from sdm.surrogate.shipped import Predictor, load_surrogate, predict, shipped_weights
 from sdm.surrogate.store import load_weights, save_weights
-from sdm.surrogate.training import Settings, Trainer
+from sdm.surrogate.training import Trainer
 
 __all__ = [
     "COARSE_GRID",

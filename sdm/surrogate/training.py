@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,94 +12,22 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.device import choose_device
-from sdm.errors import FormatError, SDMError
+from sdm.errors import FormatError
 from sdm.io.atomic import replacing
 from sdm.shapes import Cochlea
-from sdm.stream import Mixture, Sampler, SDMStream
+from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
 from sdm.surrogate.curves import Curves
 from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
-from sdm.surrogate.models import build
 from sdm.surrogate.plus import SDMNNPlus
 from sdm.surrogate.replay import Replay
 from sdm.surrogate.schedule import Clock, learning_rate
-from sdm.surrogate.store import load_weights
+from sdm.surrogate.settings import RECIPES, STATIC, Settings, begin, identity
 from sdm.surrogate.validation import validation_batches, validation_theta
 from sdm.surrogate.warm_start import warm_start
 
-# Which samples a recipe streams; the paper's is the mixture of 625 static maps and random ones.
-# In "mostly-online" the random ones are denser towards the faces and corners of the box, so as to be good there too.
-RECIPES: dict[str, str | Sampler] = {
-    "paper": "mixture:0.5",
-    "static": "grid:5",
-    "online": "uniform",
-    "mostly-online": Mixture("grid:5", "chebyshev", 0.1),
-}
-STATIC = 625
 # Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
 RISE = 500
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a training depends on, besides the device.
-
-    Args:
-        model: "sdmnn" or "sdmnn-plus".
-        modes: Modes of SDMNN+.
-        channels: Feature maps of the network; by default its own.
-        recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
-            ones alone) or "mostly-online" (a tenth of the 625, the others by the sampler "chebyshev").
-        loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
-        steps: Optimiser steps of the whole training.
-        budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
-        batch_size: Maps of a step.
-        fresh: New maps made by the engine in each step; the others are drawn from the store of the latest.
-        store: Maps kept on the device, 0.4 MB each.
-        fill_share: Share of the budget in which the store is filled before the first step.
-        warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.
-        rate: Largest learning rate.
-        surface: Weight of the error at the surface, beside that of all voxels.
-        coarse: Weight of the error of the coarse maps of SDMNN+, so that they are of use on their own.
-        eikonal: Weight of | |grad f| - 1 |.
-        sobolev: Weight of the root of the squared error of d(map)/d(theta).
-        sobolev_every: Steps between its uses, on 4 fresh shapes each.
-        start: File of weights to go on from, in place of a beginning of its own; its sizes replace those given here.
-        ema: Decay of the running mean of the weights, which is what is kept.
-        seed: Of the stream and all else that is random.
-    """
-
-    model: str = "sdmnn-plus"
-    modes: int = 208
-    channels: int | None = None
-    recipe: str = "mostly-online"
-    loss: str = "surface"
-    steps: int = 100_000
-    budget_s: float | None = None
-    batch_size: int = 32
-    fresh: int = 4
-    store: int = 16_384
-    fill_share: float = 0.25
-    warm_share: float = 0.2
-    rate: float = 1e-3
-    surface: float = 1.0
-    coarse: float = 0.1
-    eikonal: float = 0.01
-    sobolev: float = 0.0
-    sobolev_every: int = 16
-    start: str | None = None
-    ema: float = 0.998
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.model not in ("sdmnn", "sdmnn-plus"):
-            raise SDMError(f"{self.model!r} is not trained step by step; use sdmnn or sdmnn-plus")
-        if self.recipe not in RECIPES:
-            raise SDMError(f"there is no recipe {self.recipe!r}; use {', '.join(RECIPES)}")
-        if self.loss not in ("mse", "surface"):
-            raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
-        if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
-            raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
 
 
 class Trainer:
@@ -134,7 +61,7 @@ class Trainer:
         self.family = Cochlea()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            self.model = _begin(settings).to(self.device)
+            self.model = begin(settings).to(self.device)
         self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
         self.step, spent = 0, 0.0
@@ -235,7 +162,7 @@ class Trainer:
 
     def _save(self, target: Path) -> None:
         state = {
-            "settings": json.dumps(_identity(self.settings)),
+            "settings": json.dumps(identity(self.settings)),
             "model": self.model.state_dict(),
             "ema": self.ema.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -248,7 +175,7 @@ class Trainer:
 
     def _load(self, source: Path, stream: SDMStream) -> float:
         state = torch.load(source, map_location=self.device, weights_only=True)
-        if json.loads(state["settings"]) != json.loads(json.dumps(_identity(self.settings))):
+        if json.loads(state["settings"]) != json.loads(json.dumps(identity(self.settings))):
             raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
         self.model.load_state_dict(state["model"])
         self.ema.load_state_dict(state["ema"])
@@ -256,25 +183,6 @@ class Trainer:
         stream.load_state_dict(state["stream"])
         self.step = state["step"]
         return float(state["seconds"])
-
-
-def _identity(settings: Settings) -> dict[str, Any]:
-    """The settings that cannot change half-way: all but how long it takes."""
-    return {k: v for k, v in asdict(settings).items() if k not in ("steps", "budget_s")}
-
-
-def _begin(settings: Settings) -> nn.Module:
-    if settings.start is None:
-        return build(settings.model, **_config(settings))
-    model, facts = load_weights(Path(settings.start))
-    if facts["model"] != settings.model:
-        raise FormatError(f"{settings.start} holds {facts['model']}, not {settings.model}; name the model it holds")
-    return model.train().requires_grad_()
-
-
-def _config(settings: Settings) -> dict[str, Any]:
-    channels = {} if settings.channels is None else {"channels": settings.channels}
-    return channels | ({"modes": settings.modes} if settings.model == "sdmnn-plus" else {})
 
 
 def _groups(model: nn.Module) -> list[dict[str, Any]]:
