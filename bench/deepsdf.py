@@ -158,6 +158,8 @@ def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, ab
     result = json.loads(path.read_text()) if path.exists() else {}
     device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     result |= {"machine": describe(device), **about}
+    # Parts may come from several machines.
+    where = f"{result['machine']['device']}, commit {result['machine']['commit']}"
     for name, part in parts.items():
         if name in result and not options.again:
             continue
@@ -165,9 +167,7 @@ def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, ab
             print(f"{name} is left for the next time: the budget is over")
             continue
         result[name] = part()
-        # Parts may come from several machines.
-        where = f"{result['machine']['device']}, commit {result['machine']['commit']}"
-        result["measured_on"] = {**result.get("measured_on", {}), name: where}
+        result.setdefault("measured_on", {})[name] = where
         short = {k: v for k, v in result[name].items() if k != "rows"} if isinstance(result[name], dict) else None
         print(json.dumps({name: short}, indent=1)[:4000], f"\n{time.monotonic() - start:.1f} s", flush=True)
         write(result, path)

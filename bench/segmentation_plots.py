@@ -7,12 +7,10 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from scipy import stats
-
 from bench import segmentation_juhl, segmentation_ma
 from bench._figure import COLOURS, OURS, drawing
 from bench._segmentation_jobs import read_logs
-from bench.segmentation_report import differences, protocol, values_of
+from bench.segmentation_report import differences, half_width, protocol, values_of
 from sdm.segmentation import METHODS
 
 # Contour Dice of K. Juhl et al., MIDL 2019 [%].
@@ -73,8 +71,7 @@ def draw_atrium(logs: list[dict[str, Any]], target: Path) -> None:
         for (family, names), hue in zip(FAMILIES.items(), HUES, strict=True):
             for number, name in enumerate(n for n in names if n in dice):
                 values = [100 * v for v in differences(dice[name], dice["baseline"]).values()]
-                half = stats.t.ppf(0.975, len(values) - 1) * statistics.stdev(values) / len(values) ** 0.5
-                label = family if number == 0 else None
+                label, half = family if number == 0 else None, half_width(values)
                 axes.errorbar(statistics.fmean(values), -at, xerr=half, fmt="o", color=hue, capsize=3, label=label)
                 axes.plot(values, [-at] * len(values), ".", color=hue, alpha=0.3, markersize=6)
                 labels.append(name)

@@ -14,8 +14,7 @@ from sdm.io.atomic import replacing
 KIND = "sdm-deepsdf"
 VERSION = 1
 MODEL, OPTIMIZER = "model.pt", "optimizer.pt"
-# Models that come with the package, by name.
-SHIPPED = {path.stem: path for path in (Path(__file__).parent / "weights").glob("*.pt")}
+WEIGHTS = Path(__file__).parent / "weights"
 
 
 def write(content: dict[str, Any], path: Path) -> None:
@@ -32,6 +31,11 @@ def write_both(model: dict[str, Any], optimizer: dict[str, Any], folder: Path) -
         write(optimizer, part / OPTIMIZER)
 
 
+def shipped() -> dict[str, Path]:
+    """Models that come with the package, by name."""
+    return {path.stem: path for path in sorted(WEIGHTS.glob("*.pt"))}
+
+
 def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read a file that `write` wrote; no code in it is run.
 
@@ -41,12 +45,12 @@ def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     if path.is_dir():
         path = path / MODEL
     elif not path.exists():
-        path = SHIPPED.get(str(path), path)
+        path = shipped().get(str(path), path)
     try:
         content = torch.load(path, map_location=device, weights_only=True)
     except FileNotFoundError:
         raise FormatError(
-            f"{path} is not there; train a model first, or give another file or a name ({', '.join(SHIPPED)})"
+            f"{path} is not there; train a model first, or give another file or a name ({', '.join(shipped())})"
         ) from None
     except (OSError, pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
         raise FormatError(f"{path} is no DeepSDF model, or it is damaged; train it again") from error

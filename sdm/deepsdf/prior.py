@@ -25,6 +25,8 @@ class CodePrior:
     def __init__(self, model: DeepSDF) -> None:
         self.start = model.codes.mean(0)
         self.learned = model.settings.variant != "published"
+        if not self.learned:
+            return
         centred = model.codes - self.start
         _, sizes, self._axes = torch.linalg.svd(centred, full_matrices=False)
         variances = sizes.square() / max(1, len(centred) - 1)

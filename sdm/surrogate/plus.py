@@ -70,8 +70,7 @@ class SDMNNPlus(nn.Module):
     def both(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """The coarse maps as `low_rank` gives them, and the maps that are made of them."""
         with full_precision(theta):
-            state = self.trunk(self.features(theta))
-            coarse = self.low_rank(self.coefficients(state) * self.scale)
+            state, coarse = self._begin(theta)
             around = nn.functional.pad(coarse, (1,) * 6, mode="replicate")
             plain = self.interpolate(around)
         gains = self.film(state).reshape(theta.shape[0], len(self.middle) + 1, 2, -1, 1)
@@ -86,8 +85,12 @@ class SDMNNPlus(nn.Module):
         For a first look: the refinement may take back a tenth of a millimetre of it.
         """
         with full_precision(theta):
-            state = self.trunk(self.features(theta))
-            return merge(self.low_rank(self.coefficients(state) * self.scale), COARSE)
+            return merge(self._begin(theta)[1], COARSE)
+
+    def _begin(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """What the trunk makes of theta, and the coarse maps in blocks."""
+        state = self.trunk(self.features(theta))
+        return state, self.low_rank(self.coefficients(state) * self.scale)
 
     def low_rank(self, coefficients: Tensor) -> Tensor:
         """Coarse maps (B,8,20,16,10) [mm] in blocks, of coefficients (B,modes) [mm]."""
