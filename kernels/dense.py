@@ -10,18 +10,20 @@ import warp as wp
 from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import list_cells
 from sdm.kernels.cones import Cones
-from sdm.kernels.features import ROWS, VOXELS, Features
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS
 from sdm.kernels.launch import threads
+from sdm.kernels.least import VOXELS
 from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import CELL_BITS, plan_blocks
 from sdm.kernels.points import Winding
 from sdm.kernels.regions import STACK, list_regions
+from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.tree import Tree
+from sdm.kernels.voxels import Features
 from sdm.kernels.witness import find_witnesses
 
 # Entries of the pool of lists: 64 MiB on a CPU, 128 to 256 MiB on a GPU.
@@ -31,10 +33,8 @@ MOST_REGIONS = 1 << (CELL_BITS - 3)
 FULL, MOST_SHARES = 1 << 12, 16
 # Triangles of a cell's list, on average, that one group may make without holding up the others.
 LONG_SHARE = 512
-# Cells with more triangles are measured brick by brick.
-LONGEST_OF_CELL = {"cuda": 128, "cpu": 256}
-# Triangles of such a cell's list that one group of lanes takes. There are fewer groups on a CPU than bricks.
-SLICE = {"cuda": 1024, "cpu": LARGEST_POOL}
+# Leaves of a cell's list that one group of lanes takes. There are fewer groups on a CPU than cells.
+SLICE = {"cuda": 128, "cpu": LARGEST_POOL}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = 16000
 
@@ -106,7 +106,6 @@ def query_slab(
     if method == "search":
         search_slab(tree, slab, out, meshes, launch)
         return
-    longest = LONGEST_OF_CELL["cuda" if gpu else "cpu"]
     slice_length = SLICE["cuda" if gpu else "cpu"]
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
@@ -126,9 +125,9 @@ def query_slab(
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
-    lists.whole = empty(8 * most, wp.int32)
     # Each slice but the last of a list is full.
-    lists.heavy = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
+    lists.whole = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
+    lists.coarse = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
@@ -145,7 +144,7 @@ def query_slab(
         lists.counts.zero_()
         find_witnesses(tree, frames, slab, lists, workers, lanes, launch)
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
-        list_cells(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
-        plan_blocks(tree, frames, parts, slab, lists, longest, slice_length, out, workers, lanes, launch)
+        list_cells(tree, frames, cones, slab, lists, workers, lanes, launch)
+        plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers, lanes, launch)
         measure_blocks(tree, parts, cones, slab, lists, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

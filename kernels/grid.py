@@ -38,6 +38,28 @@ def voxel(slab: Slab, i: int, j: int, k: int):
 
 
 @wp.func
+def place_of(slab: Slab, index: wp.vec3d):
+    """The place, in float64, that belongs to indices in the slab, which need not be whole."""
+    i = wp.vec3d(index[0] + wp.float64(slab.first), index[1], index[2])
+    if slab.turned != 0:
+        return slab.origin + slab.axes * i
+    return slab.origin + wp.cw_mul(slab.spacing, i)
+
+
+@wp.func
+def reach_of(slab: Slab, half: wp.vec3d):
+    """Half-widths of the box along x, y and z around all places up to `half` voxels from another along each index."""
+    if slab.turned != 0:
+        a = slab.axes
+        return wp.vec3d(
+            wp.abs(a[0, 0]) * half[0] + wp.abs(a[0, 1]) * half[1] + wp.abs(a[0, 2]) * half[2],
+            wp.abs(a[1, 0]) * half[0] + wp.abs(a[1, 1]) * half[1] + wp.abs(a[1, 2]) * half[2],
+            wp.abs(a[2, 0]) * half[0] + wp.abs(a[2, 1]) * half[1] + wp.abs(a[2, 2]) * half[2],
+        )
+    return wp.cw_mul(slab.spacing, half)
+
+
+@wp.func
 def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
     """How many of the slab's voxels along an axis have a (scaled) coordinate below x; the grid is not turned."""
     count = slab.shape[axis]

@@ -22,17 +22,8 @@ COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_BLOCK, NEXT_CHUNK, HEAVY, WHOLE, COUNTS = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-)
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_BLOCK, NEXT_CHUNK, COARSE, WHOLE = range(8)
+COUNTS = 8
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -51,13 +42,14 @@ class Lists:
     # Of each chain its first chunk, or -1 where the pool ran out, and its number of entries.
     region_heads: wp.array(dtype=wp.int32)  # (count * shares) leaves of the tree
     region_lengths: wp.array(dtype=wp.int32)
-    heads: wp.array(dtype=wp.int32)  # (8 * count * shares) triangles (slots)
+    heads: wp.array(dtype=wp.int32)  # (8 * count * shares) leaves as well
     lengths: wp.array(dtype=wp.int32)
     # Surface points seen from centres: the vector from there, and its square.
-    witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) near regions, then cells, then bricks
+    witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) of regions, then cells, then bricks
     nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
-    whole: wp.array(dtype=wp.int32)  # (8 * count) the cells that are measured whole
-    heavy: wp.array(dtype=wp.int32)  # the cells that are measured brick by brick, and in which slices: see `plan`
+    # Cells and which slice of their lists, see `plan`: those that are measured whole, and those brick by brick.
+    whole: wp.array(dtype=wp.int32)
+    coarse: wp.array(dtype=wp.int32)
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
     counts: wp.array(dtype=wp.int32)  # (COUNTS) shared counters, zero at the start
@@ -70,8 +62,9 @@ def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
     low = voxel(slab, start[0], start[1], start[2])
     high = voxel(slab, last[0], last[1], last[2])
     if slab.turned != 0:
-        # The box around all corners of a turned cell.
-        for corner in range(8):
+        # The box around all corners of a turned cell. Not as a constant, which would write the loop out eight times.
+        corners = int(8)
+        for corner in range(corners):
             p = voxel(
                 slab,
                 wp.where((corner & 1) != 0, last[0], start[0]),

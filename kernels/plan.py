@@ -1,7 +1,7 @@
-"""Third stage of the dense query: which cells are measured whole, and which brick by brick.
+"""Third stage of the dense query: what is one block, and which surface point its distances are taken from.
 
-A cell with a short list is a block by itself. Of one with a long list the eight bricks are, and if it is very long each
-brick is measured by several groups of lanes, with a slice of the list each.
+A cell is a block by itself. If its list is long it is several, each with a slice of the list: then none is waited for. Of
+a cell that is too coarse for float32 the eight bricks are blocks.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
 from sdm.kernels.grid import Output, Slab, index_of, write_distance
-from sdm.kernels.lanes import fetch_add, fetch_add_once, load4, on_cpu
+from sdm.kernels.lanes import fetch_add, fetch_add_once, load4
 from sdm.kernels.lists import (
     CELL,
-    HEAVY,
+    COARSE,
     NEXT_PLAN,
     WHOLE,
     Lists,
-    Reader,
     cell_start,
     is_coarse,
     is_within,
@@ -30,20 +29,16 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
 from sdm.kernels.witness import read_witness, seen_from, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
-# A heavy cell's number, which of its slices, how many there are less one, in one integer.
+# A cell's number, which of its slices, how many there are less one, in one integer.
 CELL_BITS, SLICE_BITS = 18, 6
 _CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
 _MOST_SLICES = wp.constant(1 << SLICE_BITS)
-# Eight slots, and eight squared distances.
-Octants = wp.types.vector(length=8, dtype=wp.int32)
-OctantDistances = wp.types.vector(length=8, dtype=wp.float32)
-
-_HEAVY, _WHOLE, _NEXT_PLAN = wp.constant(HEAVY), wp.constant(WHOLE), wp.constant(NEXT_PLAN)
+_COARSE, _WHOLE, _NEXT_PLAN = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(NEXT_PLAN)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -78,21 +73,35 @@ def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
 
 @wp.func
 def nearest_in_list(
-    frames: wp.array(dtype=wp.float32), parts: Parts, lists: Lists, first: int, centre: wp.vec3, known: Witness
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    lists: Lists,
+    number: int,
+    mesh: int,
+    centre: wp.vec3,
+    known: Witness,
+    lane: int,
+    lanes: int,
 ):
-    """The surface point nearest to a centre from a cell's list, or what was known: by one lane alone."""
-    reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
+    """The surface point nearest to a centre, of the triangles in a cell's list or what was known."""
+    boxes = mesh * (2 << tree.depth) + (1 << tree.depth)
+    mine = known
+    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
     while reader.left > 0:
-        slot = read_entry(lists, reader, 0)
-        if may_be_nearer(load4(parts.balls, slot), centre, known):
-            known = remember(known, seen_from(frames, slot, centre))
-        reader = read_on(lists, lists.heads, lists.lengths, reader, 1)
-    return known
+        leaf = read_entry(lists, reader, lane)
+        if leaf >= 0 and node_distance2(tree, boxes + leaf, centre) < mine.distance2:
+            for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+                slot = mesh * tree.count + t
+                if may_be_nearer(load4(parts.balls, slot), centre, mine):
+                    mine = remember(mine, seen_from(frames, slot, centre))
+        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+    return agree(mine, lane)
 
 
 @wp.func
 def nearest_of_cell(lists: Lists, number: int):
-    """The surface point nearest to a cell's centre."""
+    """The nearest of the surface points that were found for a cell's centre."""
     known = no_witness()
     for share in range(lists.shares):
         other = read_witness(lists.nearest, number * lists.shares + share)
@@ -114,66 +123,43 @@ def middle_of_octant(cell: Cell, octant: int):
 
 @wp.func
 def find_brick_witnesses(
+    tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
     lists: Lists,
     number: int,
+    mesh: int,
     cell: Cell,
-    nearest: Witness,
+    known: Witness,
     length: int,
     lane: int,
     lanes: int,
 ):
-    """A surface point near each of a cell's bricks, seen from the middle of its octant: the cell's nearest or a nearer.
-
-    On a GPU each lane measures the triangle of the list whose ball's centre is nearest of those that it sees.
-    """
-    first = number * lists.shares
-    if on_cpu():
-        octants = int(8)
-        for o in range(octants):
-            middle = middle_of_octant(cell, o)
-            known = moved(nearest, middle - cell.centre)
-            if length > 0:
-                known = nearest_in_list(frames, parts, lists, first, middle, known)
-            write_witness(lists.witnesses, brick_witness(lists, number, o), known)
-        return
-    best = Octants()
-    best2 = OctantDistances()
-    for o in range(8):
-        best[o] = -1
-        best2[o] = float(wp.inf)
-    reader = Reader()
-    if length > 0:
-        reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
-    upcoming = read_entry(lists, reader, lane)
-    while reader.left > 0:
-        slot = upcoming
-        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
-        upcoming = read_entry(lists, reader, lane)
-        if slot >= 0:
-            ball = load4(parts.balls, slot)
-            for o in range(8):
-                u = middle_of_octant(cell, o) - wp.vec3(ball[0], ball[1], ball[2])
-                d2 = wp.dot(u, u)
-                if d2 < best2[o]:
-                    best2[o] = d2
-                    best[o] = slot
-    for o in range(8):
+    """The surface point nearest to the middle of each of a cell's octants."""
+    octants = int(8)
+    for o in range(octants):
         middle = middle_of_octant(cell, o)
-        known = moved(nearest, middle - cell.centre)
-        if best[o] >= 0:
-            known = remember(known, seen_from(frames, best[o], middle))
-        known = agree(known, lane)
+        nearest = moved(known, middle - cell.centre)
+        if length > 0:
+            nearest = nearest_in_list(tree, frames, parts, lists, number, mesh, middle, nearest, lane, lanes)
         if lane == 0:
-            write_witness(lists.witnesses, brick_witness(lists, number, o), known)
+            write_witness(lists.witnesses, brick_witness(lists, number, o), nearest)
 
 
 @wp.func
 def share_out(
-    slab: Slab, lists: Lists, out: Output, number: int, length: int, slice_length: int, lane: int, lanes: int
+    slab: Slab,
+    lists: Lists,
+    out: Output,
+    blocks: wp.array(dtype=wp.int32),
+    count: int,
+    number: int,
+    length: int,
+    slice_length: int,
+    lane: int,
+    lanes: int,
 ):
-    """Note a heavy cell, once for each slice of its list; returns the unclear voxels that were written.
+    """Note a cell in `blocks`, once for each slice of its list; returns the unclear voxels that were written.
 
     Where there are several slices, they need a distance to lessen: an infinite one, with its sign.
     """
@@ -191,9 +177,9 @@ def share_out(
         # Whether a slice's voxels are missed nobody knows before the last is done.
         if slices > 1:
             fetch_add(out.missed, 0, 1)
-        first = fetch_add(lists.counts, _HEAVY, slices)
+        first = fetch_add(lists.counts, count, slices)
         for i in range(slices):
-            lists.heavy[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+            blocks[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
     return unclear
 
 
@@ -201,7 +187,6 @@ def share_out(
 def _plan_blocks(
     begin: int,
     lanes: int,
-    longest: int,
     slice_length: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
@@ -220,15 +205,20 @@ def _plan_blocks(
             known = no_witness()
             if length > 0:
                 known = nearest_of_cell(lists, number)
-            if length >= 0 and length <= longest and not is_coarse(cell):
+            unclear = int(0)
+            if is_coarse(cell):
+                find_brick_witnesses(tree, frames, parts, lists, number, mesh, cell, known, length, lane, lanes)
+                unclear = share_out(
+                    slab, lists, out, lists.coarse, _COARSE, number, length, slice_length, lane, lanes
+                )
+            else:
+                if length > 0:
+                    known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)
                 if lane == 0:
                     write_witness(lists.witnesses, lists.count + number, known)
-                    lists.whole[fetch_add(lists.counts, _WHOLE, 1)] = number
-            else:
-                find_brick_witnesses(frames, parts, lists, number, cell, known, length, lane, lanes)
-                unclear = share_out(slab, lists, out, number, length, slice_length, lane, lanes)
-                if unclear > 0:
-                    fetch_add(out.ambiguous, mesh, unclear)
+                unclear = share_out(slab, lists, out, lists.whole, _WHOLE, number, length, slice_length, lane, lanes)
+            if unclear > 0:
+                fetch_add(out.ambiguous, mesh, unclear)
         number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
 
 
@@ -238,16 +228,15 @@ def plan_blocks(
     parts: Parts,
     slab: Slab,
     lists: Lists,
-    longest: int,
     slice_length: int,
     out: Output,
     workers: int,
     lanes: int,
     launch: Any,
 ) -> None:
-    """Fill `lists.whole` with the cells of one pass that have up to `longest` triangles, `lists.heavy` with the others.
+    """Fill `lists.whole` with the cells of one pass, and `lists.coarse` with those that are too coarse.
 
-    One group of lanes takes up to `slice_length` triangles of a heavy cell's list for each of its bricks.
+    One group of lanes takes up to `slice_length` leaves of a cell's list.
     """
-    inputs = [lanes, longest, slice_length, tree, frames, parts, slab, lists, out]
+    inputs = [lanes, slice_length, tree, frames, parts, slab, lists, out]
     launch(_plan_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -10,12 +10,12 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cones import Cones, cone_misses, node_cone
-from sdm.kernels.cull import Cell, Witness, agree, box_is_behind, remember
+from sdm.kernels.cull import Cell, Witness, box_is_behind
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
 from sdm.kernels.lists import NEXT_CHUNK, NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_box
-from sdm.kernels.witness import read_witness, seen_from
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
+from sdm.kernels.witness import nearer_of_leaves, read_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -107,14 +107,9 @@ def _list_regions(
                 taken = wp.min(lanes, ripe)
                 ripe = ripe - taken
                 leaf = int(-1)
-                mine = known
                 if lane < taken:
                     leaf = stacks[stack + _STACK - 1 - ripe - lane] - leaves
-                    # One of its triangles may be the better witness.
-                    t = first_triangle(tree, leaf)
-                    if t < first_triangle(tree, leaf + 1):
-                        mine = remember(mine, seen_from(frames, mesh * tree.count + t, cell.centre))
-                known = agree(mine, lane)
+                known = nearer_of_leaves(tree, frames, mesh, base, leaf, cell.centre, known, lane)
                 keep = False
                 if leaf >= 0:
                     keep = node_matters(cell, radius, known, tree, cones, base, leaves + leaf)

@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import fetch_add_once, load4, write4
+from sdm.kernels.lanes import ballot, fetch_add_once, load4, members, write4
 from sdm.kernels.lists import CELL, NEXT_WITNESS, REGION, Lists, cell_start, is_within, make_cell, region_start
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
 
@@ -64,6 +64,32 @@ def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
         known = remember(known, seen_from(frames, mesh * tree.count + t, centre))
     return known
+
+
+@wp.func
+def nearer_of_leaves(
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    mesh: int,
+    base: int,
+    leaf: int,
+    centre: wp.vec3,
+    known: Witness,
+    lane: int,
+):
+    """What was known of a centre, or a nearer triangle of the lanes' leaves (-1 for none).
+
+    Only the first triangle of a leaf is looked at, and only if its box is nearer than what is known: few are.
+    """
+    nearer = False
+    if leaf >= 0:
+        nearer = node_distance2(tree, base + (1 << tree.depth) + leaf, centre) < known.distance2
+    if members(ballot(nearer)) == 0:
+        return known
+    mine = known
+    if nearer and first_triangle(tree, leaf) < first_triangle(tree, leaf + 1):
+        mine = remember(mine, seen_from(frames, mesh * tree.count + first_triangle(tree, leaf), centre))
+    return agree(mine, lane)
 
 
 @wp.func

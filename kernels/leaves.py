@@ -1,0 +1,98 @@
+"""From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
+
+A worker's scratch has five stacks: of leaves, of triangles (slots), and of faces, edges and corners (four times the slot,
+and which of the triangle's). What is left of a test is pushed onto the next stack, so that no lane is idle in the
+tests and sums that cost most.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.cones import Cones, ball_matters
+from sdm.kernels.cull import Cell, Witness
+from sdm.kernels.lanes import ballot, members, rank
+from sdm.kernels.parts import CORNER, EDGE, FACE
+from sdm.kernels.regions import STACK
+from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
+
+wp.set_module_options({"enable_backward": False})
+
+# A batch pushes up to one leaf, triangle or face for each lane, and three edges and corners.
+LEAVES, SLOTS, FACES, EDGES, CORNERS = 0, 128, 256, 384, 512
+
+_STACK = wp.constant(STACK)
+_LEAF = wp.constant(TRIANGLES_PER_LEAF)
+_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
+
+
+@wp.struct
+class Waiting:
+    """How many wait on each stack."""
+
+    leaves: wp.int32
+    slots: wp.int32
+    faces: wp.int32
+    edges: wp.int32
+    corners: wp.int32
+
+
+@wp.func
+def full_of_leaves(lanes: int):
+    """How many leaves have triangles for all lanes."""
+    return wp.max(lanes / _LEAF, 1)
+
+
+@wp.func
+def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane: int):
+    """Put the lanes' entries that they keep onto a stack whose top is `at`; returns how many."""
+    mask = ballot(keep)
+    if keep:
+        stacks[at + rank(mask, lane)] = entry
+    return members(mask)
+
+
+@wp.func
+def push_parts(stacks: wp.array(dtype=wp.int32), base: int, waiting: Waiting, slot: int, which: int, lane: int):
+    """Push the parts `which` (bits, see `parts`) of the lanes' triangles; returns what waits now."""
+    waiting.faces = waiting.faces + push(stacks, base + _FACES + waiting.faces, (which & FACE) != 0, 4 * slot, lane)
+    for k in range(3):
+        edge = (which & (EDGE << k)) != 0
+        waiting.edges = waiting.edges + push(stacks, base + _EDGES + waiting.edges, edge, 4 * slot + k, lane)
+        corner = (which & (CORNER << k)) != 0
+        waiting.corners = waiting.corners + push(stacks, base + _CORNERS + waiting.corners, corner, 4 * slot + k, lane)
+    return waiting
+
+
+@wp.func
+def triangles_that_matter(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    mesh: int,
+    stacks: wp.array(dtype=wp.int32),
+    leaves: int,
+    taken: int,
+    slots: int,
+    lane: int,
+    lanes: int,
+):
+    """Push onto `slots` the triangles of the `taken` leaves from `leaves` whose ball and cone allow that they are
+    nearest to a voxel of the cell of this radius; returns how many."""
+    ripe = int(0)
+    i = lane
+    while i - lane < taken * _LEAF:
+        keep = False
+        slot = int(0)
+        if i < taken * _LEAF:
+            leaf = stacks[leaves + i / _LEAF]
+            t = first_triangle(tree, leaf) + i % _LEAF
+            if t < first_triangle(tree, leaf + 1):
+                slot = mesh * tree.count + t
+                keep = ball_matters(cell, radius, known, balls, cones, slot)
+        ripe = ripe + push(stacks, slots + ripe, keep, slot, lane)
+        i = i + lanes
+    return ripe
