@@ -1,9 +1,7 @@
-"""Fourth stage of the dense query: the distances themselves, block by block.
+"""Fifth stage of the dense query: the distances themselves, block by block.
 
-A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice of
-its list. It goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them that
-may be, works these out for the block's centre, and measures each octant's voxels from those that matter to it. Each test
-costs several times the one before, so what passes waits until it fills all lanes.
+One group of lanes takes one block, or a slice of its list of parts. It works the parts out for the block's centre, and
+measures each octant's voxels from those that matter to it.
 """
 
 from __future__ import annotations
@@ -12,60 +10,45 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cones import Cones
-from sdm.kernels.cull import Witness, moved
 from sdm.kernels.features import Counts, add_corner, add_edge, add_face, has_room
 from sdm.kernels.grid import Output, Slab, index_of
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, wait_for_lanes
-from sdm.kernels.leaves import (
-    CORNERS,
-    EDGES,
-    FACES,
-    LEAVES,
-    SLOTS,
-    Waiting,
-    full_of_leaves,
-    push,
-    push_parts,
-    triangles_that_matter,
-)
+from sdm.kernels.leaves import push
+from sdm.kernels.least import VOXELS
 from sdm.kernels.lists import (
-    BRICK,
-    CELL,
     COARSE,
     NEXT_BLOCK,
+    NEXT_SLICED,
     WHOLE,
     Lists,
     Reader,
     cell_start,
-    is_coarse,
     is_within,
-    list_length,
-    make_cell,
-    octant_at,
     read_entry,
     read_on,
     start_reading,
 )
 from sdm.kernels.octants import note_octants
-from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, slice_of, slices_of
-from sdm.kernels.regions import STACK, node_matters
+from sdm.kernels.parts import Parts
+from sdm.kernels.plan import cell_of, slice_of, slices_of
+from sdm.kernels.regions import STACK
 from sdm.kernels.rows import rows_of
-from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
-from sdm.kernels.voxels import LARGEST_SQUARE, Block, Features, measure_voxels, note_places
-from sdm.kernels.witness import read_witness
+from sdm.kernels.selection import block_of
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.voxels import Block, Features, index_in, measure_voxels, note_places
 
 wp.set_module_options({"enable_backward": False})
 
+# Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
+FACES, EDGES, CORNERS = 0, 64, 128
+
 _STACK = wp.constant(STACK)
-_LEAVES, _SLOTS = wp.constant(LEAVES), wp.constant(SLOTS)
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _COARSE, _WHOLE = wp.constant(COARSE), wp.constant(WHOLE)
-_NEXT_BLOCK = wp.constant(NEXT_BLOCK)
+_NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
+_VOXELS = wp.constant(VOXELS)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
-_UNSCALE = wp.constant(UNSCALE)
 
 
 @wp.func
@@ -80,7 +63,6 @@ def ready(waiting: int, last: bool, lanes: int):
 def measure_block(
     tree: Tree,
     parts: Parts,
-    cones: Cones,
     slab: Slab,
     lists: Lists,
     item: int,
@@ -89,75 +71,45 @@ def measure_block(
     worker: int,
     out: Output,
     block: Block,
-    known: Witness,
     lane: int,
     lanes: int,
 ):
-    """Measure a block of the cell `item`; `known` is a surface point seen from its centre."""
-    first = item * lists.shares
-    leaves = 1 << tree.depth
-    radius = wp.sqrt(block.cell.half2)
-    reader = Reader()
-    if list_length(lists.heads, lists.lengths, first, lists.shares) > 0 and not is_coarse(block.cell):
-        if known.distance2 < LARGEST_SQUARE:
-            reader = start_reading(lists.heads, lists.lengths, first, lists.shares)
-    block.radius2 = known.distance2
+    """Measure block `item` from its parts; without a list, every voxel is missed."""
     rows = rows_of(features.rows, worker)
     note_places(tree, slab, rows, block, lane, lanes)
     scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
     octants = note_octants(slab, rows, block.start, block.bits, block.cell, scale, lane, lanes)
     wait_for_lanes()
+    reader = Reader()
+    if lists.part_heads[item] >= 0:
+        reader = start_reading(lists.part_heads, lists.part_lengths, item, 1)
+    # Each batch is read while the one before is worked out.
+    upcoming = read_entry(lists, reader, lane)
     counts = Counts()
-    waiting = Waiting()
+    waiting = Counts()
     unclear = int(0)
     again = bool(False)
     stack = worker * _STACK
-    # Each batch is read while the one before is tested.
-    upcoming = read_entry(lists, reader, lane)
-    batch = int(0)
     more = bool(True)
     while more:
         full = waiting.faces >= lanes or waiting.edges >= lanes or waiting.corners >= lanes
-        if not full and waiting.slots < lanes and reader.left > 0 and waiting.leaves < full_of_leaves(lanes):
-            leaf = upcoming
-            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+        if reader.left > 0 and not full:
+            part = upcoming
+            reader = read_on(lists, lists.part_heads, lists.part_lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
-            keep = leaf >= 0 and batch % block.slices == block.slice
-            if keep and block.bits == 2:
-                # For the cell it has been tested.
-                keep = node_matters(block.cell, radius, known, tree, cones, block.mesh * 2 * leaves, leaves + leaf)
-            waiting.leaves = waiting.leaves + push(stacks, stack + _LEAVES + waiting.leaves, keep, leaf, lane)
-            batch = batch + 1
-        elif not full and waiting.slots < lanes and waiting.leaves > 0:
-            taken = wp.min(full_of_leaves(lanes), waiting.leaves)
-            waiting.leaves = waiting.leaves - taken
-            waiting.slots = waiting.slots + triangles_that_matter(
-                block.cell,
-                radius,
-                known,
-                tree,
-                parts.balls,
-                cones,
-                block.mesh,
-                stacks,
-                stack + _LEAVES + waiting.leaves,
-                taken,
-                stack + _SLOTS + waiting.slots,
-                lane,
-                lanes,
+            kind = part & 7
+            code = 4 * (part >> 3)
+            corner = part >= 0 and kind < 3
+            edge = part >= 0 and kind >= 3 and kind < 6
+            face = part >= 0 and kind == 6
+            waiting.faces = waiting.faces + push(stacks, stack + _FACES + waiting.faces, face, code, lane)
+            waiting.edges = waiting.edges + push(stacks, stack + _EDGES + waiting.edges, edge, code + kind - 3, lane)
+            waiting.corners = waiting.corners + push(
+                stacks, stack + _CORNERS + waiting.corners, corner, code + kind, lane
             )
-        elif not full and waiting.slots > 0:
-            taken = wp.min(lanes, waiting.slots)
-            waiting.slots = waiting.slots - taken
-            which = int(0)
-            slot = int(0)
-            if lane < taken:
-                slot = stacks[stack + _SLOTS + waiting.slots + lane]
-                which = parts_that_matter(block.cell, tree, parts, slot)
-            waiting = push_parts(stacks, stack, waiting, slot, which, lane)
         else:
             # The parts that fill all lanes, or all that are left.
-            last = reader.left + waiting.leaves + waiting.slots == 0
+            last = reader.left == 0
             faces = ready(waiting.faces, last, lanes)
             edges = ready(waiting.edges, last, lanes)
             corners = ready(waiting.corners, last, lanes)
@@ -191,46 +143,12 @@ def measure_block(
         fetch_add(out.ambiguous, block.mesh, unclear)
 
 
-@wp.func
-def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
-    """Block `item`, of which the first `bricks` are bricks of coarse cells: also its cell's number, and a surface point
-    seen from its centre."""
-    code = int(0)
-    if item < bricks:
-        code = lists.coarse[item / 8]
-    else:
-        code = lists.whole[item - bricks]
-    number = cell_of(code)
-    mesh, start = cell_start(lists, number)
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    block = Block()
-    block.mesh = mesh
-    block.start = start
-    block.bits = 3
-    block.slice = slice_of(code)
-    block.slices = slices_of(code)
-    block.unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
-    block.cell = make_cell(slab, start, CELL, scale)
-    known = Witness()
-    if item < bricks:
-        middle = middle_of_octant(block.cell, item % 8)
-        block.bits = 2
-        block.start = start + BRICK * octant_at(item)
-        block.cell = make_cell(slab, block.start, BRICK, scale)
-        known = moved(read_witness(lists.witnesses, brick_witness(lists, number, item % 8)), block.cell.centre - middle)
-    else:
-        known = read_witness(lists.witnesses, lists.count + number)
-    block.index = index_of(slab, mesh, block.start)
-    return block, number, known
-
-
 @wp.kernel(launch_bounds=(128, GPU_BLOCKS))
 def _measure_blocks(
     begin: int,
     lanes: int,
     tree: Tree,
     parts: Parts,
-    cones: Cones,
     slab: Slab,
     lists: Lists,
     features: Features,
@@ -244,31 +162,40 @@ def _measure_blocks(
     total = bricks + lists.counts[_WHOLE]
     item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
     while item < total:
-        block, number, known = block_of(tree, slab, lists, item, bricks)
+        block, _number, known = block_of(tree, slab, lists, item, bricks)
+        block.radius2 = known.distance2
         if is_within(slab, block.start):
-            measure_block(
-                tree,
-                parts,
-                cones,
-                slab,
-                lists,
-                number,
-                features,
-                stacks,
-                worker,
-                out,
-                block,
-                known,
-                lane,
-                lanes,
-            )
+            measure_block(tree, parts, slab, lists, item, features, stacks, worker, out, block, lane, lanes)
         item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
+
+
+@wp.kernel
+def _count_missed(begin: int, lanes: int, slab: Slab, lists: Lists, out: Output):
+    lane = (begin + wp.tid()) % lanes
+    coarse = lists.counts[_COARSE]
+    total = coarse + lists.counts[_WHOLE]
+    item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
+    while item < total:
+        code = int(0)
+        if item < coarse:
+            code = lists.coarse[item]
+        else:
+            code = lists.whole[item - coarse]
+        if slices_of(code) > 1 and slice_of(code) == 0:
+            mesh, start = cell_start(lists, cell_of(code))
+            v = lane
+            while v < _VOXELS:
+                at = start + index_in(v)
+                if is_within(slab, at):
+                    if not wp.abs(out.values[index_of(slab, mesh, at)]) < float(wp.inf):
+                        fetch_add(out.missed, 0, 1)
+                v = v + lanes
+        item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
 
 
 def measure_blocks(
     tree: Tree,
     parts: Parts,
-    cones: Cones,
     slab: Slab,
     lists: Lists,
     features: Features,
@@ -278,10 +205,12 @@ def measure_blocks(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Distances of every voxel of one pass, of the cells and bricks that were planned.
+    """Distances of every voxel of one pass, block by block, with `workers` groups of lanes.
 
-    `features` and `stacks` are scratch. Voxels of cells whose list found no room become infinite with their sign, and
+    `features` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
     are counted in `out.missed`.
     """
-    inputs = [lanes, tree, parts, cones, slab, lists, features, stacks, out]
+    inputs = [lanes, tree, parts, slab, lists, features, stacks, out]
     launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)
+    # Whether voxels that several slices measure are missed nobody knows before the last is done.
+    launch(_count_missed, workers * lanes, [lanes, slab, lists, out], out.values.device, smallest=1)

@@ -22,21 +22,22 @@ from sdm.kernels.regions import STACK, list_regions
 from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
+from sdm.kernels.selection import select_parts
 from sdm.kernels.tree import Tree
 from sdm.kernels.voxels import Features
 from sdm.kernels.witness import find_witnesses
 
-# Entries of the pool of lists: 64 MiB on a CPU, 128 to 256 MiB on a GPU.
-CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 26
+# Entries of the pool of lists: 64 MiB on a CPU, 128 to 512 MiB on a GPU.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 27
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
 FULL, MOST_SHARES = 1 << 12, 16
 # Triangles of a cell's list, on average, that one group may make without holding up the others.
-LONG_SHARE = 512
-# Leaves of a cell's list that one group of lanes takes. There are fewer groups on a CPU than cells.
-SLICE = {"cuda": 128, "cpu": LARGEST_POOL}
+LONG_SHARE = 256
+# Leaves of a cell's list that one group of lanes takes, for few cells and for many. There are fewer groups on a CPU.
+SLICE = {"cuda": (128, 256), "cpu": (LARGEST_POOL, LARGEST_POOL)}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
-LONGEST_LIST = 16000
+LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
 
 
 def expected_list(triangles: int, shape: Sequence[int]) -> float:
@@ -47,9 +48,9 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
     return 1.4 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
 
 
-def search_is_faster(triangles: int, shape: Sequence[int]) -> bool:
+def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
     """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
-    return expected_list(triangles, shape) > LONGEST_LIST
+    return expected_list(triangles, shape) > LONGEST_LIST["cuda" if gpu else "cpu"]
 
 
 def shares_of(triangles: int, shape: Sequence[int]) -> int:
@@ -98,7 +99,7 @@ def query_slab(
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
-        method = "search" if search_is_faster(tree.count, shape) else "cells"
+        method = "search" if search_is_faster(tree.count, shape, gpu) else "cells"
     out = Output()
     out.values = values.flatten()
     out.ambiguous = ambiguous
@@ -106,16 +107,17 @@ def query_slab(
     if method == "search":
         search_slab(tree, slab, out, meshes, launch)
         return
-    slice_length = SLICE["cuda" if gpu else "cpu"]
     lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
+    slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > 2 * FULL)]
     lists.shares = shares_of(tree.count, shape) if gpu else 1
-    room = min(max(SMALLEST_POOL, 32 * tree.count), LARGEST_POOL) if gpu else CPU_POOL
     # A pass has room for a quarter more than is expected, and every list for one more chunk.
     cells = expected_list(tree.count, shape)
-    expected = 8 * (1.25 * cells + CHUNK * lists.shares) + 4 * cells + 2 * CHUNK * lists.shares
+    expected = 8 * (3.0 * cells + CHUNK * (1 + lists.shares)) + 4 * cells + 2 * CHUNK * lists.shares
+    # A large pool takes memory, several passes take time, as each waits for its longest lists.
+    room = min(max(SMALLEST_POOL, int(expected * total)), LARGEST_POOL) if gpu else CPU_POOL
     passes = -(-total // min(total, MOST_REGIONS, max(16, int(room / expected))))
     most = -(-total // passes)
     lists.chunks = room // CHUNK
@@ -126,8 +128,11 @@ def query_slab(
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
     # Each slice but the last of a list is full.
-    lists.whole = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
-    lists.coarse = empty(8 * most + lists.chunks * CHUNK // slice_length, wp.int32)
+    slices = 8 * most + lists.chunks * CHUNK // slice_length
+    lists.whole = empty(slices, wp.int32)
+    lists.coarse = empty(slices, wp.int32)
+    lists.part_heads = empty(9 * slices, wp.int32)
+    lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(workers * STACK, wp.int32)
@@ -146,5 +151,6 @@ def query_slab(
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
         list_cells(tree, frames, cones, slab, lists, workers, lanes, launch)
         plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers, lanes, launch)
-        measure_blocks(tree, parts, cones, slab, lists, features, stacks, out, workers, lanes, launch)
+        select_parts(tree, parts, cones, slab, lists, stacks, workers, lanes, launch)
+        measure_blocks(tree, parts, slab, lists, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

@@ -1,8 +1,8 @@
 """From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
 
-A worker's scratch has five stacks: of leaves, of triangles (slots), and of faces, edges and corners (four times the slot,
-and which of the triangle's). What is left of a test is pushed onto the next stack, so that no lane is idle in the
-tests and sums that cost most.
+A worker's scratch has stacks of leaves, of triangles (slots), and of parts. What is left of a test is pushed onto the next
+stack, so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot, and which
+of the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
 """
 
 from __future__ import annotations
@@ -18,23 +18,12 @@ from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
 
 wp.set_module_options({"enable_backward": False})
 
-# A batch pushes up to one leaf, triangle or face for each lane, and three edges and corners.
-LEAVES, SLOTS, FACES, EDGES, CORNERS = 0, 128, 256, 384, 512
+# Where the stacks begin. A batch of lanes leaves at most 32 of anything less than it takes, and brings up to 32 leaves
+# or triangles, or 224 parts.
+LEAVES, SLOTS, PARTS = 0, 128, 256
 
 _STACK = wp.constant(STACK)
 _LEAF = wp.constant(TRIANGLES_PER_LEAF)
-_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-
-
-@wp.struct
-class Waiting:
-    """How many wait on each stack."""
-
-    leaves: wp.int32
-    slots: wp.int32
-    faces: wp.int32
-    edges: wp.int32
-    corners: wp.int32
 
 
 @wp.func
@@ -53,15 +42,14 @@ def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane
 
 
 @wp.func
-def push_parts(stacks: wp.array(dtype=wp.int32), base: int, waiting: Waiting, slot: int, which: int, lane: int):
-    """Push the parts `which` (bits, see `parts`) of the lanes' triangles; returns what waits now."""
-    waiting.faces = waiting.faces + push(stacks, base + _FACES + waiting.faces, (which & FACE) != 0, 4 * slot, lane)
-    for k in range(3):
-        edge = (which & (EDGE << k)) != 0
-        waiting.edges = waiting.edges + push(stacks, base + _EDGES + waiting.edges, edge, 4 * slot + k, lane)
-        corner = (which & (CORNER << k)) != 0
-        waiting.corners = waiting.corners + push(stacks, base + _CORNERS + waiting.corners, corner, 4 * slot + k, lane)
-    return waiting
+def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int):
+    """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns how many."""
+    pushed = push(stacks, top, (which & FACE) != 0, 8 * slot + 6, lane)
+    kinds = int(3)
+    for k in range(kinds):
+        pushed = pushed + push(stacks, top + pushed, (which & (EDGE << k)) != 0, 8 * slot + 3 + k, lane)
+        pushed = pushed + push(stacks, top + pushed, (which & (CORNER << k)) != 0, 8 * slot + k, lane)
+    return pushed
 
 
 @wp.func

@@ -58,7 +58,9 @@ def note_octants(
     _j, half_j = middle_of(start[1], slab.shape[1], 0)
     _k, half_k = middle_of(start[2], slab.shape[2], 0)
     half = wp.vec3(scale * reach_of(slab, wp.vec3d(wp.vec3(half_i, half_j, half_k))))
-    octants.half = half + WIDER * (wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + half)
+    octants.half = half + WIDER * (
+        wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + half
+    )
     # The bits of octants on the far side of an axis go where that side has no voxels.
     there = int(255)
     if start[0] + 4 >= slab.shape[0]:

@@ -174,9 +174,6 @@ def share_out(
                 unclear = unclear + write_distance(out, index_of(slab, mesh, at), float(wp.inf))
             v = v + lanes
     if lane == 0:
-        # Whether a slice's voxels are missed nobody knows before the last is done.
-        if slices > 1:
-            fetch_add(out.missed, 0, 1)
         first = fetch_add(lists.counts, count, slices)
         for i in range(slices):
             blocks[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
@@ -208,9 +205,7 @@ def _plan_blocks(
             unclear = int(0)
             if is_coarse(cell):
                 find_brick_witnesses(tree, frames, parts, lists, number, mesh, cell, known, length, lane, lanes)
-                unclear = share_out(
-                    slab, lists, out, lists.coarse, _COARSE, number, length, slice_length, lane, lanes
-                )
+                unclear = share_out(slab, lists, out, lists.coarse, _COARSE, number, length, slice_length, lane, lanes)
             else:
                 if length > 0:
                     known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)

@@ -17,7 +17,7 @@ from bench.meshes import load_case, sphere
 from sdm.kernels import dense
 from sdm.kernels.lanes import shrink
 from sdm.kernels.launch import launch
-from sdm.kernels.lists import HEAVY, WHOLE
+from sdm.kernels.lists import COARSE, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from tests.exactness import ROUNDING, assert_exact, scale_of
 
@@ -45,13 +45,20 @@ def decoded(codes: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Seen:
-    """What the passes of a map planned: numbers of cells, codes of cells, and for each the lengths of its chains."""
+    """What the passes of a map planned: codes of cells, and for each cell the lengths of its chains."""
 
-    whole: list[int] = field(default_factory=list)
-    heavy: list[np.ndarray] = field(default_factory=list)
+    whole: list[np.ndarray] = field(default_factory=list)
+    coarse: list[np.ndarray] = field(default_factory=list)
     lengths: list[np.ndarray] = field(default_factory=list)
     without_room: int = 0
     count: int = 0
+
+    def codes(self) -> np.ndarray:
+        """All of them: cell, slice and slices (N,3)."""
+        return np.concatenate([*self.whole, *self.coarse])
+
+    def clear(self) -> None:
+        self.whole, self.coarse, self.lengths = [], [], []
 
 
 @pytest.fixture
@@ -61,13 +68,13 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     measure = dense.measure_blocks
 
     def spy(*inputs: Any) -> None:
-        lists = inputs[4]
+        lists = inputs[3]
         counts = lists.counts.numpy()
-        whole, heavy = lists.whole.numpy()[: counts[WHOLE]], decoded(lists.heavy.numpy()[: counts[HEAVY]])
+        whole, coarse = decoded(lists.whole.numpy()[: counts[WHOLE]]), decoded(lists.coarse.numpy()[: counts[COARSE]])
         # Nothing is known of cells outside of the grid.
-        planned = np.unique(np.concatenate([whole, heavy[:, 0]]))
-        found.whole += whole.tolist()
-        found.heavy.append(heavy)
+        planned = np.unique(np.concatenate([whole[:, 0], coarse[:, 0]]))
+        found.whole.append(whole)
+        found.coarse.append(coarse)
         found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[planned])
         found.without_room += int((lists.heads.numpy().reshape(-1, lists.shares)[planned] < 0).any(1).sum())
         found.count += lists.count
@@ -94,9 +101,8 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
     monkeypatch.setattr(dense, "find_witnesses", shared)
 
 
-def slice_lists(monkeypatch: pytest.MonkeyPatch, longest: int, slice_length: int) -> None:
-    monkeypatch.setitem(dense.LONGEST_OF_CELL, "cpu", longest)
-    monkeypatch.setitem(dense.SLICE, "cpu", slice_length)
+def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
+    monkeypatch.setitem(dense.SLICE, "cpu", (slice_length, slice_length))
 
 
 NAMES = ["overlapping shells", "random soup", "needle fan"]
@@ -139,58 +145,51 @@ def test_codes_hold_the_largest_numbers():
     assert cells >= 8 * dense.MOST_REGIONS
 
 
-@pytest.mark.parametrize("longest", [0, 300, 10**6])
-def test_each_cell_is_planned_once(monkeypatch, seen, longest):
-    slice_lists(monkeypatch, longest, 20)
+@pytest.mark.parametrize("slice_length", [20, 300, 10**6])
+def test_each_cell_is_planned_once(monkeypatch, seen, slice_length):
+    slice_lists(monkeypatch, slice_length)
     mesh = mesh_of("all alike")
     grid = sdm.Grid([-0.3] * 3, [0.03] * 3, [16, 16, 32])
     values = values_of(mesh, grid)
-    assert len(seen.heavy) == 1
-    codes, lengths = seen.heavy[0], seen.lengths[0].sum(1)
-    assert sorted([*seen.whole, *np.unique(codes[:, 0]).tolist()]) == list(range(8 * seen.count))
-    assert all(lengths[number] <= longest for number in seen.whole)
-    for number in np.unique(codes[:, 0]):
-        assert lengths[number] > longest
+    codes, lengths = seen.codes(), seen.lengths[0].sum(1)
+    assert not len(seen.coarse[0])
+    assert np.unique(codes[:, 0]).tolist() == list(range(8 * seen.count))
+    for number in range(8 * seen.count):
         mine = codes[codes[:, 0] == number]
         assert sorted(mine[:, 1]) == list(range(len(mine)))
         assert (mine[:, 2] == len(mine)).all()
-        assert len(mine) == min(-(-lengths[number] // 20), 1 << SLICE_BITS)
-    assert (longest == 0) == (not seen.whole)
-    assert (longest == 10**6) == (len(codes) == 0)
+        assert len(mine) == min(-(-lengths[number] // slice_length), 1 << SLICE_BITS)
+    assert (slice_length == 10**6) == (len(codes) == 8 * seen.count)
     check(mesh, grid, values)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_coarse_cells_are_measured_by_bricks(seen, name):
+    mesh = mesh_of(name)
+    for resolution in (26, 72):
+        seen.clear()
+        grid = sdm.Grid.around(mesh, resolution=resolution)
+        values = values_of(mesh, grid)
+        # Cells that the grid's end cuts are not as coarse as others.
+        assert (len(seen.coarse[0]) > len(seen.whole[0])) == (resolution == 26)
+        check(mesh, grid, values)
 
 
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
 def test_slices_change_no_bit(monkeypatch, seen, name):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
-    slice_lists(monkeypatch, 5, 10**6)
+    slice_lists(monkeypatch, 10**6)
     plain = values_of(mesh, grid)
     check(mesh, grid, plain)
-    assert all((codes[:, 2] == 1).all() for codes in seen.heavy)
+    assert (seen.codes()[:, 2] == 1).all()
     for slice_length in (1, 7, 100):
-        seen.heavy.clear()
-        slice_lists(monkeypatch, 5, slice_length)
+        seen.clear()
+        slice_lists(monkeypatch, slice_length)
         values = values_of(mesh, grid)
-        most = max(int(codes[:, 2].max(initial=0)) for codes in seen.heavy)
+        most = int(seen.codes()[:, 2].max())
         assert most > (1 if slice_length < 100 or name == "all alike" else 0)
         assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
-
-
-@pytest.mark.parametrize("name", [*NAMES, "all alike"])
-def test_bricks_or_whole_cells(monkeypatch, seen, name):
-    mesh = mesh_of(name)
-    grid = grid_of(name, mesh)
-    maps = []
-    for longest in (0, 20, 10**6):
-        slice_lists(monkeypatch, longest, 16)
-        maps.append(values_of(mesh, grid))
-        check(mesh, grid, maps[-1])
-    centres = grid.points().reshape(-1, 3).numpy()
-    limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
-    for other in maps[1:]:
-        assert ((maps[0].abs() - other.abs()).abs() <= limit).all()
-        assert torch.equal(maps[0] < 0, other < 0)
 
 
 @pytest.mark.parametrize("shares", [2, 16])
@@ -208,7 +207,7 @@ def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
     assert ((lengths > 0).sum(1) > 1).any()
     # What one group does not know of the others' it keeps, but not much.
     assert lengths.sum() < 4 * alone_lengths.sum() + 100 * shares
-    slice_lists(monkeypatch, 10, 13)
+    slice_lists(monkeypatch, 13)
     maps.append(values_of(mesh, grid))
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
@@ -227,7 +226,7 @@ def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
     plenty = values_of(mesh, grid)
     assert seen.without_room == 0
     monkeypatch.setattr(dense, "CPU_POOL", room)
-    slice_lists(monkeypatch, 10, 13)
+    slice_lists(monkeypatch, 13)
     share_lists(monkeypatch, shares)
     scarce = values_of(mesh, grid)
     assert seen.without_room > 0

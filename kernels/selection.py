@@ -1,0 +1,225 @@
+"""Fourth stage of the dense query: for each block, the parts of triangles that matter to it.
+
+A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice of
+its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them that
+may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.cones import Cones
+from sdm.kernels.cull import Witness, moved
+from sdm.kernels.grid import Slab, index_of
+from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
+from sdm.kernels.leaves import LEAVES, PARTS, SLOTS, full_of_leaves, push, push_parts, triangles_that_matter
+from sdm.kernels.lists import (
+    BRICK,
+    CELL,
+    COARSE,
+    NEXT_CHUNK,
+    NEXT_SELECT,
+    WHOLE,
+    Chain,
+    Lists,
+    Reader,
+    append,
+    cell_start,
+    is_coarse,
+    is_within,
+    list_length,
+    make_cell,
+    octant_at,
+    read_entry,
+    read_on,
+    start_reading,
+)
+from sdm.kernels.parts import Parts, parts_that_matter
+from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, slice_of, slices_of
+from sdm.kernels.regions import STACK, node_matters
+from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+from sdm.kernels.voxels import LARGEST_SQUARE, Block
+from sdm.kernels.witness import read_witness
+
+wp.set_module_options({"enable_backward": False})
+
+_STACK = wp.constant(STACK)
+_LEAVES, _SLOTS, _PARTS = wp.constant(LEAVES), wp.constant(SLOTS), wp.constant(PARTS)
+_COARSE, _WHOLE = wp.constant(COARSE), wp.constant(WHOLE)
+_NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_UNSCALE = wp.constant(UNSCALE)
+
+
+@wp.func
+def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
+    """Block `item`, of which the first `bricks` are bricks of coarse cells: also its cell's number, and a surface point
+    seen from its centre."""
+    code = int(0)
+    if item < bricks:
+        code = lists.coarse[item / 8]
+    else:
+        code = lists.whole[item - bricks]
+    number = cell_of(code)
+    mesh, start = cell_start(lists, number)
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    block = Block()
+    block.mesh = mesh
+    block.start = start
+    block.bits = 3
+    block.slice = slice_of(code)
+    block.slices = slices_of(code)
+    block.unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
+    block.cell = make_cell(slab, start, CELL, scale)
+    known = Witness()
+    if item < bricks:
+        middle = middle_of_octant(block.cell, item % 8)
+        block.bits = 2
+        block.start = start + BRICK * octant_at(item)
+        block.cell = make_cell(slab, block.start, BRICK, scale)
+        known = moved(read_witness(lists.witnesses, brick_witness(lists, number, item % 8)), block.cell.centre - middle)
+    else:
+        known = read_witness(lists.witnesses, lists.count + number)
+    block.index = index_of(slab, mesh, block.start)
+    return block, number, known
+
+
+@wp.func
+def select_for(
+    tree: Tree,
+    parts: Parts,
+    cones: Cones,
+    lists: Lists,
+    number: int,
+    block: Block,
+    known: Witness,
+    stacks: wp.array(dtype=wp.int32),
+    stack: int,
+    chain: Chain,
+    lane: int,
+    lanes: int,
+):
+    """Add the parts that matter to a block of the cell `number` to a chain, which is returned."""
+    leaves = 1 << tree.depth
+    base = block.mesh * 2 * leaves
+    radius = wp.sqrt(block.cell.half2)
+    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    # Each batch is read while the one before is tested.
+    upcoming = read_entry(lists, reader, lane)
+    batch = int(0)
+    waiting = int(0)
+    ripe = int(0)
+    found = int(0)
+    while reader.left + waiting + ripe + found > 0 and chain.chunk < lists.chunks:
+        if found >= lanes or reader.left + waiting + ripe == 0:
+            taken = wp.min(lanes, found)
+            found = found - taken
+            part = int(0)
+            if lane < taken:
+                part = stacks[stack + _PARTS + found + lane]
+            chain = append(lists, chain, lane < taken, part, lane)
+        elif ripe >= lanes or reader.left + waiting == 0:
+            taken = wp.min(lanes, ripe)
+            ripe = ripe - taken
+            which = int(0)
+            slot = int(0)
+            if lane < taken:
+                slot = stacks[stack + _SLOTS + ripe + lane]
+                which = parts_that_matter(block.cell, tree, parts, slot)
+            found = found + push_parts(stacks, stack + _PARTS + found, slot, which, lane)
+        elif waiting >= full_of_leaves(lanes) or reader.left == 0:
+            taken = wp.min(full_of_leaves(lanes), waiting)
+            waiting = waiting - taken
+            ripe = ripe + triangles_that_matter(
+                block.cell,
+                radius,
+                known,
+                tree,
+                parts.balls,
+                cones,
+                block.mesh,
+                stacks,
+                stack + _LEAVES + waiting,
+                taken,
+                stack + _SLOTS + ripe,
+                lane,
+                lanes,
+            )
+        else:
+            leaf = upcoming
+            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+            upcoming = read_entry(lists, reader, lane)
+            keep = leaf >= 0 and batch % block.slices == block.slice
+            if keep and block.bits == 2:
+                # For the cell it has been tested.
+                keep = node_matters(block.cell, radius, known, tree, cones, base, leaves + leaf)
+            waiting = waiting + push(stacks, stack + _LEAVES + waiting, keep, leaf, lane)
+            batch = batch + 1
+        wait_for_lanes()
+    return chain
+
+
+@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+def _select_parts(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    parts: Parts,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    bricks = 8 * lists.counts[_COARSE]
+    total = bricks + lists.counts[_WHOLE]
+    item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+    while item < total:
+        block, number, known = block_of(tree, slab, lists, item, bricks)
+        head = int(-1)
+        chain = Chain()
+        chain.chunk = lists.chunks
+        length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+        if is_within(slab, block.start) and length > 0 and known.distance2 < LARGEST_SQUARE:
+            if not is_coarse(block.cell):
+                head = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+                chain.chunk = head
+                chain = select_for(
+                    tree,
+                    parts,
+                    cones,
+                    lists,
+                    number,
+                    block,
+                    known,
+                    stacks,
+                    (thread / lanes) * _STACK,
+                    chain,
+                    lane,
+                    lanes,
+                )
+        if lane == 0:
+            lists.part_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
+            lists.part_lengths[item] = chain.length
+        item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+
+
+def select_parts(
+    tree: Tree,
+    parts: Parts,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill the blocks' lists of parts of one pass, with `workers` groups of lanes; `stacks` (workers * STACK) is scratch."""
+    inputs = [lanes, tree, parts, cones, slab, lists, stacks]
+    launch(_select_parts, workers * lanes, inputs, lists.pool.device, smallest=1)
