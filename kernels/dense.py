@@ -31,10 +31,11 @@ from sdm.kernels.witness import find_witnesses
 CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 27
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and the most that share one list.
-FULL, MOST_SHARES = 1 << 12, 16
+FULL, MOST_SHARES = 1 << 14, 16
 # Triangles of a cell's list, on average, that one group may make without holding up the others.
 LONG_SHARE = 256
-# Leaves of a cell's list that one group of lanes takes, for few cells and for many. There are fewer groups on a CPU.
+# Leaves of a cell's list that one group of lanes takes: of up to this many cells, and of more. A CPU has fewer groups.
+FEW_CELLS = 1 << 13
 SLICE = {"cuda": (128, 256), "cpu": (LARGEST_POOL, LARGEST_POOL)}
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
@@ -111,7 +112,7 @@ def query_slab(
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
-    slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > 2 * FULL)]
+    slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > FEW_CELLS)]
     lists.shares = shares_of(tree.count, shape) if gpu else 1
     # A pass has room for a quarter more than is expected, and every list for one more chunk.
     cells = expected_list(tree.count, shape)
@@ -151,6 +152,6 @@ def query_slab(
         list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
         list_cells(tree, frames, cones, slab, lists, workers, lanes, launch)
         plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers, lanes, launch)
-        select_parts(tree, parts, cones, slab, lists, stacks, workers, lanes, launch)
+        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
         measure_blocks(tree, parts, slab, lists, features, stacks, out, workers, lanes, launch)
     mend_slab(tree, slab, out, workers * lanes, launch)

@@ -39,8 +39,8 @@ def _each(count: str, bits: int, body: str) -> str:
 
 
 # Measures `count` voxels (x, y and z from the block's centre) with those of a worker's rows that matter to their octant
-# and keeps the lesser values in `best`. The same text for both devices, and for near and far blocks: a choice inside the
-# loops would cost as much as a part.
+# and keeps the lesser values in `best`. The same text for both devices, and for near and far blocks: a choice inside
+# the loops would cost as much as a part.
 _CORNERS = """
             const Row r = row[i];
             for (int v = 0; v < count; ++v) {

@@ -1,9 +1,9 @@
 """Which octants of a block can a part be nearest to?
 
-A block of 8^3 voxels has eight octants of 4^3. All parts that matter to the block are worked out once, for its centre, and
-each octant is measured from those that matter to it. That is asked as for the block in `parts`: x being the point of the
-surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters to an octant of
-which no point fulfils one of these inequalities.
+A block of 8^3 voxels has eight octants of 4^3. All parts that matter to the block are worked out once, for its centre,
+and each octant is measured from those that matter to it. That is asked as for the block in `parts`: x being the point
+of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters to an
+octant of which no point fulfils one of these inequalities.
 
 For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
 o.u - q.u - sum_i h_i |u_i|, so that all octants are compared with one number.
@@ -35,8 +35,10 @@ class Octants:
 
 @wp.func
 def middle_of(start: int, count: int, side: int):
-    """Along one axis: the middle index of the voxels on one side (0 or 1) of a block from `start`, and half their
-    number less one; of a side without voxels, of what would be there."""
+    """Along one axis the middle index of the voxels on one side (0 or 1) of a block, and half their number less one.
+
+    Of a side without voxels: of what would be there.
+    """
     last = wp.min(start + 4 * side + 3, wp.max(count - 1, start + 4 * side))
     first = start + 4 * side
     return 0.5 * float(first + last), 0.5 * float(last - first)

@@ -1,7 +1,7 @@
 """Third stage of the dense query: what is one block, and which surface point its distances are taken from.
 
-A cell is a block by itself. If its list is long it is several, each with a slice of the list: then none is waited for. Of
-a cell that is too coarse for float32 the eight bricks are blocks.
+A cell is a block by itself. If its list is long it is several, each with a slice of the list: then none is waited for.
+Of a cell that is too coarse for float32 the eight bricks are blocks.
 """
 
 from __future__ import annotations
@@ -122,28 +122,14 @@ def middle_of_octant(cell: Cell, octant: int):
 
 
 @wp.func
-def find_brick_witnesses(
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    parts: Parts,
-    lists: Lists,
-    number: int,
-    mesh: int,
-    cell: Cell,
-    known: Witness,
-    length: int,
-    lane: int,
-    lanes: int,
-):
-    """The surface point nearest to the middle of each of a cell's octants."""
-    octants = int(8)
-    for o in range(octants):
-        middle = middle_of_octant(cell, o)
-        nearest = moved(known, middle - cell.centre)
-        if length > 0:
-            nearest = nearest_in_list(tree, frames, parts, lists, number, mesh, middle, nearest, lane, lanes)
-        if lane == 0:
-            write_witness(lists.witnesses, brick_witness(lists, number, o), nearest)
+def note_brick_witnesses(lists: Lists, number: int, cell: Cell, known: Witness, lane: int, lanes: int):
+    """A surface point near each of a cell's bricks, seen from the middle of its octant: for now the cell's."""
+    o = lane
+    while o < 8:
+        write_witness(
+            lists.witnesses, brick_witness(lists, number, o), moved(known, middle_of_octant(cell, o) - cell.centre)
+        )
+        o = o + lanes
 
 
 @wp.func
@@ -204,7 +190,7 @@ def _plan_blocks(
                 known = nearest_of_cell(lists, number)
             unclear = int(0)
             if is_coarse(cell):
-                find_brick_witnesses(tree, frames, parts, lists, number, mesh, cell, known, length, lane, lanes)
+                note_brick_witnesses(lists, number, cell, known, lane, lanes)
                 unclear = share_out(slab, lists, out, lists.coarse, _COARSE, number, length, slice_length, lane, lanes)
             else:
                 if length > 0:

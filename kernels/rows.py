@@ -1,4 +1,4 @@
-"""Where a worker notes the parts that it measures a block from: in shared memory on a GPU, ten times nearer than memory.
+"""Where a worker notes the parts that it measures a block from: on a GPU in shared memory, ten times nearer.
 
 Rows of four floats: corners (-2m, w); edges (-2m, w) (e, where it begins along it); faces (n, 2h) and three planes
 (inward, height), see `features`; the block's octants (their centres from the block's). Then single numbers: where each

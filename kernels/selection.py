@@ -1,8 +1,10 @@
 """Fourth stage of the dense query: for each block, the parts of triangles that matter to it.
 
-A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice of
-its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them that
-may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
+A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice
+of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them
+that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
+
+This is apart from `blocks` because a GPU's caches hold either's instructions, but not both at once.
 """
 
 from __future__ import annotations
@@ -25,7 +27,6 @@ from sdm.kernels.lists import (
     WHOLE,
     Chain,
     Lists,
-    Reader,
     append,
     cell_start,
     is_coarse,
@@ -38,11 +39,11 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, slice_of, slices_of
+from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, nearest_in_list, slice_of, slices_of
 from sdm.kernels.regions import STACK, node_matters
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 from sdm.kernels.voxels import LARGEST_SQUARE, Block
-from sdm.kernels.witness import read_witness
+from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,8 +58,10 @@ _UNSCALE = wp.constant(UNSCALE)
 
 @wp.func
 def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
-    """Block `item`, of which the first `bricks` are bricks of coarse cells: also its cell's number, and a surface point
-    seen from its centre."""
+    """Block `item`, its cell's number, and a surface point seen from its centre.
+
+    The first `bricks` items are bricks of coarse cells.
+    """
     code = int(0)
     if item < bricks:
         code = lists.coarse[item / 8]
@@ -86,6 +89,33 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
         known = read_witness(lists.witnesses, lists.count + number)
     block.index = index_of(slab, mesh, block.start)
     return block, number, known
+
+
+@wp.func
+def find_brick_witness(
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    item: int,
+    number: int,
+    block: Block,
+    known: Witness,
+    lane: int,
+    lanes: int,
+):
+    """The surface point nearest to a brick's centre, which is noted for `blocks`: distances are taken from it.
+
+    Of several slices each finds the same.
+    """
+    mesh, start = cell_start(lists, number)
+    known = nearest_in_list(tree, frames, parts, lists, number, mesh, block.cell.centre, known, lane, lanes)
+    if lane == 0:
+        cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+        middle = middle_of_octant(cell, item % 8)
+        write_witness(lists.witnesses, brick_witness(lists, number, item % 8), moved(known, middle - block.cell.centre))
+    return known
 
 
 @wp.func
@@ -168,6 +198,7 @@ def _select_parts(
     begin: int,
     lanes: int,
     tree: Tree,
+    frames: wp.array(dtype=wp.float32),
     parts: Parts,
     cones: Cones,
     slab: Slab,
@@ -187,6 +218,10 @@ def _select_parts(
         length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
         if is_within(slab, block.start) and length > 0 and known.distance2 < LARGEST_SQUARE:
             if not is_coarse(block.cell):
+                if item < bricks:
+                    known = find_brick_witness(
+                        tree, frames, parts, slab, lists, item, number, block, known, lane, lanes
+                    )
                 head = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
@@ -211,6 +246,7 @@ def _select_parts(
 
 def select_parts(
     tree: Tree,
+    frames: wp.array,
     parts: Parts,
     cones: Cones,
     slab: Slab,
@@ -220,6 +256,9 @@ def select_parts(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Fill the blocks' lists of parts of one pass, with `workers` groups of lanes; `stacks` (workers * STACK) is scratch."""
-    inputs = [lanes, tree, parts, cones, slab, lists, stacks]
+    """Fill the blocks' lists of parts of one pass, `workers` groups of lanes at work.
+
+    `stacks` (workers * STACK int32) is scratch.
+    """
+    inputs = [lanes, tree, frames, parts, cones, slab, lists, stacks]
     launch(_select_parts, workers * lanes, inputs, lists.pool.device, smallest=1)

@@ -88,8 +88,10 @@ def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, v: int):
 
 @wp.func
 def settle_voxel(slab: Slab, out: Output, block: Block, at: wp.vec3i, distance: float):
-    """Write the distance of the voxel `at` from a block's first, infinite if it was not found; 1 if its winding number
-    is unclear."""
+    """Write the distance of the voxel `at` from a block's first: 1 if its winding number is unclear.
+
+    It is infinite where none was found.
+    """
     if not is_within(slab, block.start + at):
         return 0
     index = block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
