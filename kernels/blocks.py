@@ -19,6 +19,7 @@ from sdm.kernels.lists import (
     COARSE,
     NEXT_BLOCK,
     NEXT_SLICED,
+    SLICED,
     WHOLE,
     Lists,
     Reader,
@@ -30,7 +31,6 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.octants import note_octants
 from sdm.kernels.parts import Parts
-from sdm.kernels.plan import cell_of, slice_of, slices_of
 from sdm.kernels.regions import STACK
 from sdm.kernels.rows import rows_of
 from sdm.kernels.selection import block_of
@@ -44,7 +44,7 @@ FACES, EDGES, CORNERS = 0, 64, 128
 
 _STACK = wp.constant(STACK)
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_COARSE, _WHOLE = wp.constant(COARSE), wp.constant(WHOLE)
+_COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
 _NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
 _VOXELS = wp.constant(VOXELS)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -172,24 +172,16 @@ def _measure_blocks(
 @wp.kernel
 def _count_missed(begin: int, lanes: int, slab: Slab, lists: Lists, out: Output):
     lane = (begin + wp.tid()) % lanes
-    coarse = lists.counts[_COARSE]
-    total = coarse + lists.counts[_WHOLE]
     item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
-    while item < total:
-        code = int(0)
-        if item < coarse:
-            code = lists.coarse[item]
-        else:
-            code = lists.whole[item - coarse]
-        if slices_of(code) > 1 and slice_of(code) == 0:
-            mesh, start = cell_start(lists, cell_of(code))
-            v = lane
-            while v < _VOXELS:
-                at = start + index_in(v)
-                if is_within(slab, at):
-                    if not wp.abs(out.values[index_of(slab, mesh, at)]) < float(wp.inf):
-                        fetch_add(out.missed, 0, 1)
-                v = v + lanes
+    while item < lists.counts[_SLICED]:
+        mesh, start = cell_start(lists, lists.sliced[item])
+        v = lane
+        while v < _VOXELS:
+            at = start + index_in(v)
+            if is_within(slab, at):
+                if not wp.abs(out.values[index_of(slab, mesh, at)]) < float(wp.inf):
+                    fetch_add(out.missed, 0, 1)
+            v = v + lanes
         item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
 
 

@@ -132,6 +132,7 @@ def query_slab(
     slices = 8 * most + lists.chunks * CHUNK // slice_length
     lists.whole = empty(slices, wp.int32)
     lists.coarse = empty(slices, wp.int32)
+    lists.sliced = empty(8 * most, wp.int32)
     lists.part_heads = empty(9 * slices, wp.int32)
     lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)

@@ -22,10 +22,20 @@ COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK, NEXT_SLICED, NEXT_CHUNK, COARSE, WHOLE = (
-    range(10)
-)
-COUNTS = 10
+(
+    NEXT_WITNESS,
+    NEXT_REGION,
+    NEXT_CELL,
+    NEXT_PLAN,
+    NEXT_SELECT,
+    NEXT_BLOCK,
+    NEXT_SLICED,
+    NEXT_CHUNK,
+    COARSE,
+    WHOLE,
+    SLICED,
+) = range(11)
+COUNTS = 11
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -52,6 +62,7 @@ class Lists:
     # Cells and which slice of their lists, see `plan`: those that are measured whole, and those brick by brick.
     whole: wp.array(dtype=wp.int32)
     coarse: wp.array(dtype=wp.int32)
+    sliced: wp.array(dtype=wp.int32)  # (8 * count) the cells whose lists are cut into several slices
     part_heads: wp.array(dtype=wp.int32)  # of each block the parts that matter to it
     part_lengths: wp.array(dtype=wp.int32)
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)

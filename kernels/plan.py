@@ -17,6 +17,7 @@ from sdm.kernels.lists import (
     CELL,
     COARSE,
     NEXT_PLAN,
+    SLICED,
     WHOLE,
     Lists,
     cell_start,
@@ -38,7 +39,8 @@ wp.set_module_options({"enable_backward": False})
 CELL_BITS, SLICE_BITS = 18, 6
 _CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
 _MOST_SLICES = wp.constant(1 << SLICE_BITS)
-_COARSE, _WHOLE, _NEXT_PLAN = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(NEXT_PLAN)
+_COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
+_NEXT_PLAN = wp.constant(NEXT_PLAN)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -160,6 +162,8 @@ def share_out(
                 unclear = unclear + write_distance(out, index_of(slab, mesh, at), float(wp.inf))
             v = v + lanes
     if lane == 0:
+        if slices > 1:
+            lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
         first = fetch_add(lists.counts, count, slices)
         for i in range(slices):
             blocks[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
