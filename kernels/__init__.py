@@ -5,8 +5,8 @@ Warp's current stream. Read in this order: `geometry` (one triangle), `curve` an
 `edges` (which faces meet), `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary`, `caps`
 and `holes` (what open meshes add), `solid_angle` (any soup), `points` (scattered queries), `scan` and `search` (the
 plain dense query), `frames`, `cull`, `cones` and `parts` (what can be dropped), `lists`, `witness`, `regions`, `cells`,
-`plan`, `leaves`, `selection`, `rows`, `octants`, `features`, `least`, `voxels` and `blocks` (the fast one), `dense` (the
-choice between them).
+`plan`, `leaves`, `selection`, `rows`, `octants`, `features`, `least`, `voxels` and `blocks` (the fast one), `dense`
+(the choice between them).
 """
 
 import os

@@ -22,19 +22,8 @@ COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-(
-    NEXT_WITNESS,
-    NEXT_REGION,
-    NEXT_CELL,
-    NEXT_PLAN,
-    NEXT_SELECT,
-    NEXT_BLOCK,
-    NEXT_SLICED,
-    NEXT_CHUNK,
-    COARSE,
-    WHOLE,
-    SLICED,
-) = range(11)
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK, NEXT_SLICED = range(7)
+NEXT_CHUNK, COARSE, WHOLE, SLICED = range(7, 11)
 COUNTS = 11
 
 _CHUNK = wp.constant(CHUNK)
