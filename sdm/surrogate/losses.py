@@ -18,13 +18,11 @@ RIDGE = 0.05
 def surface_weighted(predicted: Tensor, exact: Tensor, weight: float) -> Tensor:
     """Mean absolute error [mm] of maps (B,1,nx,ny,nz), and `weight` times that of the shell around the surface.
 
-    The shell's error is the mean of each shape first: a small shape's few voxels count as much as a large one's many. A
-    thin shape counts more, by what the same error takes from its overlap: its surface's share of its inside.
+    The shell's error is the mean of each shape first: a small shape's few voxels count as much as a large one's many.
     """
     error = (predicted - exact).abs().flatten(1)
     shell = torch.exp(-((exact / SHELL_MM) ** 2)).flatten(1)
-    thin = shell.sum(1) / (exact < 0).flatten(1).sum(1).clamp_min(1)
-    return error.mean() + weight * (thin / thin.mean() * (shell * error).sum(1) / shell.sum(1).clamp_min(1)).mean()
+    return error.mean() + weight * ((shell * error).sum(1) / shell.sum(1).clamp_min(1)).mean()
 
 
 def slopes(maps: Tensor) -> Tensor:
