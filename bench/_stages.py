@@ -1,7 +1,7 @@
 """The stages of the fast dense path in the plane, in NumPy: the test of kernels/cull.py, on segments.
 
-Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; bricks of 4x4 filter their cell's list
-once more; the pixels of a brick are measured from what is left. The same names as in the kernels: c and a are a cell's
+Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; octants of 4x4 (of which a cell has four
+in the plane) filter their cell's list once more; the pixels of an octant are measured from what is left. The same names as in the kernels: c and a are a cell's
 centre and half-widths, y the known nearest surface point (the witness), u points from T's closest point to c.
 """
 
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-CELL, BRICK = 8, 4
+CELL, OCTANT = 8, 4
 
 
 @dataclass(frozen=True)
 class Box:
-    """A cell or brick: centre c (2,), half-widths a (2,), of its pixels' centres."""
+    """A cell or octant: centre c (2,), half-widths a (2,), of its pixels' centres."""
 
     centre: np.ndarray
     half: np.ndarray

@@ -1,7 +1,8 @@
 """Draw the stages of the fast dense path on a slice of the built-in mesh: `python -m bench.picture_stages`.
 
 Every list and every value in the picture is computed by bench/_stages.py, the test of kernels/cull.py in the plane.
-Regions, cones of normals and parts of triangles are left out, and every cell is measured brick by brick.
+Regions, cones of normals and parts of triangles are left out: octants are told apart by the same test, where the kernels
+ask which parts of the cell's triangles matter to each.
 """
 
 from __future__ import annotations
@@ -62,16 +63,16 @@ def draw(path: Path) -> None:
     everything = np.arange(len(segments))
     cells = stages.boxes(low, step, PIXELS, stages.CELL)
     lists = [stages.kept(cell, segments, everything) for cell in cells]
-    bricks = stages.boxes(low, step, PIXELS, stages.BRICK)
-    across = PIXELS // stages.BRICK
-    per_cell = stages.CELL // stages.BRICK
-    owner = [(n // across // per_cell) * (PIXELS // stages.CELL) + n % across // per_cell for n in range(len(bricks))]
-    short = [stages.kept(brick, segments, lists[cell]) for brick, cell in zip(bricks, owner, strict=True)]
-    # The cell where direction tells apart most of what distance alone would keep; the brick in it likewise.
+    octants = stages.boxes(low, step, PIXELS, stages.OCTANT)
+    across = PIXELS // stages.OCTANT
+    per_cell = stages.CELL // stages.OCTANT
+    owner = [(n // across // per_cell) * (PIXELS // stages.CELL) + n % across // per_cell for n in range(len(octants))]
+    short = [stages.kept(octant, segments, lists[cell]) for octant, cell in zip(octants, owner, strict=True)]
+    # The cell where direction tells apart most of what distance alone would keep; the octant in it likewise.
     gains = [_passed(cell, segments, everything) - len(found) for cell, found in zip(cells, lists, strict=True)]
     picked_cell = int(np.argmax(gains))
-    inner = [n for n in range(len(bricks)) if owner[n] == picked_cell]
-    picked_brick = max(inner, key=lambda n: _passed(bricks[n], segments, lists[picked_cell]) - len(short[n]))
+    inner = [n for n in range(len(octants)) if owner[n] == picked_cell]
+    picked_octant = max(inner, key=lambda n: _passed(octants[n], segments, lists[picked_cell]) - len(short[n]))
 
     with mpl.rc_context({**STYLE, "font.size": 10.5, "axes.titlesize": 12.5, "axes.titlepad": 9.0}):
         figure = Figure(figsize=(13.0, 13.6), facecolor="white")
@@ -81,10 +82,10 @@ def draw(path: Path) -> None:
         figure.text(0.03, 0.965, "From all triangles to exact distances, on a slice", fontsize=18, weight="bold")
         _lists(panels[0, 0], segments, cells, lists, picked_cell, everything)
         _title(panels[0, 0], "1  Cells of 8³", lists, len(segments))
-        _lists(panels[0, 1], segments, bricks, short, picked_brick, lists[owner[picked_brick]])
-        _title(panels[0, 1], "2  Bricks of 4³", short, len(segments))
+        _lists(panels[0, 1], segments, octants, short, picked_octant, lists[owner[picked_octant]])
+        _title(panels[0, 1], "2  Octants of 4³", short, len(segments))
         _proof(panels[1, 0], segments, cells[picked_cell])
-        _values(panels[1, 1], segments, bricks, short, step)
+        _values(panels[1, 1], segments, octants, short, step)
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as part:
             figure.savefig(part, format="png", dpi=110)
@@ -131,7 +132,7 @@ def _lists(
     """Shade boxes by the length of their lists, and show one box with what it keeps of what it was given."""
     from matplotlib.patches import Circle, Rectangle
 
-    edge = stages.CELL if len(boxes) == (PIXELS // stages.CELL) ** 2 else stages.BRICK
+    edge = stages.CELL if len(boxes) == (PIXELS // stages.CELL) ** 2 else stages.OCTANT
     longest = np.log(max(len(found) for found in lists))
     for box, found in zip(boxes, lists, strict=True):
         corner, size = _edges(box, edge)
@@ -162,7 +163,7 @@ def _lists(
         )
         axes.add_patch(circle)
     axes.plot(*y, "o", color=PICKED, markersize=5)
-    said = f"blue: one {'cell' if edge == stages.CELL else 'brick'}; distance alone keeps {len(passed)} (orange), "
+    said = f"blue: one {'cell' if edge == stages.CELL else 'octant'}; distance alone keeps {len(passed)} (orange), "
     said += f"with direction {len(chosen)} (red)"
     axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
     axes.set_xlim(-1, 1)
@@ -221,16 +222,16 @@ def _proof(axes: Axes, segments: np.ndarray, box: stages.Box) -> None:
     _frame(axes)
 
 
-def _values(axes: Axes, segments: np.ndarray, bricks: list[stages.Box], lists: list[np.ndarray], step: float) -> None:
-    """The signed distances of all pixels, each measured from its brick's list alone, with the zero contour."""
+def _values(axes: Axes, segments: np.ndarray, octants: list[stages.Box], lists: list[np.ndarray], step: float) -> None:
+    """The signed distances of all pixels, each measured from its octant's list alone, with the zero contour."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    across = PIXELS // stages.BRICK
+    across = PIXELS // stages.OCTANT
     values = np.empty((PIXELS, PIXELS))
-    for number, (brick, found) in enumerate(zip(bricks, lists, strict=True)):
-        i, j = stages.BRICK * (number // across), stages.BRICK * (number % across)
-        distances = stages.pixel_distances(brick, step, stages.BRICK, segments[found])
-        values[i : i + stages.BRICK, j : j + stages.BRICK] = distances
+    for number, (octant, found) in enumerate(zip(octants, lists, strict=True)):
+        i, j = stages.OCTANT * (number // across), stages.OCTANT * (number % across)
+        distances = stages.pixel_distances(octant, step, stages.OCTANT, segments[found])
+        values[i : i + stages.OCTANT, j : j + stages.OCTANT] = distances
     at = -1 + step * (np.arange(PIXELS) + 0.5)
     centres = np.stack(np.meshgrid(at, at, indexing="ij"), -1).reshape(-1, 2)
     values = np.where(stages.is_inside(centres, segments).reshape(values.shape), -values, values)
@@ -241,7 +242,7 @@ def _values(axes: Axes, segments: np.ndarray, bricks: list[stages.Box], lists: l
     )
     axes.contour(at, at, values.T, levels=np.arange(-0.9, 0.91, 0.1), colors="0.2", linewidths=0.4, alpha=0.5)
     axes.contour(at, at, values.T, levels=[0.0], colors="black", linewidths=2.0)
-    axes.set_title("4  Voxels are measured from their brick's list alone")
+    axes.set_title("4  Voxels are measured from their octant's list alone")
     said = "negative (red) inside; black: the zero contour of the voxels"
     axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
     _frame(axes)

@@ -11,7 +11,7 @@ are
 Only w comes from long distances, and it is found in float64 and is small, as all parts that are left are nearly
 equally far from c; the rest is of the block's size. So float32 is more accurate here than it could be with the squared
 distances themselves, of which the least is made only at the end. Near the surface it is the other way round: there the
-distances are smaller than the brick, and are taken from p - m, its part across the line, or the height.
+distances are smaller than the block, and are taken from p - m, its part across the line, or the height.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
 be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
