@@ -1,8 +1,9 @@
 """The stages of the fast dense path in the plane, in NumPy: the test of kernels/cull.py, on segments.
 
-Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; octants of 4x4 (of which a cell has four
-in the plane) filter their cell's list once more; the pixels of an octant are measured from what is left. The same names as in the kernels: c and a are a cell's
-centre and half-widths, y the known nearest surface point (the witness), u points from T's closest point to c.
+Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; octants of 4x4 (of which a cell has
+four in the plane) filter their cell's list once more; the pixels of an octant are measured from what is left. The same
+names as in the kernels: c and a are a cell's centre and half-widths, y the known nearest surface point (the witness), u
+points from T's closest point to c.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Draw the stages of the fast dense path on a slice of the built-in mesh: `python -m bench.picture_stages`.
 
 Every list and every value in the picture is computed by bench/_stages.py, the test of kernels/cull.py in the plane.
-Regions, cones of normals and parts of triangles are left out: octants are told apart by the same test, where the kernels
-ask which parts of the cell's triangles matter to each.
+Regions, cones of normals and parts of triangles are left out: octants are told apart by the same test, where the
+kernels ask which parts of the cell's triangles matter to each.
 """
 
 from __future__ import annotations
