@@ -92,21 +92,6 @@ def away(f: Frame, seen: Local):
 
 
 @wp.func
-def triangle_is_behind(cell: Cell, known: Witness, f: Frame, seen: Local):
-    """`is_behind` for a triangle that the cell's centre has seen."""
-    dx = seen.x - seen.near_x
-    dy = seen.y - seen.near_y
-    s_a = seen.x * dx + seen.y * dy
-    s_b = (seen.x - f.base) * dx + seen.y * dy
-    s_c = (seen.x - f.tip_x) * dx + (seen.y - f.tip_y) * dy
-    s = seen.height * seen.height + wp.min(s_a, wp.min(s_b, s_c))
-    u = away(f, seen)
-    if wp.dot(u, u) == 0.0:
-        return False
-    return is_behind(cell, known, u, s)
-
-
-@wp.func
 def remember(mine: Witness, u: wp.vec3):
     """The nearer of a lane's witness and the surface point at -u from the centre."""
     d2 = wp.dot(u, u)

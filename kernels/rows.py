@@ -51,16 +51,6 @@ def rows_of(rows: wp.array(dtype=wp.float32), worker: int) -> wp.uint64:
 def write_row(rows: wp.uint64, index: int, x: float, y: float, z: float, w: float): ...
 
 
-@wp.func_native(
-    snippet="""
-    struct alignas(16) Row { float x, y, z, w; };
-    const Row r = reinterpret_cast<const Row*>(rows)[index];
-    return wp::vec4(r.x, r.y, r.z, r.w);
-"""
-)
-def read_row(rows: wp.uint64, index: int) -> wp.vec4: ...
-
-
 @wp.func_native(snippet="reinterpret_cast<float*>(rows)[index] = value;")
 def write_number(rows: wp.uint64, index: int, value: float): ...
 
