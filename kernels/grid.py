@@ -29,21 +29,20 @@ def along(slab: Slab, axis: int, index: int):
 
 
 @wp.func
-def voxel(slab: Slab, i: int, j: int, k: int):
-    """A voxel centre, rounded to float32."""
-    if slab.turned != 0:
-        index = wp.vec3d(wp.float64(i + slab.first), wp.float64(j), wp.float64(k))
-        return wp.vec3(slab.origin + slab.axes * index)
-    return wp.vec3(along(slab, 0, i), along(slab, 1, j), along(slab, 2, k))
-
-
-@wp.func
 def place_of(slab: Slab, index: wp.vec3d):
     """The place, in float64, that belongs to indices in the slab, which need not be whole."""
     i = wp.vec3d(index[0] + wp.float64(slab.first), index[1], index[2])
     if slab.turned != 0:
         return slab.origin + slab.axes * i
     return slab.origin + wp.cw_mul(slab.spacing, i)
+
+
+@wp.func
+def voxel(slab: Slab, i: int, j: int, k: int):
+    """A voxel centre, rounded to float32."""
+    if slab.turned != 0:
+        return wp.vec3(place_of(slab, wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))))
+    return wp.vec3(along(slab, 0, i), along(slab, 1, j), along(slab, 2, k))
 
 
 @wp.func
