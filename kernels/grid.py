@@ -19,13 +19,34 @@ class Slab:
     first: wp.int32
 
 
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    return __dmul_rn(a, b);
+#else
+    return a * b;
+#endif
+"""
+)
+def rounded_product(a: wp.float64, b: wp.float64) -> wp.float64:
+    """a * b, rounded before anything is added to it: a fused product would move voxels from where the host has them."""
+    ...
+
+
 @wp.func
 def along(slab: Slab, axis: int, index: int):
     """The coordinate of a voxel centre of a grid that is not turned, rounded to float32: the point that is measured."""
     i = index
     if axis == 0:
         i = index + slab.first
-    return float(slab.origin[axis] + wp.float64(i) * slab.spacing[axis])
+    return float(slab.origin[axis] + rounded_product(wp.float64(i), slab.spacing[axis]))
+
+
+@wp.func
+def along_turned(slab: Slab, axis: int, i: wp.vec3d):
+    """The same coordinate of a grid that is turned."""
+    moved = rounded_product(slab.axes[axis, 0], i[0]) + rounded_product(slab.axes[axis, 1], i[1])
+    return float(slab.origin[axis] + (moved + rounded_product(slab.axes[axis, 2], i[2])))
 
 
 @wp.func
@@ -39,9 +60,10 @@ def place_of(slab: Slab, index: wp.vec3d):
 
 @wp.func
 def voxel(slab: Slab, i: int, j: int, k: int):
-    """A voxel centre, rounded to float32."""
+    """A voxel centre, rounded to float32: bit for bit what `sdm.Grid.points` gives."""
     if slab.turned != 0:
-        return wp.vec3(place_of(slab, wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))))
+        at = wp.vec3d(wp.float64(i + slab.first), wp.float64(j), wp.float64(k))
+        return wp.vec3(along_turned(slab, 0, at), along_turned(slab, 1, at), along_turned(slab, 2, at))
     return wp.vec3(along(slab, 0, i), along(slab, 1, j), along(slab, 2, k))
 
 

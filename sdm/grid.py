@@ -165,9 +165,9 @@ class Grid:
         """
         end = self.shape[0] if end is None else end
         index = np.meshgrid(np.arange(begin, end), *(np.arange(n) for n in self.shape[1:]), indexing="ij")
-        offset = [s * i for s, i in zip(self.spacing, index, strict=True)]
-        rows = np.asarray(self.direction)
-        xyz = [self.origin[a] + sum(rows[a, b] * offset[b] for b in range(3)) for a in range(3)]
+        # In the order in which `voxel` of `kernels/grid.py` rounds.
+        rows = np.asarray(self.direction) * np.asarray(self.spacing)
+        xyz = [self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)]
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
 
 
