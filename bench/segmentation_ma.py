@@ -85,11 +85,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
-    parser.add_argument("--augment", choices=("none", "published", "affine"), default="affine")
+    parser.add_argument("--augment", choices=("none", "published", "affine", "strong"), default="strong")
     parser.add_argument("--targets", choices=("case", "patch"), default="case")
     parser.add_argument("--filters", type=int, default=None)
     parser.add_argument("--dropout", type=float, default=None)
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
+    parser.add_argument("--mirrors", action=argparse.BooleanOptionalAction, default=True, help="average over them")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
@@ -121,6 +122,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                     "data": str(options.data),
                     "cases": options.cases,
                     "stride": options.stride,
+                    "mirrors": options.mirrors,
                     "compile": options.compile,
                 }
             )
@@ -167,7 +169,9 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
         return None
     begin = time.monotonic()
     with torch.no_grad():
-        scores = list(validate(training.model, kept["val"], settings.patch, stride=job["stride"]))
+        scores = list(
+            validate(training.model, kept["val"], settings.patch, stride=job["stride"], mirrors=job["mirrors"])
+        )
     log = {
         "training_s": training.seconds,
         "prediction_s": time.monotonic() - begin,

@@ -66,10 +66,11 @@ def protocol(logs: list[dict[str, Any]]) -> str:
     machines = sorted({log["machine"]["device"] for log in logs})
     seconds = statistics.median(log["training_s"] for log in logs)
     patch = "x".join(map(str, settings["patch"]))
+    mirrors = ", prediction averaged over mirror images" if logs[0]["job"].get("mirrors") else ""
     return (
         f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
-        f"{settings['targets']}; median training {seconds:.0f} s on {', '.join(machines)}."
+        f"{settings['targets']}{mirrors}; median training {seconds:.0f} s on {', '.join(machines)}."
     )
 
 

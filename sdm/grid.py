@@ -167,7 +167,9 @@ class Grid:
         index = np.meshgrid(np.arange(begin, end), *(np.arange(n) for n in self.shape[1:]), indexing="ij")
         # In the order in which `voxel` of `kernels/grid.py` rounds.
         rows = np.asarray(self.direction) * np.asarray(self.spacing)
-        xyz = [self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)]
+        xyz = [
+            self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)
+        ]
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
 
 

@@ -21,6 +21,7 @@ def segment(
         tuple[int, int, int] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: half a window)")
     ] = None,
     all_parts: bool = False,
+    mirrors: bool = False,
     device: str = "auto",
 ) -> int | None:
     """Segment images by a network of `sdm train segmentation`.
@@ -34,6 +35,7 @@ def segment(
         out: Folder for the results; made if it is not there.
         stride: Voxels between the windows in which the network sees the image.
         all_parts: Keep every connected part, not only the largest.
+        mirrors: Average over the eight mirror images: a little more accurate, eight times the work.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.meter import Meter
@@ -53,7 +55,14 @@ def segment(
     with Meter("images") as meter:
         for number, case in enumerate(cases):
             meter(number, len(cases))
-            found = predict(trained.model, case.image, trained.settings.patch, stride=stride, largest=not all_parts)
+            found = predict(
+                trained.model,
+                case.image,
+                trained.settings.patch,
+                stride=stride,
+                largest=not all_parts,
+                mirrors=mirrors,
+            )
             label, distances = write_prediction(case, found.label, out)
             print(label if distances is None else f"{label} {distances}", flush=True)
             if distances is None:

@@ -19,7 +19,7 @@ def segmentation(
     steps: int = 2000,
     optimizer: Literal["adam", "sgd"] = "adam",
     learning_rate: float = 1e-3,
-    augment: Literal["none", "published", "affine"] = "affine",
+    augment: Literal["none", "published", "affine", "strong"] = "strong",
     targets: Literal["case", "patch"] = "case",
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
@@ -49,7 +49,8 @@ def segmentation(
         steps: Steps of the optimiser.
         optimizer: adam or sgd, its learning rate rising for a moment and then falling to zero.
         learning_rate: The highest learning rate.
-        augment: Random changes of patches: none; quarter turns and mirror images as published; affine.
+        augment: Random changes of patches: none; quarter turns and mirror images as published; affine; strong, which
+            also changes contrast, shading and sharpness.
         targets: Distance maps of whole cases, or of each patch by itself, as in Ma's public code.
         filters: Channels of the finest level.
         dropout: Probability with which channels of the coarsest level are dropped.

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-Augment = Literal["none", "published", "affine"]
+Augment = Literal["none", "published", "affine", "strong"]
 
-LARGEST_ANGLE = math.radians(15.0)
-LARGEST_SCALE = 1.15
+# Largest angle, scale, gain and shift of "affine" and of "strong".
+LARGEST_ANGLE = {"affine": math.radians(15.0), "strong": math.radians(30.0)}
+LARGEST_SCALE = {"affine": 1.15, "strong": 1.35}
+GAIN = {"affine": 0.2, "strong": 0.3}
+SHIFT = {"affine": 0.2, "strong": 0.3}
 NOISE = 0.1
-GAIN = 0.2
-SHIFT = 0.2
+# Of "strong" alone: exponent of the intensities, logarithm of the coil's shading, share of blurred patches.
+LARGEST_GAMMA, SHADING, BLURRED = 1.6, 0.3, 0.3
 
 
 @dataclass(frozen=True)
 class Draw:
-    """What was drawn for one patch: five independent parts, each used or not as the augmentation says."""
+    """What was drawn for one patch: independent parts, each used or not as the augmentation says."""
 
     case: int
     place: Tensor
@@ -29,6 +32,9 @@ class Draw:
     gain: float
     shift: float
     noise: int
+    gamma: float = 1.0
+    shading: float = 0.0
+    blur: float = 0.0
 
 
 def draw(seed: int, step: int, row: int, cases: int, kind: Augment) -> Draw:
@@ -41,7 +47,8 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment) -> Draw:
         cases: How many cases there are to choose from.
         kind: "none": only the case and the place. "published": also a quarter turn about z and a mirror image, as in
             Ma's code. "affine": also turns of up to 15 degrees about every axis, scales of 1/1.15 to 1.15, mirror
-            images, and noise, gain and shift of the intensities.
+            images, and noise, gain and shift of the intensities. "strong": more of all these, and of what sets scanners
+            apart: the contrast's exponent, smooth shading as of a coil, and blur.
 
     Returns:
         `place` (3,) in 0..1 and `turn` (3,3), a rotation or reflection.
@@ -59,12 +66,21 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment) -> Draw:
         axis = int(uniform[5] * 2)
         turn[axis] *= -1 if uniform[6] < 0.5 else 1
         return Draw(case, uniform[1:4], turn, 1.0, 1.0, 0.0, noise)
-    angles = (2 * uniform[4:7] - 1) * LARGEST_ANGLE
+    angles = (2 * uniform[4:7] - 1) * LARGEST_ANGLE[kind]
     mirror = torch.diag(torch.where(uniform[7:10] < 0.5, -1.0, 1.0).double())
-    scale = LARGEST_SCALE ** (2 * float(uniform[10]) - 1)
-    gain, shift = 2 * torch.rand(2, generator=random, dtype=torch.float64) - 1
-    return Draw(
-        case, uniform[1:4], rotation(angles) @ mirror, scale, 1 + GAIN * float(gain), SHIFT * float(shift), noise
+    scale = LARGEST_SCALE[kind] ** (2 * float(uniform[10]) - 1)
+    gain, shift = (2 * torch.rand(2, generator=random, dtype=torch.float64) - 1).tolist()
+    drawn = Draw(
+        case, uniform[1:4], rotation(angles) @ mirror, scale, 1 + GAIN[kind] * gain, SHIFT[kind] * shift, noise
+    )
+    if kind == "affine":
+        return drawn
+    gamma, shading, blurred, blur = torch.rand(4, generator=random, dtype=torch.float64).tolist()
+    return replace(
+        drawn,
+        gamma=LARGEST_GAMMA ** (2 * gamma - 1),
+        shading=SHADING * shading,
+        blur=blur if blurred < BLURRED else 0.0,
     )
 
 

@@ -80,8 +80,8 @@ class Patches:
         draws = [draw(seed, step, row, len(self), augment) for row in range(count)]
         volumes = torch.cat([self._cut(d) for d in draws])
         image, label = volumes[:, :1], volumes[:, 1:2] > 0.5
-        if augment == "affine":
-            image = self._intensities(image, draws)
+        if augment in ("affine", "strong"):
+            image = self._intensities(image, draws, scanner=augment == "strong")
         return Patch(image, label, self._map(volumes, label, draws))
 
     def _map(self, volumes: Tensor, label: Tensor, draws: Sequence[Draw]) -> Tensor | None:
@@ -112,10 +112,33 @@ class Patches:
         points = functional.affine_grid(theta[None], [1, 1, *self.size], align_corners=True)
         return functional.grid_sample(volume[None], points, padding_mode="border", align_corners=True)
 
-    def _intensities(self, image: Tensor, draws: Sequence[Draw]) -> Tensor:
+    def _intensities(self, image: Tensor, draws: Sequence[Draw], *, scanner: bool) -> Tensor:
         random = torch.Generator(self.device).manual_seed(draws[0].noise)
         noise = torch.randn(image.shape, generator=random, device=self.device)
-        gain, shift = (
-            image.new_tensor([getattr(d, name) for d in draws]).view(-1, 1, 1, 1, 1) for name in ("gain", "shift")
-        )
+        # One transfer for all numbers, (B,1,1,1,1) each.
+        drawn = image.new_tensor([[d.gain, d.shift, d.gamma, d.shading, d.blur] for d in draws])
+        gain, shift, gamma, shading, blur = drawn.T.reshape(5, -1, 1, 1, 1, 1)
+        if scanner:
+            shade = torch.randn((len(draws), 1, 4, 4, 4), generator=random, device=self.device)
+            image = _as_if_by_another_scanner(image, gamma, (shading * shade).exp(), blur)
         return image * gain + shift + NOISE * noise
+
+
+def _as_if_by_another_scanner(image: Tensor, gamma: Tensor, shade: Tensor, blur: Tensor) -> Tensor:
+    """Images (B,1,x,y,z) of another contrast, coil and sharpness, of their own mean and deviation.
+
+    Args:
+        image: Of any scale.
+        gamma: (B,1,1,1,1) exponents.
+        shade: (B,1,n,n,n) factors on a coarse grid.
+        blur: (B,1,1,1,1) in 0..1: the share of the mean over 3^3 voxels.
+    """
+    axes = (1, 2, 3, 4)
+    mean, deviation = image.mean(axes, keepdim=True), image.std(axes, keepdim=True)
+    low = image.amin(axes, keepdim=True)
+    width = (image.amax(axes, keepdim=True) - low).clamp_min(1e-6)
+    value = ((image - low) / width).pow(gamma)
+    value = value * functional.interpolate(shade, image.shape[2:], mode="trilinear", align_corners=True)
+    value = torch.lerp(value, functional.avg_pool3d(value, 3, 1, 1, count_include_pad=False), blur)
+    change = deviation / value.std(axes, keepdim=True).clamp_min(1e-6)
+    return mean + change * (value - value.mean(axes, keepdim=True))

@@ -26,7 +26,7 @@ class Settings:
             steps and falls to zero along a cosine.
         learning_rate: Highest.
         weight_decay: Decoupled with adam, L2 with sgd.
-        augment: "none", "published" or "affine": see `augment.draw`.
+        augment: "none", "published", "affine" or "strong": see `augment.draw`.
         targets: Distance maps of the whole "case", or of the "patch" as published.
         filters: Of the network's finest level; None: the paper's.
         dropout: Of the coarsest level; None: the paper's.

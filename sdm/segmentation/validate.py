@@ -16,6 +16,7 @@ def validate(
     window: Sequence[int],
     *,
     stride: Sequence[int] | None = None,
+    mirrors: bool = False,
     batch: int = 4,
 ) -> Iterator[tuple[str, dict[str, float | bool], dict[str, float | bool]]]:
     """For each case its name, its scores as predicted, and those of the largest connected component alone.
@@ -25,10 +26,11 @@ def validate(
         cases: With labels.
         window: Voxels of a window.
         stride: See `sliding_window`.
+        mirrors: See `predict`.
         batch: Windows at a time.
     """
     for case in cases:
-        found = predict(model, case.image, window, stride=stride, largest=False, batch=batch)
+        found = predict(model, case.image, window, stride=stride, largest=False, mirrors=mirrors, batch=batch)
         if case.label is None:
             raise ValueError(f"{case.name} has no label")
         truth = case.label.to(found.label.device)

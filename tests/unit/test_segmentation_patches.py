@@ -8,6 +8,7 @@ import torch
 from sdm.segmentation import METHODS, Patches, distance_map
 from sdm.segmentation.augment import draw
 from sdm.segmentation.case import standardized
+from sdm.segmentation.patches import _as_if_by_another_scanner
 from tests.segmentation_cases import case
 
 SIZE = (16, 8, 12)
@@ -31,7 +32,7 @@ def test_a_patch_that_is_not_turned_is_a_copy():
         torch.testing.assert_close(batch.map[row, 0], whole[box], atol=1e-3, rtol=1e-4)
 
 
-@pytest.mark.parametrize("augment", ["none", "published", "affine"])
+@pytest.mark.parametrize("augment", ["none", "published", "affine", "strong"])
 def test_a_batch_depends_on_seed_and_step_alone(augment):
     first, second = (Patches([case(0), case(1)], "signed", SIZE, "cpu") for _ in range(2))
     first.batch(2, seed=3, step=0, augment=augment)
@@ -89,3 +90,28 @@ def test_every_method_has_its_map():
     for method in METHODS.values():
         batch = Patches([case(0)], method.map, SIZE, "cpu").batch(1, seed=0, step=0)
         assert (batch.map is None) == (method.map is None)
+
+
+def test_another_scanner_changes_contrast_but_not_brightness():
+    image = standardized(case(0).image)[None, None].repeat(2, 1, 1, 1, 1)
+    drawn = torch.tensor([[1.5, 0.8], [0.6, 0.0]]).reshape(2, 2, 1, 1, 1, 1)
+    flat = torch.ones(2, 1, 4, 4, 4)
+    found = _as_if_by_another_scanner(image, drawn[0], flat, drawn[1])
+    torch.testing.assert_close(found.mean((1, 2, 3, 4)), image.mean((1, 2, 3, 4)), atol=1e-4, rtol=0)
+    torch.testing.assert_close(found.std((1, 2, 3, 4)), image.std((1, 2, 3, 4)), atol=1e-4, rtol=0)
+    # Unblurred, an exponent keeps the order of the voxels; blurred it does not.
+    order = image[0].flatten().argsort()
+    unblurred = _as_if_by_another_scanner(image, drawn[0], flat, torch.zeros_like(drawn[1]))
+    assert (unblurred[0].flatten()[order].diff() >= -1e-5).all()
+    assert not (found[0].flatten()[order].diff() >= -1e-5).all()
+
+
+def test_shading_is_smooth():
+    image = torch.linspace(1, 2, 24).expand(1, 1, 24, 24, 24).clone()
+    shade = torch.ones(1, 1, 4, 4, 4)
+    shade[:, :, 0] = 2
+    one = torch.ones(1, 1, 1, 1, 1)
+    found = _as_if_by_another_scanner(image, one, shade, 0 * one)
+    along = found[0, 0, :, 12, 12]
+    assert along[0] > 1.2 * along[-1]
+    assert along.diff().abs().max() < 0.3 * (along[0] - along[-1])

@@ -159,3 +159,14 @@ def test_files_that_are_not_networks(tmp_path, content):
     torch.save({"something": "else"}, path)
     with pytest.raises(FormatError, match="not a trained"):
         load_model(path)
+
+
+def test_mirror_images_are_predicted_alike():
+    model = train(patches("baseline"), settings(steps=4)).model
+    # One window: several would not be placed alike from the other side.
+    image = case(5).image[:16, :16, :16]
+    found = predict(model, image, SIZE, mirrors=True).field
+    for axis in range(3):
+        turned = predict(model, image.flip(axis), SIZE, mirrors=True).field.flip(axis)
+        torch.testing.assert_close(turned, found, atol=1e-5, rtol=1e-4)
+    assert not torch.allclose(predict(model, image, SIZE).field, found, atol=1e-3)
