@@ -43,7 +43,7 @@ def sdmnn(
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
         channels: Feature maps of the network.
         recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
-            ones alone; mostly-online has a tenth of the 625 and of the box's corners, the others denser towards the ends
+            ones alone; mostly-online has a tenth of the 625 and of the 16 corners, the others denser towards the ends
             of each parameter.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
         budget_s: Seconds for all of it; the learning rate follows the clock.
