@@ -55,10 +55,7 @@ def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Pat
     """The model card."""
     errors, training = facts["errors"], facts["training"]
     box = "\n".join(f"| {name} | {low:g} | {high:g} | {unit} |" for name, low, high, unit in facts["parameters"])
-    # What a command would have to say; all else is as it comes (the Sobolev term by the command's default).
-    usual = asdict(Settings(sobolev=0.05))
-    asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
-    options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+    before = f"It went on from weights of {made_by(facts['started_from'])}.\n" if "started_from" in facts else ""
     lines = "\n".join(f"| {label} | {errors[key]:.4f} |" for key, label in COLUMNS.items())
     return f"""# Model card: {facts["model"]}
 
@@ -90,11 +87,22 @@ Measured by `python -m bench.surrogate --parts accuracy` on: {machine["device"]}
 
 ## Training
 
-`sdm train sdmnn {" ".join(options)}`:
-{training["step"]:,} steps of {training["batch_size"]} maps in {training["seconds"]:g} s, all made by the exact engine
-during the training (seed {training["seed"]}). Data: synthetic alone; the family's constants were tuned to the mean of
+{made_by(training)}.
+{before}All maps were made by the exact engine during the training (seed {training["seed"]}). Data: synthetic alone; the family's constants were tuned to the mean of
 15 real human scalae tympani (Froehlich 2024, CC BY 4.0).
 """
+
+
+def made_by(training: dict[str, Any]) -> str:
+    """The command of a training, and what it took."""
+    # What a command would have to say; all else is as it comes (the Sobolev term by the command's default).
+    usual = asdict(Settings(sobolev=0.05))
+    asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
+    options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+    return (
+        f"`sdm train sdmnn {' '.join(options)}`, {training['step']:,} steps of {training['batch_size']} maps in "
+        f"{training['seconds']:g} s"
+    )
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def sdmnn(
     from sdm.device import choose_device
     from sdm.errors import FormatError
     from sdm.surrogate.settings import Settings
-    from sdm.surrogate.store import save_weights
+    from sdm.surrogate.store import save_weights, training_of
     from sdm.surrogate.training import Trainer
 
     plain = loss == "mse"
@@ -106,6 +106,8 @@ def sdmnn(
     trained = trainer.run()
     target = out / f"{name}.safetensors"
     facts = {**asdict(settings), "start": start and start.name}
-    save_weights(trained, target, training={**facts, "step": trainer.step, "seconds": round(trainer.clock.seconds, 1)})
+    facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
+    before = {} if start is None else {"started_from": training_of(start)}
+    save_weights(trained, target, training=facts, **before)
     print(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
     return None

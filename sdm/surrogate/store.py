@@ -75,6 +75,13 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
     return model.eval().requires_grad_(False).to(device), config
 
 
+def training_of(source: Path) -> dict[str, Any]:
+    """How weights were trained, as their JSON file says, with what that began from, and so on."""
+    facts = json.loads(source.with_suffix(".json").read_text())
+    before = {"started_from": facts["started_from"]} if "started_from" in facts else {}
+    return {**facts.get("training", {}), **before}
+
+
 def _pack(name: str, value: Tensor) -> dict[str, Tensor]:
     if name == "modes" and value.shape[0] > FINE_ROWS:
         fine, coarse = value[:FINE_ROWS], value[FINE_ROWS:].float()
