@@ -58,15 +58,22 @@ def main() -> None:
         "samples": samples(shapes, device, budget_ms),
         "share": {},
     }
+    print(json.dumps(result, indent=1), flush=True)
+    write(result, options.out)
     for variant in VARIANTS:
         changes = {} if gpu else {"shapes": 4, "points": 512}
         settings = VARIANTS[variant](**changes)
         result["share"][variant] = share(shapes, settings, device, gpu and not options.no_compile, budget_ms)
-    print(json.dumps(result, indent=1))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    part = options.out.with_suffix(".part")
+        print(json.dumps({variant: result["share"][variant]}, indent=1), flush=True)
+        # Each part as soon as it is there: networks take a minute to compile.
+        write(result, options.out)
+
+
+def write(result: dict[str, Any], out: Path) -> None:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = out.with_suffix(".part")
     part.write_text(json.dumps(result, indent=1) + "\n")
-    part.replace(options.out)
+    part.replace(out)
 
 
 def check(shapes: ShapeSet) -> None:

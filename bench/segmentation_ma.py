@@ -85,7 +85,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
-    parser.add_argument("--augment", choices=("none", "published", "affine", "strong"), default="strong")
+    parser.add_argument("--augment", choices=("none", "published", "affine", "strong"), default="affine")
     parser.add_argument("--targets", choices=("case", "patch"), default="case")
     parser.add_argument("--filters", type=int, default=None)
     parser.add_argument("--dropout", type=float, default=None)

@@ -88,15 +88,15 @@ Measured by `python -m bench.surrogate --parts accuracy` on: {machine["device"]}
 ## Training
 
 {made_by(training)}.
-{before}All maps were made by the exact engine during the training (seed {training["seed"]}). Data: synthetic alone; the family's constants were tuned to the mean of
-15 real human scalae tympani (Froehlich 2024, CC BY 4.0).
+{before}All maps were made by the exact engine during the training (seed {training["seed"]}). Data: synthetic alone; the
+family's constants were tuned to the mean of 15 real human scalae tympani (Froehlich 2024, CC BY 4.0).
 """
 
 
 def made_by(training: dict[str, Any]) -> str:
     """The command of a training, and what it took."""
-    # What a command would have to say; all else is as it comes (the Sobolev term by the command's default).
-    usual = asdict(Settings(sobolev=0.05))
+    # What a command would have to say; all else is as it comes.
+    usual = asdict(Settings())
     asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
     options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
     return (

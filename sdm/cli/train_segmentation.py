@@ -19,7 +19,7 @@ def segmentation(
     steps: int = 2000,
     optimizer: Literal["adam", "sgd"] = "adam",
     learning_rate: float = 1e-3,
-    augment: Literal["none", "published", "affine", "strong"] = "strong",
+    augment: Literal["none", "published", "affine", "strong"] = "affine",
     targets: Literal["case", "patch"] = "case",
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,

@@ -46,7 +46,7 @@ class Settings:
         rate: Largest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
         coarse: Weight of the error of the coarse maps of SDMNN+, so that they are of use on their own.
-        eikonal: Weight of | |grad f| - 1 |.
+        eikonal: Weight of | |grad f| - 1 |; loss "mse" leaves it out, and the next term.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
         sobolev_every: Steps between its uses, on 4 fresh shapes each.
         start: File of weights to go on from, in place of a beginning of its own; its sizes replace those given here.
@@ -70,7 +70,7 @@ class Settings:
     surface: float = 1.0
     coarse: float = 0.1
     eikonal: float = 0.01
-    sobolev: float = 0.0
+    sobolev: float = 0.05
     sobolev_every: int = 16
     start: str | None = None
     ema: float = 0.998

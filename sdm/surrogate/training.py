@@ -119,7 +119,7 @@ class Trainer:
         theta, exact = self.replay.draw(settings.batch_size, self.step)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
             loss = self._fast(theta, exact)
-        if settings.sobolev and self.step % settings.sobolev_every == 0:
+        if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
             generator = torch.Generator().manual_seed(settings.seed * 999_983 + self.step)
             loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
         self._optimizer.zero_grad(set_to_none=True)
