@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from sdm.errors import SDMError
 from sdm.io.atomic import replacing
+from sdm.surrogate.plus import SDMNNPlus
 
 OPSET = 18
+
+
+# Two shapes, as one would make the batch a constant.
+EXAMPLE = ((3.7, 0.45, 0.146, 0.6), (2.0, 0.0, 0.05, 0.0))
 
 
 def export_onnx(model: nn.Module, target: Path) -> None:
@@ -24,22 +31,52 @@ def export_onnx(model: nn.Module, target: Path) -> None:
     Raises:
         SDMError: The exporter is not installed.
     """
+    _export(model.eval(), (torch.tensor(EXAMPLE),), ["theta"], ["sdm"], target)
+
+
+def export_halves(model: SDMNNPlus, first: Path, second: Path) -> None:
+    """Write what of SDMNN+ needs float32 and what does not as two files: `interpolated`, whose outputs `refined` takes.
+
+    Raises:
+        SDMError: The exporter is not installed.
+    """
+    between = ["around", "gains", "plain"]
+    theta = torch.tensor(EXAMPLE)
+    with torch.no_grad():
+        example = model.eval().interpolated(theta)
+    _export(_Method(model, model.interpolated), (theta,), ["theta"], between, first)
+    _export(_Method(model, model.refined), example, between, ["sdm"], second)
+
+
+class _Method(nn.Module):
+    """A method of a model as a module, which is what the exporter takes."""
+
+    def __init__(self, model: nn.Module, method: Callable[..., Any]) -> None:
+        super().__init__()
+        self.model, self._method = model, method
+
+    def forward(self, *inputs: Tensor) -> Any:
+        return self._method(*inputs)
+
+
+def _export(
+    module: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str], target: Path
+) -> None:
     try:
         import onnxscript  # noqa: F401  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise SDMError("export to ONNX needs the extra `onnx`: pip install 'warp-sdm[onnx]'") from error
-    # Two shapes, as one would make the batch a constant.
-    example = torch.tensor([[3.7, 0.45, 0.146, 0.6], [2.0, 0.0, 0.05, 0.0]])
     batch = torch.export.Dim("batch", min=1, max=4096)
+    shapes = tuple({0: batch} for _ in example)
     with warnings.catch_warnings(), replacing(target) as part:
         # The exporter warns of its own parts.
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            model.eval(),
-            (example,),
-            input_names=["theta"],
-            output_names=["sdm"],
-            dynamic_shapes={"theta": {0: batch}},
+            module,
+            example,
+            input_names=inputs,
+            output_names=outputs,
+            dynamic_shapes=(shapes,) if isinstance(module, _Method) else shapes,
             opset_version=OPSET,
             dynamo=True,
             verbose=False,

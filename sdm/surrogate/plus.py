@@ -69,15 +69,31 @@ class SDMNNPlus(nn.Module):
 
     def both(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """The coarse maps as `low_rank` gives them, and the maps that are made of them."""
+        coarse, *interpolated = self._interpolated(theta)
+        return coarse, self.refined(*interpolated)
+
+    def interpolated(self, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What `refined` needs of theta (B,4), the part that needs float32.
+
+        Returns:
+            The coarse maps (B,8,22,18,12) [mm] with their borders repeated, the refinement's gains (B,depth+1,2,C,1),
+            and the maps (B,64,20,16,10) [mm] in blocks, interpolated.
+        """
+        return self._interpolated(theta)[1:]
+
+    def _interpolated(self, theta: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         with full_precision(theta):
             state, coarse = self._begin(theta)
             around = nn.functional.pad(coarse, (1,) * 6, mode="replicate")
             plain = self.interpolate(around)
-        gains = self.film(state).reshape(theta.shape[0], len(self.middle) + 1, 2, -1, 1)
+        return coarse, around, self.film(state).reshape(theta.shape[0], len(self.middle) + 1, 2, -1, 1), plain
+
+    def refined(self, around: Tensor, gains: Tensor, plain: Tensor) -> Tensor:
+        """Maps (B,1,80,64,40) [mm] of what `interpolated` gave: small corrections, for which bfloat16 is enough."""
         x = _modulated(self.first(around) + self.place, gains[:, 0])
         for number, layer in enumerate(self.middle, 1):
             x = x + _modulated(layer(x), gains[:, number])
-        return coarse, merge(plain + self.last(x).to(plain.dtype), FINE)
+        return merge(plain + self.last(x).to(plain.dtype), FINE)
 
     def coarse(self, theta: Tensor) -> Tensor:
         """Maps (B,1,40,32,20) [mm] of theta (B,4) on `COARSE_GRID`, before they are refined: a tenth of the work.

@@ -13,7 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from sdm.errors import SDMError
-from sdm.surrogate.onnx import export_onnx
+from sdm.surrogate.onnx import export_halves, export_onnx
+from sdm.surrogate.openvino_stages import Stages, has_bfloat16
+from sdm.surrogate.plus import SDMNNPlus
 
 # Fastest first, as `python -m bench.surrogate --parts timing` measures; the first that is installed is the default.
 BACKENDS = ("openvino", "onnxruntime", "torch")
@@ -27,13 +29,15 @@ def available() -> list[str]:
     return [name for name in BACKENDS if all(find_spec(module) is not None for module in NEEDS[name])]
 
 
-def runner(model: nn.Module, backend: str | None = None, threads: int | None = None) -> Run:
+def runner(model: nn.Module, backend: str | None = None, threads: int | None = None, *, bfloat16: bool = True) -> Run:
     """A function from theta (B,4) to maps (B,1,80,64,40) [mm], float32 on the host, without gradients.
 
     Args:
         model: A surrogate on the host.
         backend: "torch", "onnxruntime" or "openvino"; by default the fastest that is installed.
         threads: Cores to use; all of this process by default.
+        bfloat16: Let OpenVINO work out the refinement of SDMNN+ in bfloat16 where the processor has it: a quarter
+            quicker, and within 0.005 mm of float32 (0.0002 mm in the mean, a twentieth of the network's own error).
 
     Raises:
         SDMError: The backend is not there.
@@ -45,9 +49,13 @@ def runner(model: nn.Module, backend: str | None = None, threads: int | None = N
     if backend == "torch":
         return _torch(model.eval())
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "surrogate.onnx"
-        export_onnx(model, file)
-        return (_onnxruntime if backend == "onnxruntime" else _openvino)(file, threads)
+        files = [(Path(folder) / "surrogate.onnx", "f32")]
+        if backend == "openvino" and bfloat16 and isinstance(model, SDMNNPlus) and has_bfloat16():
+            files = [(Path(folder) / "interpolated.onnx", "f32"), (Path(folder) / "refined.onnx", "bf16")]
+            export_halves(model, files[0][0], files[1][0])
+        else:
+            export_onnx(model, files[0][0])
+        return _onnxruntime(files[0][0], threads) if backend == "onnxruntime" else _openvino(files, threads)
 
 
 def _torch(model: nn.Module) -> Run:
@@ -72,18 +80,9 @@ def _onnxruntime(file: Path, threads: int) -> Run:
     return run
 
 
-def _openvino(file: Path, threads: int) -> Run:
-    import openvino  # pyright: ignore[reportMissingImports]
-
-    core = openvino.Core()
-    hints = {"INFERENCE_NUM_THREADS": threads, "PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
-    request = core.compile_model(core.read_model(file), "CPU", hints).create_infer_request()
-
-    def run(theta: Tensor) -> Tensor:
-        # A copy: the next call writes into the same memory.
-        return torch.from_numpy(np.array(request.infer({"theta": _array(theta)})[0]))
-
-    return run
+def _openvino(files: list[tuple[Path, str]], threads: int) -> Run:
+    stages = Stages(files, threads)
+    return lambda theta: torch.from_numpy(stages(_array(theta)))
 
 
 def _array(theta: Tensor) -> np.ndarray:

@@ -7,7 +7,7 @@ import torch
 
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea
-from sdm.surrogate import SDMNNPlus, build
+from sdm.surrogate import Predictor, SDMNNPlus, build, load_surrogate
 from sdm.surrogate.runtime import BACKENDS, NEEDS, available, runner
 
 # The exporter warns of its own parts, and of libraries that it does not need here.
@@ -23,11 +23,24 @@ def test_every_backend_gives_torchs_maps(name, backend):
     model = build(name, channels=4, **({"modes": 5} if name == "sdmnn-plus" else {})).eval()
     if isinstance(model, SDMNNPlus):
         torch.nn.init.normal_(model.last.weight, std=0.1)
-    run = runner(model, backend, threads=1)
+    run = runner(model, backend, threads=1, bfloat16=False)
     for count in (1, 3):
         theta = Cochlea().sample(count, device="cpu")
         with torch.no_grad():
             torch.testing.assert_close(run(theta), model(theta), atol=1e-4, rtol=1e-4)
+
+
+def test_bfloat16_of_the_refinement_is_close():
+    for module in NEEDS["openvino"]:
+        pytest.importorskip(module)
+    predictor, run = Predictor(backend="torch"), runner(load_surrogate(), "openvino", threads=1)
+    # The batch of one in the middle has networks of its own; what came before it must stay as it was.
+    thetas = [Cochlea().sample(count, seed=count, device="cpu") for count in (2, 1, 3)]
+    found = [run(theta) for theta in thetas]
+    for theta, maps in zip(thetas, found, strict=True):
+        error = (maps - predictor.maps(theta)).abs()
+        assert float(error.max()) < 0.01
+        assert float(error.mean()) < 5e-4
 
 
 def test_torch_is_always_there_and_others_are_refused_in_a_sentence():
