@@ -15,8 +15,6 @@ from sdm.sampling import UnitSphere, surface_points
 
 # As J. Park et al., CVPR 2019, section 6.
 POINTS = 30_000
-# Rows of a matrix of distances at a time on a GPU.
-ROWS = 2048
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,11 +83,7 @@ def score_shape(
 
 
 def _mean_squared(a: Tensor, b: Tensor) -> float:
-    if a.is_cuda:
-        nearest = torch.cat(
-            [torch.cdist(part, b, compute_mode="donot_use_mm_for_euclid_dist").amin(1) for part in a.split(ROWS)]
-        )
-        return float(nearest.double().square().mean())
+    # On the host whatever the device: 40 ms, where torch.cdist without a matrix product takes a second on a GPU.
     from scipy.spatial import KDTree
 
-    return float((KDTree(b.double().numpy()).query(a.double().numpy())[0] ** 2).mean())
+    return float((KDTree(b.double().cpu().numpy()).query(a.double().cpu().numpy())[0] ** 2).mean())
