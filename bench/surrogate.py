@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--modes", type=int, default=256, help="modes of PODChebyshev")
     parser.add_argument("--degree", type=int, default=8, help="total degree of PODChebyshev")
     parser.add_argument("--budget-s", type=float, default=float("inf"), help="begin no further model after this")
-    parser.add_argument("--runs", type=int, default=20, help="timed calls of each method, if the budget allows")
+    parser.add_argument("--runs", type=int, default=200, help="timed calls of each method, if the budget allows")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="cores for the CPU's methods")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--out", type=Path)

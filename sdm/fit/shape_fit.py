@@ -31,6 +31,8 @@ LARGEST_IMAGE = 1 << 23
 SMALLEST_AXIS = 8
 # Fits to the coarse image: the logistic's length [mm], and steps of how many posterior standard deviations end them.
 COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
+# Where another backend takes over, in the same measure: a surrogate is off by as much.
+HANDOVER = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +128,7 @@ def _fit(
     steps = {"start": start.steps}
     hopeless = diagnose(small, wide, start.point, prior, start.converged, names).hopeless
 
-    def stage(name: str, using: Backend, start: State, appearance: Appearance) -> Outcome:
+    def stage(name: str, using: Backend, start: State, appearance: Appearance, tolerance: float) -> Outcome:
         found = minimise(
             renderer_of(grid, using, options),
             values,
@@ -134,15 +136,16 @@ def _fit(
             appearance,
             prior,
             most_steps=0 if hopeless else options.most_steps,
-            tolerance=options.tolerance,
+            tolerance=tolerance,
             report=None if report is None else partial(report, name),
         )
         steps[name] = found.steps
         return found
 
-    found = stage("fine", backend, start.point.state, start.point.appearance)
+    close = options.tolerance if finish is None else max(HANDOVER, options.tolerance)
+    found = stage("fine", backend, start.point.state, start.point.appearance, close)
     if finish is not None:
-        found = stage("finish", finish, found.point.state, found.point.appearance)
+        found = stage("finish", finish, found.point.state, found.point.appearance, options.tolerance)
     at = found.point
     diagnosis = diagnose(values, grid, at, prior, found.converged, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
