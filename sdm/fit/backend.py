@@ -61,3 +61,15 @@ class HasRough(Protocol):
 def rough_of(backend: Backend) -> Backend:
     """What to look at coarse images with: the backend's cheaper one if there is one, else itself."""
     return (backend.rough() if isinstance(backend, HasRough) else None) or backend
+
+
+@runtime_checkable
+class HasAnchor(Protocol):
+    """A backend whose own errors can be taken out at one shape."""
+
+    # Whether this one can be anchored.
+    can_anchor: bool
+
+    def anchored(self, theta: Tensor) -> Backend:
+        """The same backend, exact for theta (P,) and more exact near it; this one stays as it is."""
+        ...

@@ -6,11 +6,13 @@ as much as the posterior is wide.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+from sdm.errors import SDMError
 from sdm.fit.backend import Distances
 from sdm.fit.initial import middle_of
 from sdm.fit.jacobian import with_jacobian
@@ -33,6 +35,7 @@ class GridBackend:
         name: What to call it in reports.
         slack: How far values may be from true distances near the surface [mm].
         rough: A model of the same maps on a coarser grid, for coarse images.
+        exact: From theta (1,P) float32 to the exact maps (1,1,nx,ny,nz), for `anchored`.
 
     Values and derivatives in space and in theta belong to one and the same smooth function.
     """
@@ -47,12 +50,15 @@ class GridBackend:
         name: str = "surrogate",
         slack: float = SLACK,
         rough: tuple[Callable[[Tensor], Tensor], Grid] | None = None,
+        exact: Callable[[Tensor], Tensor] | None = None,
     ) -> None:
         self.model, self.grid, self.name, self.slack = model, grid, name, slack
         self.parameters = Cochlea.parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
-        self._rough = rough
+        self._rough, self._exact = rough, exact
+        self.can_anchor = exact is not None
+        self._difference: Tensor | None = None
         # The model is work for all threads, whatever the fit around it uses.
         self._threads = torch.get_num_threads()
         self.centre = self._centre()
@@ -68,12 +74,31 @@ class GridBackend:
         rough.centre, rough.slack = self.centre, 2 * self.slack
         return rough
 
+    def anchored(self, theta: Tensor) -> GridBackend:
+        """This backend with the difference between the exact map and the model's at theta (P,) added to every map.
+
+        A model's error changes slowly with theta, so most of it is gone near there too, for the price of one exact
+        map. The derivatives are the model's.
+
+        Raises:
+            SDMError: The backend was made without `exact`.
+        """
+        if self._exact is None:
+            raise SDMError(f"the backend {self.name} has no exact maps to be anchored by: give it `exact`")
+        at = theta.detach().to(self.device).float()[None]
+        found = copy.copy(self)
+        with torch.no_grad(), threads(self._threads):
+            found._difference = (self._exact(at) - self.model(at))[0]
+        found.evaluations += 1
+        found._theta = found._stack = None
+        return found
+
     def distances(self, theta: Tensor, points: Tensor) -> Tensor:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
         self._move_to(theta, derivatives=False)
         assert self._stack is not None  # noqa: S101 - for the type checker
         at, beyond = self._places(points)
-        return _interpolate(self._stack[:1], at)[0][0] + beyond
+        return _interpolate(self._stack[..., :1].contiguous(), at)[0][:, 0] + beyond
 
     def with_derivatives(self, theta: Tensor, points: Tensor) -> Distances:
         """Signed distances with their derivatives by theta and point, all float64."""
@@ -83,18 +108,22 @@ class GridBackend:
         values, slopes = _interpolate(self._stack, at, slopes=True)
         assert slopes is not None  # noqa: S101 - for the type checker
         spacing = torch.tensor(self.grid.spacing, dtype=torch.float64, device=self.device)
-        return Distances(values[0] + beyond, values[1:].T, slopes / spacing)
+        return Distances(values[:, 0] + beyond, values[:, 1:], slopes / spacing)
 
     def _move_to(self, theta: Tensor, *, derivatives: bool) -> None:
         theta = theta.detach().to(self.device, torch.float64)
         same = self._theta is not None and self._stack is not None and torch.equal(theta, self._theta)
-        if same and (not derivatives or len(self._stack) > 1):  # type: ignore[arg-type]
+        if same and (not derivatives or self._stack.shape[-1] > 1):  # type: ignore[union-attr]
             return
         self.evaluations += not same
         maps = self.maps(theta, derivatives)
+        if self._difference is not None:
+            # Not in place: the model may keep what it gave.
+            maps = torch.cat([maps[:1] + self._difference, maps[1:]])
         for axis, matrix in enumerate(self._to_coefficients):
             maps = (maps.movedim(axis + 1, -1) @ matrix.T.to(maps.dtype)).movedim(-1, axis + 1)
-        self._stack, self._theta = maps.contiguous(), theta.clone()
+        # What belongs to one place lies together: the interpolation waits for memory.
+        self._stack, self._theta = maps.movedim(0, -1).contiguous(), theta.clone()
 
     def maps(self, theta: Tensor, derivatives: bool) -> Tensor:
         """The map for theta (P,), and its derivatives by each parameter: (1 or 1+P,nx,ny,nz)."""
@@ -137,27 +166,28 @@ def _spline_matrix(count: int) -> Tensor:
 
 
 def _interpolate(stack: Tensor, at: Tensor, *, slopes: bool = False) -> tuple[Tensor, Tensor | None]:
-    """The splines (C,nx+2,ny+2,nz+2) at voxel coordinates (N,3): values (C,N), and slopes (N,3) of the first."""
-    limit = torch.tensor(stack.shape[1:], device=at.device) - 4
+    """The splines (nx+2,ny+2,nz+2,C) at voxel coordinates (N,3): values (N,C), and slopes (N,3) of the first."""
+    nx, ny, nz, channels = stack.shape
+    limit = torch.tensor((nx, ny, nz), device=at.device) - 4
     base = torch.minimum(at.floor().long(), limit)
     weights, by_place = _basis(at - base)
-    values = torch.zeros(stack.shape[0], len(at), dtype=torch.float64, device=at.device)
+    values = torch.zeros(len(at), channels, dtype=torch.float64, device=at.device)
     slope = torch.zeros(len(at), 3, dtype=torch.float64, device=at.device)
-    flat = stack.flatten(1)
-    strides = (stack.shape[2] * stack.shape[3], stack.shape[3], 1)
+    strides = (ny * nz, nz, 1)
     first = (base * torch.tensor(strides, device=at.device)).sum(1)
-    line = torch.arange(4, device=at.device)
+    # Row n is the four coefficients of every channel from place n on, as they lie in memory.
+    rows = stack.as_strided((nx * ny * nz - 3, 4 * channels), (channels, 1))
     x, y, z = weights.unbind(1)
     by_x, by_y, by_z = by_place.unbind(1)
     for i in range(4):
         for j in range(4):
-            taken = flat[:, (first + (i * strides[0] + j * strides[1]))[:, None] + line].double()
-            along = (taken * z).sum(-1)
-            values += along * (x[:, i] * y[:, j])
+            taken = rows[first + (i * strides[0] + j * strides[1])].double().view(-1, 4, channels)
+            along = torch.einsum("nkc,nk->nc", taken, z)
+            values += along * (x[:, i] * y[:, j])[:, None]
             if slopes:
-                slope[:, 0] += along[0] * (by_x[:, i] * y[:, j])
-                slope[:, 1] += along[0] * (x[:, i] * by_y[:, j])
-                slope[:, 2] += (taken[0] * by_z).sum(-1) * (x[:, i] * y[:, j])
+                slope[:, 0] += along[:, 0] * (by_x[:, i] * y[:, j])
+                slope[:, 1] += along[:, 0] * (x[:, i] * by_y[:, j])
+                slope[:, 2] += (taken[:, :, 0] * by_z).sum(1) * (x[:, i] * y[:, j])
     return values, slope if slopes else None
 
 

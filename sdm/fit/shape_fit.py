@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sdm.errors import GridError, SDMError
 from sdm.fit.appearance import MODELS, Appearance
-from sdm.fit.backend import Backend, rough_of
+from sdm.fit.backend import Backend, HasAnchor, rough_of
 from sdm.fit.diagnosis import diagnose
 from sdm.fit.exact import ExactBackend
 from sdm.fit.initial import candidates, coarser, middle_of
@@ -31,7 +31,8 @@ LARGEST_IMAGE = 1 << 23
 SMALLEST_AXIS = 8
 # Fits to the coarse image: the logistic's length [mm], and steps of how many posterior standard deviations end them.
 COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
-# Where another backend takes over, in the same measure: a surrogate is off by as much.
+# Where another backend takes over, or an exact map takes a surrogate's error out, in the same measure: a surrogate is
+# off by as much.
 HANDOVER = 0.3
 
 
@@ -84,7 +85,8 @@ def fit_shape(
         grid: Where its voxels are [mm].
         backend: Signed distances of the family; `ExactBackend()` if not given.
         finish: A second backend that takes over at the end: with a surrogate first and `ExactBackend` here the
-            estimate is that of the exact backend alone, for less time (hybrid).
+            estimate is that of the exact backend alone (hybrid). Without it a surrogate that can be anchored is, by
+            one exact map near the end.
         options: How to fit.
         report: Called with the stage's name, the number of each step and where it led.
 
@@ -142,8 +144,12 @@ def _fit(
         steps[name] = found.steps
         return found
 
-    close = options.tolerance if finish is None else max(HANDOVER, options.tolerance)
+    to_anchor = backend if finish is None and isinstance(backend, HasAnchor) and backend.can_anchor else None
+    last = finish is None and to_anchor is None
+    close = options.tolerance if last else max(HANDOVER, options.tolerance)
     found = stage("fine", backend, start.point.state, start.point.appearance, close)
+    if to_anchor is not None and not hopeless:
+        finish = backend = to_anchor.anchored(found.point.state.theta)
     if finish is not None:
         found = stage("finish", finish, found.point.state, found.point.appearance, options.tolerance)
     at = found.point
