@@ -111,10 +111,11 @@ def run_evaluate(options: argparse.Namespace) -> None:
 def search(model: DeepSDF, test: list[TriangleMesh], options: argparse.Namespace) -> dict[str, Any]:
     """Codes into `codes.pt`, so that another machine may score them; their times into the figures."""
     compiled = options.compile and model.device.type == "cuda"
-    found = evaluation.search(model, test, options.steps, options.prior, compiled)
-    part = options.out / "codes.part"
-    torch.save({name: tuple(each) for name, each in found.items()}, part)
-    part.replace(options.out / "codes.pt")
+    found = evaluation.search(model, test, options.steps, options.prior, compiled, options.search)
+    part, target = options.out / "codes.part", options.out / "codes.pt"
+    known = torch.load(target, map_location="cpu") if target.exists() else {}
+    torch.save(known | {name: tuple(each) for name, each in found.items()}, part)
+    part.replace(target)
     seconds = {name: each.seconds_a_shape for name, each in found.items()}
     return {"device": device_name(str(model.device)), "shapes": len(test), "prior": options.prior, "seconds": seconds}
 
@@ -139,7 +140,7 @@ def run_recipe(options: argparse.Namespace) -> None:
     result["recipe"] = {**asdict(table.quality), **preparation}
 
     def of_unseen(model: DeepSDF) -> evaluation.Found:
-        return evaluation.search(model, shapes.test, options.steps, None, False)["unseen"]
+        return evaluation.search(model, shapes.test, options.steps, None, False, ("unseen",))["unseen"]
 
     sources: dict[str, SampleSource] = {"exact": found, "approximate": table}
     for name, source in sources.items():
@@ -240,6 +241,7 @@ def arguments() -> argparse.Namespace:
         command.add_argument("--table", type=int, default=100_000, help="approximate samples of a shape")
         command.add_argument("--dense", type=int, default=250_000, help="surface points of the approximate recipe")
         command.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+        command.add_argument("--search", nargs="+", choices=evaluation.SEARCHES, default=evaluation.SEARCHES)
         command.add_argument("--again", action="store_true", help="parts that are there, too")
         command.add_argument("--known", type=int, default=16, help="known shapes to score")
         command.add_argument("--steps", type=int, default=800, help="of the search for a code")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -30,6 +30,8 @@ from sdm.sampling import Samples, ShapeSet, UnitSphere, surface_points
 
 # Points of a scan, and the deviation of a noisy one's points in unit-sphere radii.
 SCAN, NOISE = 10_000, 0.01
+# What codes are looked for from.
+SEARCHES = ("unseen", "half", "noisy")
 UNIT = UnitSphere((0.0, 0.0, 0.0), 1.0)
 
 
@@ -79,7 +81,12 @@ def known(model: DeepSDF, training: list[TriangleMesh], most: int, resolution: i
 
 
 def search(
-    model: DeepSDF, test: list[TriangleMesh], steps: int, prior: float | None, compiled: bool
+    model: DeepSDF,
+    test: list[TriangleMesh],
+    steps: int,
+    prior: float | None,
+    compiled: bool,
+    which: Sequence[str] = SEARCHES,
 ) -> dict[str, Found]:
     """Codes of shapes that the training never saw, by maximum a posteriori estimation, all at once.
 
@@ -101,7 +108,8 @@ def search(
         "noisy": (noisy, prior),
     }
     found = {}
-    for name, (draw, weight) in draws.items():
+    for name in which:
+        draw, weight = draws[name]
         if compiled:
             # Compiling is paid once a machine; what users wait for is the search.
             estimate_codes(model, draw, steps=3, prior=weight, compile_network=True)
