@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 from bench._fit_maps import StockMaps
 from bench._fit_stock import StockBackend
 from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
 from sdm.fit.backend import Backend
 from sdm.fit.backends import make_backends
-from sdm.io.atomic import replacing
 from sdm.shapes import Cochlea
 
 # Meshes of simulated truth are four times as fine as those of the fit.
@@ -42,10 +39,3 @@ def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None
     """Fit with the scanner's known blur and everything else as it comes."""
     options = FitOptions(blur=SCANNERS[scanner].blur)
     return fit_shape(image.values, image.grid, backends[0], finish=backends[1], options=options)
-
-
-def write(path: Path, record: dict[str, Any]) -> None:
-    """Write JSON; atomic."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")

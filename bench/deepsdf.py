@@ -34,6 +34,7 @@ import torch
 from bench import deepsdf_evaluate as evaluation
 from bench import deepsdf_fit as fitting
 from bench._machine import describe, device_name
+from bench._record import write
 from bench.deepsdf_approximate import ApproximateSamples
 from bench.deepsdf_report import report
 from bench.deepsdf_shapes import Shapes, atria, cochleas
@@ -150,7 +151,7 @@ def run_recipe(options: argparse.Namespace) -> None:
             "known": evaluation.known(model, shapes.training, options.known, options.resolution),
             "unseen": evaluation.unseen(model, shapes.test, of_unseen(model), options.resolution),
         }
-    write({"machine": describe(str(found.device)), "recipe_study": result}, options.out / "scores.json")
+    write(options.out / "scores.json", {"machine": describe(str(found.device)), "recipe_study": result})
 
 
 def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, about: dict[str, Any]) -> None:
@@ -171,7 +172,7 @@ def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, ab
         result.setdefault("measured_on", {})[name] = where
         short = {k: v for k, v in result[name].items() if k != "rows"} if isinstance(result[name], dict) else None
         print(json.dumps({name: short}, indent=1)[:4000], f"\n{time.monotonic() - start:.1f} s", flush=True)
-        write(result, path)
+        write(path, result)
 
 
 def pictures(model: DeepSDF, out: Path, size: int) -> dict[str, Any]:
@@ -211,13 +212,6 @@ def training_of(folder: Path) -> dict[str, Any]:
     }
 
 
-def write(result: dict[str, Any], path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    part.replace(path)
-
-
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -241,7 +235,8 @@ def arguments() -> argparse.Namespace:
         command.add_argument("--table", type=int, default=100_000, help="approximate samples of a shape")
         command.add_argument("--dense", type=int, default=250_000, help="surface points of the approximate recipe")
         command.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
-        command.add_argument("--search", nargs="+", choices=evaluation.SEARCHES, default=evaluation.SEARCHES)
+        searches = evaluation.SEARCHES
+        command.add_argument("--search", nargs="+", choices=searches, default=searches, help="from what, for search")
         command.add_argument("--again", action="store_true", help="parts that are there, too")
         command.add_argument("--known", type=int, default=16, help="known shapes to score")
         command.add_argument("--steps", type=int, default=800, help="of the search for a code")

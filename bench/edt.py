@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from bench._machine import describe
+from bench._record import write
 from bench._timing import median, once
 from sdm.distance_transform import euclidean_distance_transform
 
@@ -60,17 +60,10 @@ def main() -> None:
                 print(f"{name:16} {kind:9} {'signed' if signed else 'plain':7}", *cells(row["ms"]), flush=True)
                 # Each row as soon as it is there: SciPy takes seconds for one.
                 if options.out is not None:
-                    write(result, options.out)
+                    write(options.out, result)
                 worst = max(row["error"].values())
                 if worst > LIMIT:
                     raise SystemExit(f"a transform is off by {worst:.1e} of the distance, more than {LIMIT:.1e}")
-
-
-def write(result: dict[str, Any], out: Path) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    part.replace(out)
 
 
 def masks(shape: tuple[int, ...]) -> dict[str, Tensor]:

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from bench._fit_tools import STOCK, backends_by_name, case, fit_case, truth_backend, write
+from bench._fit_tools import STOCK, backends_by_name, case, fit_case, truth_backend
 from bench._machine import describe
+from bench._record import write
 from sdm.fit import FitResult, Image, State
 from sdm.shapes import Cochlea
 

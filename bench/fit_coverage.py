@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from bench._fit_tools import backends_by_name, case, fit_case, truth_backend, write
+from bench._fit_tools import backends_by_name, case, fit_case, truth_backend
 from bench._machine import describe
+from bench._record import write
 
 LEVEL_SIGMAS = 1.6448536269514722
 # Truths are uniform over the ranges but for their ends, where no interval has two sides.

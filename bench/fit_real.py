@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from bench._fit_tools import backends_by_name, fit_case, write
+from bench._fit_tools import backends_by_name, fit_case
 from bench._machine import describe
+from bench._record import write
 from sdm import Grid, MeshIndex, SDMError, TriangleMesh, load_mesh
 from sdm.fit import SCANNERS, FitResult, Image, Scanner
 from sdm.fit.backend import Distances

@@ -21,6 +21,7 @@ from typing import Any
 import torch
 
 from bench._machine import describe
+from bench._record import write
 from bench._timing import median, once
 from bench.brute import Brute
 from bench.deepsdf_shapes import cochleas
@@ -59,21 +60,14 @@ def main() -> None:
         "share": {},
     }
     print(json.dumps(result, indent=1), flush=True)
-    write(result, options.out)
+    write(options.out, result)
     for variant in VARIANTS:
         changes = {} if gpu else {"shapes": 4, "points": 512}
         settings = VARIANTS[variant](**changes)
         result["share"][variant] = share(shapes, settings, device, gpu and not options.no_compile, budget_ms)
         print(json.dumps({variant: result["share"][variant]}, indent=1), flush=True)
         # Each part as soon as it is there: networks take a minute to compile.
-        write(result, options.out)
-
-
-def write(result: dict[str, Any], out: Path) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    part.replace(out)
+        write(options.out, result)
 
 
 def check(shapes: ShapeSet) -> None:

@@ -25,6 +25,7 @@ from typing import Any
 import torch
 
 from bench._machine import describe
+from bench._record import write
 from bench.surrogate_accuracy import accuracy
 from bench.surrogate_timing import timing
 
@@ -54,14 +55,7 @@ def main() -> None:
     options.deadline = time.perf_counter() + options.budget_s
     for name in options.parts:
         report[name] = {"machine": describe(options.device, PACKAGES), **PARTS[name](options)}
-        write(report, out)
-
-
-def write(report: dict[str, Any], out: Path) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_suffix(".part")
-    part.write_text(json.dumps(report, indent=1) + "\n")
-    part.replace(out)
+        write(out, report)
 
 
 if __name__ == "__main__":

@@ -67,6 +67,7 @@ def _export(
     except ImportError as error:
         raise SDMError("export to ONNX needs the extra `onnx`: pip install 'warp-sdm[onnx]'") from error
     batch = torch.export.Dim("batch", min=1, max=4096)
+    # One for each input; those of a `_Method` are one argument, `*inputs`.
     shapes = tuple({0: batch} for _ in example)
     with warnings.catch_warnings(), replacing(target) as part:
         # The exporter warns of its own parts.

@@ -1,0 +1,16 @@
+"""Results as JSON files, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from sdm.io.atomic import replacing
+
+
+def write(path: Path, record: dict[str, Any]) -> None:
+    """Write JSON; atomic."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part:
+        part.write_text(json.dumps(record, indent=1) + "\n")
