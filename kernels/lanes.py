@@ -110,6 +110,20 @@ def lane_of_least(value: float, lane: int) -> int:
     snippet="""
 #if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step >>= 1)
+        value = fminf(value, __shfl_xor_sync(0xffffffffu, value, step));
+#endif
+    return value;
+"""
+)
+def least_of_lanes(value: float) -> float:
+    """The least of all lanes' values, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
         value += __shfl_xor_sync(0xffffffffu, value, step);
 #endif
     return value;

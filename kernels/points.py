@@ -1,4 +1,9 @@
-"""Queries at scattered points."""
+"""Queries at scattered points.
+
+Points are sorted along the tree's curve, so that neighbours follow each other, and taken in groups. What a group knows
+saves each of its points most of the work: a triangle near its middle, to begin the search with, and, of an open mesh,
+whether its holes are so far away that they cannot decide about the sign of any of its points (see `caps`).
+"""
 
 from __future__ import annotations
 
@@ -7,10 +12,13 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.boundary import Boundary, boundary_winding
+from sdm.kernels.caps import count_caps, is_far, view_caps
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.crossings import count_crossings
+from sdm.kernels.cull import Cell
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import closest_point
+from sdm.kernels.lanes import GPU_LANES, least_of_lanes
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree, node_box
 
@@ -22,6 +30,9 @@ _UNSCALE = wp.constant(UNSCALE)
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
 CPU_RUN = 8
+# Neighbours along the curve that share what is known of their surroundings.
+GROUP = 32
+_GROUP = wp.constant(GROUP)
 
 
 @wp.struct
@@ -50,6 +61,17 @@ def winding_at(tree: Tree, winding: Winding, mesh: int, p: wp.vec3d):
 
 
 @wp.func
+def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool):
+    """Whether the winding number at p (scaled) is more than 0.5; `far` from the holes of an open mesh or not.
+
+    Far from its holes an open mesh with its holes closed has the same sides.
+    """
+    if far and winding.kind == _OPEN:
+        return count_crossings(tree, 0, p) + count_caps(winding.boundary, tree, 0, p, 0, 1) > 0
+    return winding_at(tree, winding, 0, p) > 0.5
+
+
+@wp.func
 def is_finite(p: wp.vec3):
     return wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])
 
@@ -72,6 +94,49 @@ def _point_keys(
 
 
 @wp.kernel
+def _look_around(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    negated_high = low
+    at = _GROUP * group + lane
+    while at < wp.min(_GROUP * (group + 1), points.shape[0]):
+        i = at
+        if order.shape[0] > 0:
+            i = order[at]
+        if is_finite(points[i]):
+            p = float(tree.frame[_SCALE]) * points[i]
+            low = wp.min(low, p)
+            negated_high = wp.min(negated_high, -p)
+        at = at + lanes
+    low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
+    high = -wp.vec3(
+        least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2])
+    )
+    far = bool(False)
+    cell = Cell()
+    cell.centre = 0.5 * (low + high)
+    if low[0] <= high[0] and is_finite(cell.centre):
+        cell.half = wp.max(high - cell.centre, cell.centre - low) * 1.000001
+        cell.half2 = wp.dot(cell.half, cell.half)
+        if winding.kind == _OPEN:
+            far = is_far(view_caps(winding.boundary, 0, cell, lane, lanes))
+    else:
+        cell.centre = wp.vec3(0.0, 0.0, 0.0)
+    if lane == 0:
+        groups[group] = 2 * nearest_slot(tree, 0, cell.centre, 0) + wp.where(far, 1, 0)
+
+
+@wp.kernel
 def _query(
     begin: int,
     length: int,
@@ -79,6 +144,7 @@ def _query(
     winding: Winding,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
+    groups: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
     want_hits: int,
     hit_points: wp.array(dtype=wp.vec3),
@@ -87,7 +153,10 @@ def _query(
 ):
     run = begin + wp.tid()
     total = points.shape[0]
-    guess = int(0)
+    known = int(0)
+    if run * length < total:
+        known = groups[run * length / _GROUP]
+    guess = known >> 1
     scale = tree.frame[_SCALE]
     unscale = tree.frame[_UNSCALE]
     # The bound is a variable so that Warp does not write the loop out.
@@ -110,7 +179,7 @@ def _query(
                     wp.vec3d(tree.corners[4 * guess + 2]),
                 )
                 distance = float(wp.sqrt(hit.distance2) * unscale)
-                if winding_at(tree, winding, 0, exact) > 0.5:
+                if inside_at(tree, winding, exact, (known & 1) != 0):
                     distance = -distance
                 values[i] = distance
                 if want_hits != 0:
@@ -155,6 +224,7 @@ def query_points(
     winding: Winding,
     points: wp.array,
     order: wp.array,
+    groups: wp.array,
     values: wp.array,
     hits: tuple[wp.array, wp.array, wp.array] | None,
     launch: Any,
@@ -166,6 +236,7 @@ def query_points(
         winding: How its winding number is found.
         points: (N,) vec3; one that is not finite gives NaN and face -1.
         order: (N,) the order to go through them, or empty: as they come.
+        groups: (ceil(N / GROUP),) int32, scratch.
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
         launch: `sdm.kernels.launch.launch`.
@@ -179,7 +250,9 @@ def query_points(
         wanted = 1
     length = 1 if device.is_cuda else CPU_RUN
     runs = -(-points.shape[0] // length)
-    launch(_query, runs, [length, tree, winding, points, order, values, wanted, *hits], device)
+    lanes = GPU_LANES if device.is_cuda else 1
+    launch(_look_around, groups.shape[0] * lanes, [lanes, tree, winding, points, order, groups], device)
+    launch(_query, runs, [length, tree, winding, points, order, groups, values, wanted, *hits], device)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array, launch: Any) -> None:
