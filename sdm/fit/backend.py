@@ -67,10 +67,10 @@ def rough_of(backend: Backend) -> Backend:
 class HasExact(Protocol):
     """A surrogate that knows the backend which it stands for."""
 
-    # Anchors a fit: asked a few times near the end, for what is then added to the surrogate's answers. None: nothing is.
+    # Anchors fits near their end (`sdm.fit.anchor`); its shapes and their own frame are the surrogate's. None: no anchors.
     exact: Backend | None
 
 
 def exact_of(backend: Backend) -> Backend | None:
-    """What to anchor a fit by, if the backend has it."""
+    """What to anchor a fit by; None if the backend has nothing."""
     return backend.exact if isinstance(backend, HasExact) else None

@@ -87,8 +87,8 @@ def fit_shape(
         grid: Where its voxels are [mm].
         backend: Signed distances of the family; `ExactBackend()` if not given.
         finish: A second backend that takes over at the end: with a surrogate first and `ExactBackend` here the
-            estimate is that of the exact backend alone (hybrid). Without it a surrogate that has an exact backend is
-            anchored by it, twice near the end (`Anchored`).
+            estimate is that of the exact backend alone (hybrid). Without it, a surrogate that has an exact backend is
+            anchored by it near the end: two exact evaluations in all.
         options: How to fit.
         report: Called with the stage's name, the number of each step and where it led.
 
@@ -152,13 +152,12 @@ def _fit(
     close = options.tolerance if last else max(HANDOVER, options.tolerance)
     found = stage("fine", renderer, start.point.state, start.point.appearance, close)
     if finish is not None:
-        found = stage(
-            "finish", renderer_of(grid, finish, options), found.point.state, found.point.appearance, options.tolerance
-        )
+        exactly = renderer_of(grid, finish, options)
+        found = stage("finish", exactly, found.point.state, found.point.appearance, options.tolerance)
     elif exact is not None and not hopeless:
-        right = renderer_of(grid, exact, options)
+        exactly = renderer_of(grid, exact, options)
         for name, tolerance in (("anchored", max(CLOSE, options.tolerance)), ("finish", options.tolerance)):
-            anchored = Anchored(renderer, right, found.point.state)
+            anchored = Anchored(renderer, exactly, found.point.state)
             found = stage(name, anchored, found.point.state, found.point.appearance, tolerance)
     at = found.point
     diagnosis = diagnose(values, grid, at, prior, found.converged, names)
