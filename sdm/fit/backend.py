@@ -67,7 +67,7 @@ def rough_of(backend: Backend) -> Backend:
 class HasExact(Protocol):
     """A surrogate that knows the backend which it stands for."""
 
-    # Anchors fits near their end (`sdm.fit.anchor`); its shapes and their own frame are the surrogate's. None: no anchors.
+    # Anchors fits near their end (`sdm.fit.anchor`): the same shapes in the same frame. None: fits have no anchors.
     exact: Backend | None
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from sdm.errors import SDMError
 from sdm.fit.backend import Backend, Distances
 from sdm.fit.initial import middle_of
 from sdm.fit.jacobian import with_jacobian
@@ -33,7 +34,8 @@ class GridBackend:
         name: What to call it in reports.
         slack: How far values may be from true distances near the surface [mm].
         rough: A model of the same maps on a coarser grid, for coarse images.
-        exact: The backend that the maps stand for: `fit_shape` anchors its steps by it. Without one it does not.
+        exact: The backend that the maps stand for, of the same parameters and frame: `fit_shape` asks it twice, near
+            the end, to take the maps' error out. Without one it does not.
 
     Values and derivatives in space and in theta belong to one and the same smooth function.
     """
@@ -54,6 +56,8 @@ class GridBackend:
         self.parameters = Cochlea.parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
+        if exact is not None and tuple(exact.parameters) != tuple(self.parameters):
+            raise SDMError(f"the exact backend of {name} has other parameters than the maps: give both the same")
         self._rough, self.exact = rough, exact
         # The model is work for all threads, whatever the fit around it uses.
         self._threads = torch.get_num_threads()
