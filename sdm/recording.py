@@ -61,7 +61,6 @@ class Recording:
         self.turn = threading.Lock()
         self._room = room
         self._device = inputs[0].device
-        self._said = torch.empty(MOST_REMARKS, dtype=torch.int32, pin_memory=True)
         self._guesses, self._count = False, 0
         self._heard = torch.cuda.Event(external=True)
         with (
@@ -70,6 +69,7 @@ class Recording:
             torch.no_grad(),
             torch.autocast("cuda", enabled=False),
         ):
+            self._said = torch.zeros(MOST_REMARKS, dtype=torch.int32, pin_memory=True)
             # Loads what is loaded on first use, which a capture does not allow.
             work(unheard, *inputs)
             stream, pool = room.open()
@@ -95,7 +95,6 @@ class Recording:
 
     def _say(self, remarks: Tensor) -> None:
         self._guesses = True
-        self._said.zero_()
         self._count = remarks.shape[0]
         self._said[: self._count].copy_(remarks, non_blocking=True)
         self._heard.record()
