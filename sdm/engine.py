@@ -217,7 +217,8 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         device: Where to compute; by default where the vertices are if they are a tensor, else a GPU if there is one.
 
     Returns:
-        (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`.
+        (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`. Recorded and replayed as
+        `signed_distance_map`.
     """
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch = as_tensor(vertices, torch.float32, "the vertices", device=where)

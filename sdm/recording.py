@@ -13,6 +13,7 @@ from torch import Tensor
 from sdm.memory import on_current_stream
 
 Say: TypeAlias = Callable[[Tensor], None]
+Inputs: TypeAlias = tuple[Tensor, ...]
 # Takes a `Say` and tensors, gives tensors.
 Work: TypeAlias = Callable[..., tuple[Tensor, ...]]
 
@@ -57,7 +58,7 @@ class Recording:
         inputs: As those to come; the work is done once with them, without a result.
     """
 
-    def __init__(self, room: Room, work: Work, inputs: tuple[Tensor, ...]) -> None:
+    def __init__(self, room: Room, work: Work, inputs: Inputs) -> None:
         self.turn = threading.Lock()
         self._room = room
         self._device = inputs[0].device
@@ -78,7 +79,7 @@ class Recording:
                 self._capture(work, inputs, device.stream, pool)
             room.nbytes += max(0, torch.cuda.memory_reserved() - before)
 
-    def _capture(self, work: Work, inputs: tuple[Tensor, ...], stream: wp.Stream, pool: Any) -> None:
+    def _capture(self, work: Work, inputs: Inputs, stream: wp.Stream, pool: Any) -> None:
         self._graph = torch.cuda.CUDAGraph()
         # Other threads go on with what they do, on other streams.
         self._graph.capture_begin(pool=pool, capture_error_mode="thread_local")
@@ -99,7 +100,7 @@ class Recording:
         self._said[: self._count].copy_(remarks, non_blocking=True)
         self._heard.record()
 
-    def launch(self, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    def launch(self, inputs: Inputs) -> tuple[Tensor, ...]:
         """Queue the work for these inputs on the current stream of their device: new tensors."""
         last = self._room.last
         if last is None:

@@ -11,6 +11,8 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere, torus
 from sdm import replay
+from sdm.recording import Recording
+from sdm.shelf import MOST_RECORDINGS
 
 pytestmark = pytest.mark.gpu
 
@@ -31,8 +33,8 @@ def afresh():
 def launches(monkeypatch):
     """How often a recording is launched."""
     counted = []
-    plain = replay.Recording.launch
-    monkeypatch.setattr(replay.Recording, "launch", lambda *args: counted.append(1) or plain(*args))
+    plain = Recording.launch
+    monkeypatch.setattr(Recording, "launch", lambda *args: counted.append(1) or plain(*args))
     return counted
 
 
@@ -194,13 +196,13 @@ def test_threads():
 
 def test_recordings_are_evicted(launches):
     vertices, faces = torus(600)
-    grids = [sdm.Grid([-1.2] * 3, [0.08] * 3, [31, 31, n]) for n in range(20, 20 + replay.MOST_RECORDINGS + 2)]
+    grids = [sdm.Grid([-1.2] * 3, [0.08] * 3, [31, 31, n]) for n in range(20, 20 + MOST_RECORDINGS + 2)]
     for _ in range(2):
         for grid in grids:
             for _ in range(CALLS + 1):
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
         (shelf,) = replay._shelves.values()
-        assert len(shelf) == replay.MOST_RECORDINGS
+        assert len(shelf) == MOST_RECORDINGS
         assert 0 < shelf._room.nbytes <= shelf._most
     held = torch.cuda.memory_reserved()
     replay.clear()

@@ -11,6 +11,7 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere
 from sdm import maps, replay, topology
+from sdm.shelf import MOST_KINDS, Shelf
 
 INPUTS = (torch.zeros(1),)
 
@@ -24,7 +25,7 @@ class Stub:
 
 @pytest.fixture
 def shelf():
-    return replay.Shelf(100, Stub)
+    return Shelf(100, Stub)
 
 
 def _note(shelf, kind, nbytes=10, times=replay.CALLS):
@@ -92,7 +93,7 @@ def test_a_failure_is_told_once_and_does_no_harm(shelf):
 def test_counts_do_not_pile_up(shelf):
     for kind in range(1000):
         shelf.note(kind, 10, INPUTS)
-    assert len(shelf._calls) <= replay.MOST_KINDS
+    assert len(shelf._calls) <= MOST_KINDS
 
 
 def test_a_wrong_guess_is_dropped(shelf):
