@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from sdm import fit as fit
     from sdm import losses as losses
     from sdm import metrics as metrics
+    from sdm import replay as replay
     from sdm import shapes as shapes
     from sdm.dataset import SDMDataset
     from sdm.distance_transform import euclidean_distance_transform
@@ -72,7 +73,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("fit", "losses", "metrics", "shapes"):
+    if name in ("fit", "losses", "metrics", "replay", "shapes"):
         return import_module(f"sdm.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'sdm' has no attribute {name!r}")

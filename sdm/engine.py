@@ -16,11 +16,9 @@ from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.hierarchy import build
 from sdm.inspect import orient_outward
+from sdm.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, slab_of, slabs_of
 from sdm.mesh import TriangleMesh, as_tensor
 from sdm.topology import boundary_edges
-
-# A launch's indices are 32 bits wide.
-LARGEST_SLAB = 1 << 30
 
 Orient = Literal["keep", "auto"]
 
@@ -113,7 +111,7 @@ class MeshIndex:
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
         require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
-        made = [self._slab(grid, begin, end) for begin, end in _slabs(grid, LARGEST_SLAB)]
+        made = [self._slab(grid, begin, end) for begin, end in slabs_of(grid, LARGEST_SLAB)]
         values = made[0][0][0] if len(made) == 1 else torch.cat([values[0] for values, _ in made])
         # Of a closed mesh it is known without a look at the device, which would wait for it.
         return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for _, ambiguous in made))
@@ -133,14 +131,14 @@ class MeshIndex:
         Beyond a slab, up to 400 MiB of scratch
         memory are used at a time on a GPU, 100 MiB on a CPU.
         """
-        for begin, end in _slabs(grid, min(max_bytes // 4, LARGEST_SLAB)):
+        for begin, end in slabs_of(grid, min(max_bytes // 4, LARGEST_SLAB)):
             values, unclear = self._slab(grid, begin, end)
             if ambiguous is not None and not self.closed:
                 ambiguous += unclear[0]
             yield begin, end, values[0]
 
     def _slab(self, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
-        return _slab(self.mesh.vertices[None], self.mesh.faces, self._hierarchy, self._kind, grid, begin, end)
+        return slab_of(self.mesh.vertices[None], self.mesh.faces, self._hierarchy, self._kind, grid, begin, end)
 
 
 def signed_distance_map(
@@ -165,8 +163,15 @@ def signed_distance_map(
         GridError: The map does not fit into memory.
 
     Memory beyond the map itself: about 350 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
-    whatever the grid. Maps larger than memory: `MeshIndex.slabs`.
+    whatever the grid. Maps larger than memory: `MeshIndex.slabs`. On a GPU calls of one kind are recorded and replayed,
+    which keeps some of that memory: see `sdm.replay`.
     """
+    if orient == "keep":
+        mesh = mesh.to(choose_device(device, mesh.vertices))
+        if is_replayable(mesh.vertices, grid):
+            require_memory(grid.nbytes, mesh.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
+            values, ambiguous = map_of(mesh.vertices, mesh.faces, grid)
+            return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
     return MeshIndex(mesh, device, orient=orient).signed_distance_map(grid)
 
 
@@ -212,7 +217,8 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         device: Where to compute; by default where the vertices are if they are a tensor, else a GPU if there is one.
 
     Returns:
-        (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`.
+        (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`. Recorded and replayed as
+        `signed_distance_map`.
     """
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
@@ -223,16 +229,6 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
     require_memory(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps")
     return batch_maps(batch, shared, grid, None)
-
-
-def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
-    """`signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
-    hierarchy, kind = build(vertices.detach(), faces, edges)
-    values = [
-        _slab(vertices, faces, hierarchy, kind, grid, begin, end)[0]
-        for begin, end in _slabs(grid, LARGEST_SLAB // vertices.shape[0])
-    ]
-    return values[0] if len(values) == 1 else torch.cat(values, 1)
 
 
 def _as_points(points: Any, device: torch.device) -> Tensor:
@@ -254,20 +250,3 @@ def _at_points(
     if not return_closest:
         return values
     return values, Closest(point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3))
-
-
-def _slabs(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
-    # The kernels work in regions of 16^3: whole ones, so that a slab's voxels are treated as those of the whole map.
-    layers = max(16, voxels // (grid.shape[1] * grid.shape[2]) // 16 * 16)
-    for begin in range(0, grid.shape[0], layers):
-        yield begin, min(begin + layers, grid.shape[0])
-
-
-def _slab(
-    vertices: Tensor, faces: Tensor, hierarchy: list[Tensor], kind: int, grid: Grid, begin: int, end: int
-) -> tuple[Tensor, Tensor]:
-    shape = [end - begin, grid.shape[1], grid.shape[2]]
-    direction = [x for row in grid.direction for x in row]
-    return torch.ops.sdm.distance_map(
-        vertices, faces, hierarchy, kind, list(grid.origin), list(grid.spacing), shape, begin, direction
-    )

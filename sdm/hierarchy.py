@@ -42,20 +42,40 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple
     Raises:
         MeshError: More triangles in all than the kernels can count.
     """
+    check_count(vertices, faces)
+    vertices, faces = vertices.contiguous(), faces.contiguous()
+    return build_known(vertices, faces, *surroundings(vertices, faces, edges))
+
+
+def check_count(vertices: Tensor, faces: Tensor) -> None:
+    """Refuse vertices (B,V,3) and faces with more triangles in all than the kernels can count.
+
+    Raises:
+        MeshError: There are.
+    """
     if vertices.shape[0] * faces.shape[0] > MOST_TRIANGLES:
         raise MeshError(
             f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
             "one call can take; use smaller batches, or a coarser mesh"
         )
-    vertices, faces = vertices.contiguous(), faces.contiguous()
+
+
+def surroundings(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """What `build_known` wants to know about faces: neighbours, boundary edges and, of an open mesh, their loops."""
     if edges is None:
         edges = boundary_edges(vertices, faces)
+    around = loops(edges) if kind_of(edges) == points.OPEN else edges
+    return neighbours(faces, vertices.shape[-2]), edges, around
+
+
+def build_known(
+    vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor
+) -> tuple[list[Tensor], int]:
+    """`build` of contiguous tensors whose `surroundings` are known: queues kernels, and does nothing else."""
     kind = kind_of(edges)
     meshes, count = vertices.shape[0], faces.shape[0]
     tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
     empty = scratch_on(vertices.device)
-    shared = neighbours(faces, vertices.shape[1])
-    around = loops(edges) if kind == points.OPEN else edges
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
         hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)

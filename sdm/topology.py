@@ -113,13 +113,44 @@ def loops(edges: Tensor) -> Tensor:
     return _remembered(_seen_loops, edges, find)
 
 
+def is_known(faces: Tensor, count: int) -> bool:
+    """Whether these faces were paired before, so that nothing has to wait for what they say by themselves."""
+    known = _seen.get(faces)
+    return known is not None and known[0] is not None and known[0] == _state(faces, count)
+
+
+def leaves_none_over(faces: Tensor, count: int) -> bool:
+    """Whether the mesh is closed wherever its vertices are, even if none of them count as one."""
+    return _paired(faces, count).left_over.shape[0] == 0
+
+
+def remember_closed(faces: Tensor, count: int, shared: Tensor) -> None:
+    """Remember of faces that no edge of theirs is left over, and what `neighbours` returns."""
+    _seen[faces] = _state(faces, count), _Paired(faces.new_empty((0, 3)), shared)
+
+
 def _paired(faces: Tensor, count: int) -> _Paired:
     return _remembered(_seen, faces, lambda: _pair_up(faces, count), count)
 
 
 def _pair_up(faces: Tensor, count: int) -> _Paired:
     """All that faces say, from one sort of all edges; waits for the device once."""
-    faces = faces.contiguous()
+    remarks, left_over, shared = queue_pairing(faces.contiguous(), count)
+    out_of_range, open_edges = remarks.tolist()
+    if out_of_range:
+        low, high = (int(bound) for bound in faces.aminmax())
+        bad = low if low < 0 else high
+        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
+    return _Paired(left_over[:open_edges] if open_edges else left_over.new_empty((0, 3)), shared)
+
+
+def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """What `sdm.kernels.edges` finds for contiguous faces, once the device gets there.
+
+    Returns:
+        The remarks (REMARKS,), the edges left over (3 * F, 3), of which the remarks tell how many, and (F,4) what
+        `neighbours` returns: all int32. No index out of range does harm here.
+    """
     total = faces.numel()
     first, remarks = torch.zeros(count + REMARKS, dtype=torch.int32, device=faces.device).split([count, REMARKS])
     left_over = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
@@ -134,12 +165,7 @@ def _pair_up(faces: Tensor, count: int) -> _Paired:
             launch,
             scratch_on(faces.device),
         )
-    out_of_range, open_edges = remarks.tolist()
-    if out_of_range:
-        low, high = (int(bound) for bound in faces.aminmax())
-        bad = low if low < 0 else high
-        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
-    return _Paired(left_over[:open_edges] if open_edges else left_over.new_empty((0, 3)), shared)
+    return remarks, left_over, shared
 
 
 def _join_on_host(left_over: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:
@@ -169,10 +195,15 @@ def _on_host(edges: Tensor) -> np.ndarray:
 
 def _remembered(seen: WeakIdKeyDictionary, about: Tensor, find: Callable[[], Any], count: int = 0) -> Any:
     """What `find` found for a tensor, as long as nobody writes into it, and `count` stays."""
-    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
-    now = None if about.is_inference() else (about._version, count)
+    now = _state(about, count)
     known: tuple[Any, Any] | None = seen.get(about)
     if known is None or known[0] is None or known[0] != now:
         known = (now, find())
         seen[about] = known
     return known[1]
+
+
+def _state(about: Tensor, count: int) -> tuple[int, int] | None:
+    """What is remembered about a tensor holds as long as this stays."""
+    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
+    return None if about.is_inference() else (about._version, count)

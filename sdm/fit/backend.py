@@ -64,12 +64,13 @@ def rough_of(backend: Backend) -> Backend:
 
 
 @runtime_checkable
-class HasAnchor(Protocol):
-    """A backend whose own errors can be taken out at one shape."""
+class HasExact(Protocol):
+    """A surrogate that knows the backend which it stands for."""
 
-    # Whether this one can be anchored.
-    can_anchor: bool
+    # Anchors fits near their end (`sdm.fit.anchor`): the same shapes in the same frame. None: fits have no anchors.
+    exact: Backend | None
 
-    def anchored(self, theta: Tensor) -> Backend:
-        """The same backend, exact for theta (P,) and more exact near it; this one stays as it is."""
-        ...
+
+def exact_of(backend: Backend) -> Backend | None:
+    """What to anchor a fit by; None if the backend has nothing."""
+    return backend.exact if isinstance(backend, HasExact) else None

@@ -7,7 +7,6 @@ from pathlib import Path
 import torch
 
 from sdm.device import choose_device
-from sdm.engine import signed_distance_maps
 from sdm.errors import SDMError
 from sdm.fit.backend import Backend
 from sdm.fit.exact import TRIANGLES, ExactBackend
@@ -28,8 +27,8 @@ def make_backends(
     """The backend to begin with, and the one to finish with if that is another.
 
     Args:
-        name: "exact"; "surrogate", whose own error one exact map takes out near the end; or
-            "hybrid" for the surrogate first and exact to finish.
+        name: "exact"; "surrogate", anchored near the end by two exact evaluations; or "hybrid" for the surrogate
+            first and exact to finish.
         triangles: Triangles of the exact backend's meshes.
         weights: A surrogate's weights; by default those that come with the package.
         device: Where to compute; by default a GPU if there is one.
@@ -41,14 +40,10 @@ def make_backends(
     if name not in NAMES:
         raise SDMError(f"there is no backend called {name!r}; use {', '.join(NAMES)}")
     where = choose_device(device)
+    exact = ExactBackend(Cochlea(triangles), where)
     if name == "exact":
-        return ExactBackend(Cochlea(triangles), where), None
+        return exact, None
     model = load_surrogate(weights, device=where).eval()
     rough = (model.coarse, COARSE_GRID) if isinstance(model, SDMNNPlus) else None
-    family = Cochlea(triangles)
-
-    def exact(theta: torch.Tensor) -> torch.Tensor:
-        return signed_distance_maps(family.vertices(theta), family.faces_on(where), GRID, device=where)[:, None]
-
     surrogate = GridBackend(model, GRID, device=where, rough=rough, exact=exact)
-    return surrogate, ExactBackend(family, where) if name == "hybrid" else None
+    return surrogate, exact if name == "hybrid" else None

@@ -6,14 +6,13 @@ as much as the posterior is wide.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from sdm.errors import SDMError
-from sdm.fit.backend import Distances
+from sdm.fit.backend import Backend, Distances
 from sdm.fit.initial import middle_of
 from sdm.fit.jacobian import with_jacobian
 from sdm.fit.threads import threads
@@ -35,7 +34,8 @@ class GridBackend:
         name: What to call it in reports.
         slack: How far values may be from true distances near the surface [mm].
         rough: A model of the same maps on a coarser grid, for coarse images.
-        exact: From theta (1,P) float32 to the exact maps (1,1,nx,ny,nz), for `anchored`.
+        exact: The backend that the maps stand for, of the same parameters and frame: `fit_shape` asks it twice, near
+            the end, to take the maps' error out. Without one it does not.
 
     Values and derivatives in space and in theta belong to one and the same smooth function.
     """
@@ -50,15 +50,15 @@ class GridBackend:
         name: str = "surrogate",
         slack: float = SLACK,
         rough: tuple[Callable[[Tensor], Tensor], Grid] | None = None,
-        exact: Callable[[Tensor], Tensor] | None = None,
+        exact: Backend | None = None,
     ) -> None:
         self.model, self.grid, self.name, self.slack = model, grid, name, slack
         self.parameters = Cochlea.parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
-        self._rough, self._exact = rough, exact
-        self.can_anchor = exact is not None
-        self._difference: Tensor | None = None
+        if exact is not None and tuple(exact.parameters) != tuple(self.parameters):
+            raise SDMError(f"the exact backend of {name} has other parameters than the maps: give both the same")
+        self._rough, self.exact = rough, exact
         # The model is work for all threads, whatever the fit around it uses.
         self._threads = torch.get_num_threads()
         self.centre = self._centre()
@@ -73,25 +73,6 @@ class GridBackend:
         rough = GridBackend(*self._rough, self.parameters, device=self.device, name=f"{self.name}, rough")
         rough.centre, rough.slack = self.centre, 2 * self.slack
         return rough
-
-    def anchored(self, theta: Tensor) -> GridBackend:
-        """This backend with the difference between the exact map and the model's at theta (P,) added to every map.
-
-        A model's error changes slowly with theta, so most of it is gone near there too, for the price of one exact
-        map. The derivatives are the model's.
-
-        Raises:
-            SDMError: The backend was made without `exact`.
-        """
-        if self._exact is None:
-            raise SDMError(f"the backend {self.name} has no exact maps to be anchored by: give it `exact`")
-        at = theta.detach().to(self.device).float()[None]
-        found = copy.copy(self)
-        with torch.no_grad(), threads(self._threads):
-            found._difference = (self._exact(at) - self.model(at))[0]
-        found.evaluations += 1
-        found._theta = found._stack = None
-        return found
 
     def distances(self, theta: Tensor, points: Tensor) -> Tensor:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""
@@ -117,9 +98,6 @@ class GridBackend:
             return
         self.evaluations += not same
         maps = self.maps(theta, derivatives)
-        if self._difference is not None:
-            # Not in place: the model may keep what it gave.
-            maps = torch.cat([maps[:1] + self._difference, maps[1:]])
         for axis, matrix in enumerate(self._to_coefficients):
             maps = (maps.movedim(axis + 1, -1) @ matrix.T.to(maps.dtype)).movedim(-1, axis + 1)
         # What belongs to one place lies together: the interpolation waits for memory.

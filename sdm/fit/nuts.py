@@ -55,7 +55,7 @@ def sample_posterior(
         result: What `fit_shape` returned for the same image and options.
         image: (nx,ny,nz) intensities.
         grid: Where its voxels are.
-        backend: Where distances come from; each draw takes several evaluations.
+        backend: Where distances come from; each draw takes several evaluations. A surrogate is not anchored here.
         options: As given to `fit_shape`.
         count: Draws to keep.
         warm_up: Draws before those, for the step size.

@@ -42,6 +42,11 @@ class State:
         rotation = _orthonormal(self.rotation @ turn)
         return State(self.theta + step[:count], rotation, self.translation + step[count + 3 :], self.centre)
 
+    def since(self, other: State) -> Tensor:
+        """The increment (P+6,) from another state to this one: `other.moved(self.since(other))` is this one."""
+        turn = vector_from_rotation(other.rotation.T @ self.rotation)
+        return torch.cat([self.theta - other.theta, turn, self.translation - other.translation])
+
     def chain(self, inside: Tensor, by_theta: Tensor, by_point: Tensor) -> Tensor:
         """Derivatives (N,P+6) of distances by the increment, at step 0.
 

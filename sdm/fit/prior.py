@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from sdm.fit.pose import State, vector_from_rotation
+from sdm.fit.pose import State
 from sdm.shapes import Parameter
 
 
@@ -50,8 +50,7 @@ class Prior:
 
     def residual(self, state: State) -> Tensor:
         """(P+6,) how far a state is from what is expected; its derivative by `State.moved` is near 1."""
-        turn = vector_from_rotation(self.pose.rotation.T @ state.rotation)
-        return torch.cat([state.theta - self.middle, turn, state.translation - self.pose.translation])
+        return state.since(replace(self.pose, theta=self.middle))
 
     def penalty(self, state: State) -> float:
         """Minus the log density, but for a constant."""

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from sdm.errors import GridError, SDMError
+from sdm.fit.anchor import Anchored
 from sdm.fit.appearance import MODELS, Appearance
-from sdm.fit.backend import Backend, HasAnchor, rough_of
+from sdm.fit.backend import Backend, exact_of, rough_of
 from sdm.fit.diagnosis import diagnose
 from sdm.fit.exact import ExactBackend
 from sdm.fit.initial import candidates, coarser, middle_of
@@ -23,7 +24,7 @@ from sdm.fit.posterior import Posterior
 from sdm.fit.prior import Prior
 from sdm.fit.render import Renderer
 from sdm.fit.result import FitResult
-from sdm.fit.solver import Outcome, Point, minimise
+from sdm.fit.solver import Outcome, Point, Render, minimise
 from sdm.fit.threads import one_thread_for
 from sdm.grid import Grid
 
@@ -31,9 +32,10 @@ LARGEST_IMAGE = 1 << 23
 SMALLEST_AXIS = 8
 # Fits to the coarse image: the logistic's length [mm], and steps of how many posterior standard deviations end them.
 COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
-# Where another backend takes over, or an exact map takes a surrogate's error out, in the same measure: a surrogate is
-# off by as much.
+# Where another backend takes over, or a surrogate is anchored, in the same measure: a surrogate is off by as much.
 HANDOVER = 0.3
+# Where it is anchored again.
+CLOSE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +87,8 @@ def fit_shape(
         grid: Where its voxels are [mm].
         backend: Signed distances of the family; `ExactBackend()` if not given.
         finish: A second backend that takes over at the end: with a surrogate first and `ExactBackend` here the
-            estimate is that of the exact backend alone (hybrid). Without it a surrogate that can be anchored is, by
-            one exact map near the end.
+            estimate is that of the exact backend alone (hybrid). Without it, a surrogate that has an exact backend is
+            anchored by it near the end: two exact evaluations in all.
         options: How to fit.
         report: Called with the stage's name, the number of each step and where it led.
 
@@ -122,7 +124,8 @@ def _fit(
     report: Callable[[str, int, Point], None] | None,
 ) -> FitResult:
     rough = rough_of(backend)
-    before = _counts(rough, backend, finish)
+    exact = exact_of(backend) if finish is None else None
+    before = _counts(rough, backend, finish or exact)
     prior = prior_of(grid, backend, options)
     names = [p.name for p in backend.parameters]
     small, wide = coarser(values, grid)
@@ -130,9 +133,9 @@ def _fit(
     steps = {"start": start.steps}
     hopeless = diagnose(small, wide, start.point, prior, start.converged, names).hopeless
 
-    def stage(name: str, using: Backend, start: State, appearance: Appearance, tolerance: float) -> Outcome:
+    def stage(name: str, renderer: Render, start: State, appearance: Appearance, tolerance: float) -> Outcome:
         found = minimise(
-            renderer_of(grid, using, options),
+            renderer,
             values,
             start,
             appearance,
@@ -144,18 +147,22 @@ def _fit(
         steps[name] = found.steps
         return found
 
-    to_anchor = backend if finish is None and isinstance(backend, HasAnchor) and backend.can_anchor else None
-    last = finish is None and to_anchor is None
+    renderer = renderer_of(grid, backend, options)
+    last = finish is None and exact is None
     close = options.tolerance if last else max(HANDOVER, options.tolerance)
-    found = stage("fine", backend, start.point.state, start.point.appearance, close)
-    if to_anchor is not None and not hopeless:
-        finish = backend = to_anchor.anchored(found.point.state.theta)
+    found = stage("fine", renderer, start.point.state, start.point.appearance, close)
     if finish is not None:
-        found = stage("finish", finish, found.point.state, found.point.appearance, options.tolerance)
+        exactly = renderer_of(grid, finish, options)
+        found = stage("finish", exactly, found.point.state, found.point.appearance, options.tolerance)
+    elif exact is not None and not hopeless:
+        exactly = renderer_of(grid, exact, options)
+        for name, tolerance in (("anchored", max(CLOSE, options.tolerance)), ("finish", options.tolerance)):
+            anchored = Anchored(renderer, exactly, found.point.state)
+            found = stage(name, anchored, found.point.state, found.point.appearance, tolerance)
     at = found.point
     diagnosis = diagnose(values, grid, at, prior, found.converged, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
-    after = _counts(rough, backend, finish)
+    after = _counts(rough, backend, finish or exact)
     return FitResult(
         parameters=backend.parameters,
         posterior=posterior,

@@ -11,7 +11,10 @@ from torch import Tensor
 from sdm.fit.appearance import Appearance
 from sdm.fit.pose import State
 from sdm.fit.prior import Prior
-from sdm.fit.render import Renderer
+from sdm.fit.render import Rendered
+
+# Renders states on an image's grid, with derivatives: `Renderer`, `Anchored`.
+Render = Callable[[State], Rendered]
 
 # Steps of expectation-maximisation for each step of shape and pose.
 EM_STEPS = 2
@@ -56,7 +59,7 @@ class Outcome:
 
 
 def evaluate(
-    renderer: Renderer, image: Tensor, state: State, appearance: Appearance, prior: Prior, em_steps: int = EM_STEPS
+    renderer: Render, image: Tensor, state: State, appearance: Appearance, prior: Prior, em_steps: int = EM_STEPS
 ) -> Point:
     """The objective at a state, and its first two derivatives."""
     rendered = renderer(state)
@@ -91,7 +94,7 @@ def marginal(full: Tensor, count: int) -> Tensor:
 
 
 def minimise(
-    renderer: Renderer,
+    renderer: Render,
     image: Tensor,
     start: State,
     appearance: Appearance,

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from sdm import Grid
-from sdm.errors import SDMError
 from sdm.fit.backend import rough_of
 from sdm.fit.backends import make_backends
 from sdm.fit.from_grid import GridBackend
@@ -50,27 +48,6 @@ def test_linear_functions_are_exact_up_to_the_grids_end() -> None:
     points = torch.rand(500, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 6 - 3
     found = backend.with_derivatives(torch.tensor([0.5, 0.0]), points)
     assert float((found.values - (points @ torch.tensor([0.6, 0.0, 0.8]).double() - 0.5)).abs().max()) < 1e-5
-
-
-def test_an_anchor_takes_an_error_out_and_leaves_the_backend_as_it_was() -> None:
-    def biased(theta: torch.Tensor) -> torch.Tensor:
-        return ball(theta) + (0.05 + 0.01 * theta[:, :1, None, None, None]) * torch.sin(3 * GRID.points()[..., 0])
-
-    points = torch.tensor([[1.1, 0.2, -0.3], [0.4, 1.2, 0.1], [-0.7, -0.7, 0.5]], dtype=torch.float64)
-    true, plain = _backend(), GridBackend(biased, GRID, PARAMETERS, exact=ball)
-    here, near = torch.tensor([1.3, 0.2], dtype=torch.float64), torch.tensor([1.4, 0.25], dtype=torch.float64)
-    before = plain.distances(here, points)
-    anchored = plain.anchored(here)
-    assert float((anchored.distances(here, points) - true.distances(here, points)).abs().max()) < 1e-6
-    # The part of the error that changes with theta is left.
-    assert float((anchored.distances(near, points) - true.distances(near, points)).abs().max()) < 0.0012
-    assert float((plain.distances(near, points) - true.distances(near, points)).abs().max()) > 0.02
-    assert torch.equal(plain.distances(here, points), before)
-    assert (plain.evaluations, anchored.evaluations) == (3, 4)
-    assert plain.can_anchor
-    assert not true.can_anchor
-    with pytest.raises(SDMError, match="no exact maps"):
-        true.anchored(here)
 
 
 def test_beyond_the_grid_distances_go_on_growing() -> None:

@@ -64,7 +64,7 @@ def test_intervals_and_record(result: FitResult, tmp_path: Path) -> None:
     assert record["theta"]["a"]["interval"] == pytest.approx(ends[0].tolist())
 
 
-def test_the_hybrid_ends_where_exact_does(backend: ExactBackend, image: Image, result: FitResult) -> None:
+def test_hybrid_and_anchored_end_where_exact_does(backend: ExactBackend, image: Image, result: FitResult) -> None:
     """A surrogate that is off by hundredths of a millimetre, and right to first order alone."""
     grid = Grid((-6.5, -6.0, -2.8), (0.4, 0.4, 0.4), (40, 32, 20))
     points = grid.points().double().reshape(-1, 3)
@@ -80,10 +80,19 @@ def test_the_hybrid_ends_where_exact_does(backend: ExactBackend, image: Image, r
     surrogate.centre = backend.centre
     hybrid = fit_shape(image.values, image.grid, surrogate, finish=backend, options=OPTIONS)
     alone = fit_shape(image.values, image.grid, surrogate, options=OPTIONS)
-    error = ((hybrid.state.theta - result.state.theta) / result.state.theta).abs()
-    assert float(error.max()) < 1e-4
-    assert float(((alone.state.theta - result.state.theta) / result.state.theta).abs().max()) > 1e-4
+    surrogate.exact = backend
+    anchored = fit_shape(image.values, image.grid, surrogate, options=OPTIONS)
+    errors = [
+        float(((found.state.theta - result.state.theta) / result.state.theta).abs().max())
+        for found in (hybrid, anchored, alone)
+    ]
+    assert errors[0] < 1e-4
+    assert errors[1] < 1e-2
+    assert errors[2] > 2e-2
     assert hybrid.evaluations["exact"] < result.evaluations["exact"] / 2
+    assert anchored.evaluations["exact"] == 2
+    assert list(anchored.steps) == ["start", "fine", "anchored", "finish"]
+    assert "exact" not in alone.evaluations
 
 
 def test_labels_find_it_too(backend: ExactBackend, image: Image, truth: State) -> None:

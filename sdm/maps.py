@@ -1,0 +1,112 @@
+"""Whole maps, from vertices and faces to values: queued step by step, or all at once from a recording.
+
+Each call without gradients on a GPU is a function of a few tensors that queues kernels and does nothing else, so that
+`sdm.replay` can record it. What a mesh's faces say by themselves is looked up beforehand, with one exception: faces
+never seen before are taken for those of a closed mesh as soon as such calls are recorded, and what they say is read
+while the map is under way. If that was wrong, the map is thrown away and made anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from sdm import ops, replay
+from sdm.grid import Grid
+from sdm.hierarchy import build, build_known, check_count, surroundings
+from sdm.topology import is_known, leaves_none_over, queue_pairing, remember_closed
+
+# A launch's indices are 32 bits wide.
+LARGEST_SLAB = 1 << 30
+# Larger results are not worth a recording: their kernels take longer than it takes to launch them.
+LARGEST_RECORDED = 1 << 28
+
+
+def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
+    """Layers (begin, end) of slabs with about as many voxels."""
+    # The kernels work in regions of 16^3: whole ones, so that a slab's voxels are treated as those of the whole map.
+    layers = max(16, voxels // (grid.shape[1] * grid.shape[2]) // 16 * 16)
+    for begin in range(0, grid.shape[0], layers):
+        yield begin, min(begin + layers, grid.shape[0])
+
+
+def slab_of(
+    vertices: Tensor, faces: Tensor, hierarchy: list[Tensor], kind: int, grid: Grid, begin: int, end: int
+) -> tuple[Tensor, Tensor]:
+    """Layers of a grid's maps (B,end-begin,ny,nz), and how many voxels are ambiguous (B,)."""
+    shape = [end - begin, grid.shape[1], grid.shape[2]]
+    direction = [x for row in grid.direction for x in row]
+    return torch.ops.sdm.distance_map(
+        vertices, faces, hierarchy, kind, list(grid.origin), list(grid.spacing), shape, begin, direction
+    )
+
+
+def is_replayable(vertices: Tensor, grid: Grid, meshes: int = 1) -> bool:
+    """Whether maps of these vertices may be recorded and replayed."""
+    return meshes * grid.nbytes <= LARGEST_RECORDED and replay.serves(vertices)
+
+
+def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None]:
+    """The map (nx,ny,nz) of a replayable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
+    vertices, count = vertices.detach(), vertices.shape[0]
+    if is_known(faces, count):
+        values, ambiguous = _maps(vertices[None], faces, grid, None)
+        return values[0], ambiguous
+    kind = "closed", count, faces.shape[0], grid, ops.DENSE_METHOD
+    found = replay.replayed(kind, (vertices, faces))
+    if found is not None:
+        remember_closed(faces, count, found[1])
+        return found[0][0], None
+    if not leaves_none_over(faces, count):
+        values, ambiguous = _maps(vertices[None], faces, grid, None)
+        return values[0], ambiguous
+    values = _known_maps(grid, replay.unheard, vertices[None], faces, *surroundings(vertices, faces))[0]
+    replay.note(kind, partial(_closed_map, grid), (vertices, faces))
+    return values[0], None
+
+
+def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
+    """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
+    if is_replayable(vertices, grid, vertices.shape[0]):
+        check_count(vertices, faces)
+        return _maps(vertices.detach().contiguous(), faces.contiguous(), grid, edges)[0]
+    hierarchy, kind = build(vertices.detach(), faces, edges)
+    values = [
+        slab_of(vertices, faces, hierarchy, kind, grid, begin, end)[0]
+        for begin, end in slabs_of(grid, LARGEST_SLAB // vertices.shape[0])
+    ]
+    return values[0] if len(values) == 1 else torch.cat(values, 1)
+
+
+def _maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    """Replayable maps (B,nx,ny,nz), and how many voxels are ambiguous (B,), None for closed meshes."""
+    shared, edges, around = surroundings(vertices, faces, edges)
+    kind = "known", vertices.shape, faces.shape[0], edges.shape[0], grid, ops.DENSE_METHOD
+    inputs = vertices, faces, shared, edges, around
+    found = replay.replayed(kind, inputs)
+    if found is None:
+        work = partial(_known_maps, grid)
+        found = work(replay.unheard, *inputs)
+        replay.note(kind, work, inputs)
+    return found[0], found[1] if len(found) > 1 else None
+
+
+def _known_maps(
+    grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor
+) -> tuple[Tensor, ...]:
+    hierarchy, kind = build_known(vertices, faces, shared, edges, around)
+    found = slab_of(vertices, faces, hierarchy, kind, grid, 0, grid.shape[0])
+    return found if edges.shape[0] else found[:1]
+
+
+def _closed_map(grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """The map (1,nx,ny,nz) of a mesh that is closed if the remarks are zero, and its neighbours (F,4)."""
+    remarks, _, shared = queue_pairing(faces, vertices.shape[0])
+    say(remarks)
+    # The kernels after this trust the faces, which only later turn out to be out of range.
+    faces = faces.clamp(0, vertices.shape[0] - 1)
+    none = faces.new_empty((0, 2))
+    return _known_maps(grid, say, vertices[None], faces, shared, none, none)[0], shared

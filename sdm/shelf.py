@@ -1,0 +1,78 @@
+"""The recordings of one device: which calls are worth one, and which recordings are kept."""
+
+from __future__ import annotations
+
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+
+from sdm.recording import Inputs, Recording, Room, Work
+
+# A call is recorded once it has come this often, as a recording takes as long as some calls.
+CALLS = 3
+MOST_RECORDINGS = 4
+# Kinds of calls that are counted.
+MOST_KINDS = 64
+_REFUSED = -(1 << 62)
+
+
+class Shelf:
+    """The recordings of one device: those used last.
+
+    Args:
+        most: Bytes that all of them may take.
+        record: Makes a recording of a work and its inputs in some room.
+    """
+
+    def __init__(self, most: int, record: Callable[[Room, Work, Inputs], Recording] = Recording) -> None:
+        self._most = most
+        self._record = record
+        self._room = Room()
+        self._kept: OrderedDict[Hashable, Recording] = OrderedDict()
+        self._calls: OrderedDict[Hashable, int] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def find(self, kind: Hashable) -> Recording | None:
+        """The recording of a kind of call, if there is one."""
+        found = self._kept.get(kind)
+        if found is not None:
+            self._kept.move_to_end(kind)
+        return found
+
+    def note(self, kind: Hashable, work: Work, inputs: Inputs) -> None:
+        """Count a call that went without a recording, and record it if it came often enough."""
+        self._calls[kind] = self._calls.pop(kind, 0) + 1
+        while len(self._calls) > MOST_KINDS:
+            self._calls.popitem(last=False)
+        if self._calls[kind] < CALLS or kind in self._kept:
+            return
+        self._calls[kind] = 0
+        while len(self._kept) >= MOST_RECORDINGS:
+            self.drop(next(iter(self._kept)))
+        try:
+            made = self._record(self._room, work, inputs)
+        except RuntimeError as error:
+            # The call itself has its result.
+            self._calls[kind] = _REFUSED
+            warnings.warn(f"a call could not be recorded, and will not be replayed: {error}", stacklevel=2)
+            return
+        if self._room.nbytes <= self._most:
+            self._kept[kind] = made
+            return
+        if not self._kept:
+            self._calls[kind] = _REFUSED
+        # Memory of one room goes back together.
+        self.clear()
+
+    def drop(self, kind: Hashable) -> None:
+        """Forget a recording."""
+        self._kept.pop(kind, None)
+        if not self._kept:
+            self.clear()
+
+    def clear(self) -> None:
+        """Forget them all; those under way go on."""
+        self._kept.clear()
+        self._room = Room(self._room)

@@ -1,0 +1,186 @@
+"""Which calls are recorded, how many recordings are kept, and that a CPU has none of it."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from bench.meshes import load_case, sphere
+from sdm import maps, replay, topology
+from sdm.shelf import MOST_KINDS, Shelf
+
+INPUTS = (torch.zeros(1),)
+
+
+class Stub:
+    """A recording that takes some memory of its room."""
+
+    def __init__(self, room, work, inputs):
+        room.nbytes += work
+
+
+@pytest.fixture
+def shelf():
+    return Shelf(100, Stub)
+
+
+def _note(shelf, kind, nbytes=10, times=replay.CALLS):
+    for _ in range(times):
+        shelf.note(kind, nbytes, INPUTS)
+
+
+def test_the_third_call_is_recorded(shelf):
+    _note(shelf, "a", times=2)
+    assert shelf.find("a") is None
+    shelf.note("a", 10, INPUTS)
+    assert isinstance(shelf.find("a"), Stub)
+    assert shelf.find("b") is None
+
+
+def test_kinds_are_counted_apart(shelf):
+    for _ in range(2):
+        for kind in ("a", "b", "c"):
+            shelf.note(kind, 10, INPUTS)
+    assert len(shelf) == 0
+
+
+def test_the_least_recently_used_goes(shelf):
+    for kind in "abcd":
+        _note(shelf, kind)
+    shelf.find("a")
+    _note(shelf, "e")
+    assert [kind for kind in "abcde" if shelf.find(kind)] == ["a", "c", "d", "e"]
+    # What went has to come three times again.
+    _note(shelf, "b", times=2)
+    assert shelf.find("b") is None
+    shelf.note("b", 10, INPUTS)
+    assert shelf.find("b") is not None
+
+
+def test_too_much_memory_is_given_back(shelf):
+    _note(shelf, "a", 60)
+    _note(shelf, "b", 60)
+    assert len(shelf) == 0
+    _note(shelf, "b", 60)
+    assert len(shelf) == 1
+
+
+def test_one_that_is_too_large_is_never_recorded_again(shelf):
+    made = []
+    shelf._record = lambda *args: made.append(1) or Stub(*args)
+    _note(shelf, "a", 101, times=20)
+    assert len(shelf) == 0
+    assert len(made) == 1
+
+
+def test_a_failure_is_told_once_and_does_no_harm(shelf):
+    def fail(*args):
+        raise RuntimeError("no")
+
+    shelf._record = fail
+    with pytest.warns(UserWarning, match="could not be recorded"):
+        _note(shelf, "a")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _note(shelf, "a", times=20)
+    assert len(shelf) == 0
+
+
+def test_counts_do_not_pile_up(shelf):
+    for kind in range(1000):
+        shelf.note(kind, 10, INPUTS)
+    assert len(shelf._calls) <= MOST_KINDS
+
+
+def test_a_wrong_guess_is_dropped(shelf):
+    _note(shelf, "a")
+    shelf.drop("a")
+    shelf.drop("never there")
+    assert len(shelf) == 0
+    assert shelf._room.nbytes == 0
+
+
+def test_a_cpu_never_enters(monkeypatch):
+    def never(*args):
+        raise AssertionError("a CPU's call was to be replayed")
+
+    for name in ("replayed", "note"):
+        monkeypatch.setattr(replay, name, never)
+    case = load_case("torus-500")
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    grid = sdm.Grid.around(mesh, resolution=6)
+    for _ in range(4):
+        values = sdm.signed_distance_map(mesh, grid, device="cpu").values
+        batch = sdm.signed_distance_maps(mesh.vertices[None], mesh.faces, grid, device="cpu")
+        assert torch.equal(values, batch[0])
+
+
+def test_the_switch():
+    assert replay._switch.on
+    with replay.paused():
+        assert not replay._switch.on
+        with replay.paused():
+            pass
+        assert not replay._switch.on
+    assert replay._switch.on
+    replay.enable(False)
+    try:
+        assert not replay.serves(INPUTS[0])
+    finally:
+        replay.enable(True)
+    replay.clear()
+
+
+@pytest.mark.parametrize("name", ["torus-500", "open hemisphere", "random soup", "unmerged sphere"])
+def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
+    """The functions that a GPU records, run here without a recording."""
+    case = load_case(name)
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    grid = sdm.Grid.around(mesh, resolution=10)
+    index = sdm.MeshIndex(mesh, "cpu")
+    expected = index.signed_distance_map(grid)
+    noted = []
+    monkeypatch.setattr(replay, "note", lambda kind, work, inputs: noted.append((kind, work, inputs)))
+    monkeypatch.setattr(replay, "serves", lambda tensor: True)
+    # New faces first, then known ones.
+    faces = mesh.faces.clone()
+    for _ in range(2):
+        values, ambiguous = maps.map_of(mesh.vertices, faces, grid)
+        assert torch.equal(values, expected.values)
+        assert (ambiguous is None) == index.closed
+        assert (0 if ambiguous is None else int(ambiguous)) == expected.ambiguous_voxels
+    assert torch.equal(maps.batch_maps(mesh.vertices[None], faces, grid, None)[0], expected.values)
+    assert [kind[0] for kind, _, _ in noted] == ["closed" if name == "torus-500" else "known", "known", "known"]
+    for _, work, inputs in noted:
+        said = []
+        assert torch.equal(work(said.append, *inputs)[0][0], expected.values)
+        assert not any(remarks.any() for remarks in said)
+
+
+def test_a_wrong_guess_is_told():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    grid = sdm.Grid([-1] * 3, [0.5] * 3, [4] * 3)
+    for wrong in (faces[1:].contiguous(), torch.where(faces == 3, 10_000, faces), torch.where(faces == 3, -5, faces)):
+        said = []
+        maps._closed_map(grid, said.append, vertices, wrong.int())
+        assert said[0].any()
+
+
+def test_closed_faces_are_remembered():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    count = vertices.shape[0]
+    assert not topology.is_known(faces, count)
+    expected = topology.neighbours(faces, count)
+    assert topology.is_known(faces, count)
+    assert not topology.is_known(faces, count + 1)
+    other = faces.clone()
+    topology.remember_closed(other, count, expected)
+    assert topology.is_known(other, count)
+    assert topology.boundary_edges(vertices, other).shape == (0, 2)
+    other[0] = other[1]
+    assert not topology.is_known(other, count)
+    assert np.array_equal(topology.boundary_edges(vertices, other), topology.boundary_edges(vertices, other.clone()))
