@@ -3,7 +3,8 @@
     python -m bench.dense --device cuda --out bench/results/dense-cuda.json
 
 Parts: `table` (four meshes against the faster of the peers, geometric means), `batch` (maps a second), `points`,
-`triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph).
+`triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph), `signs`
+(what the sign costs).
 
 sdm's time is that of a mesh never seen before, from vertices and faces on the device to the map: topology, structure
 and query. A peer's is its query alone. Medians of warm calls; spread is slowest less fastest, of the median. A peer
@@ -38,6 +39,7 @@ BUDGETS_S = {
     "resolution": 30.0,
     "worst": 30.0,
     "graph": 15.0,
+    "signs": 20.0,
 }
 QUICK_S = 6.0
 PACKAGES = ("warp-lang", "torch", "numpy", "libigl", "open3d")

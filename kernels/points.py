@@ -119,9 +119,7 @@ def _look_around(
             negated_high = wp.min(negated_high, -p)
         at = at + lanes
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
-    high = -wp.vec3(
-        least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2])
-    )
+    high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
     far = bool(False)
     cell = Cell()
     cell.centre = 0.5 * (low + high)

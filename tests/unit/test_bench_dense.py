@@ -10,6 +10,7 @@ import pytest
 
 import sdm
 from bench import _dense_job as common
+from bench import _dense_signs as signs
 from bench import _dense_table as table
 from bench import _dense_worst as worst
 from bench import dense, plots
@@ -53,6 +54,19 @@ def test_a_file_of_something_else_is_refused(tmp_path, capsys):
     assert plots.main([str(other)]) == 2
     assert capsys.readouterr().err.count("holds no results") == 2
     assert other.read_text() == "[1]"
+
+
+def test_what_a_sign_costs():
+    job = common.Job("cpu", quick=True, budget_s=20)
+    rows = list(signs.rows(job))
+    assert [(row["closed"], row["boundary_edges"] > 0) for row in rows] == [(True, False), (False, True)]
+    assert all(row["ratio"] == row["signed"]["ms"] / row["unsigned"]["ms"] for row in rows)
+    case = load_case("torus-2000")
+    ours, grid = common.Ours(case, "cpu"), common.cube_around(case, 16)
+    with signs.unsigned():
+        alone = ours.map(grid)
+    assert bool((alone >= 0).all())
+    np.testing.assert_array_equal(alone, ours.map(grid).abs())
 
 
 def test_budget_over_is_said():
