@@ -26,7 +26,7 @@ from sdm.kernels.boundary import Boundary
 from sdm.kernels.crossings import covers, crossing_of
 from sdm.kernels.cull import Cell
 from sdm.kernels.geometry import nearest_part, segment_distance2
-from sdm.kernels.lanes import sum_of_lanes
+from sdm.kernels.lanes import ballot, sum_of_lanes
 from sdm.kernels.tree import Tree, to_lattice
 
 wp.set_module_options({"enable_backward": False})
@@ -196,6 +196,24 @@ def cap_lattice(boundary: Boundary, tree: Tree, edge: int, mesh: int):
     apex = boundary.apexes[edge]
     top = to_lattice(tree, mesh, wp.float64(apex[1]), wp.float64(apex[2]))
     return boundary.lattice[2 * edge + 1], boundary.lattice[2 * edge], top
+
+
+@wp.func
+def may_cover(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
+    """Whether a line along x through a box may meet a cap: whether their shadows along x overlap, with some room."""
+    meets = bool(False)
+    e = lane
+    while e < boundary.count:
+        edge = mesh * boundary.count + e
+        a = boundary.ends[2 * edge + 1]
+        b = boundary.ends[2 * edge]
+        c = boundary.apexes[edge]
+        low = wp.min(a, wp.min(b, c)) - cell.centre - cell.half
+        high = wp.max(a, wp.max(b, c)) - cell.centre + cell.half
+        room = ROUNDING * (1.0 + wp.abs(cell.centre[1]) + wp.abs(cell.centre[2]))
+        meets = meets or (low[1] <= room and high[1] >= -room and low[2] <= room and high[2] >= -room)
+        e = e + lanes
+    return ballot(meets) != wp.uint32(0)
 
 
 @wp.func

@@ -13,9 +13,12 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import NodeStack
-from sdm.kernels.tree import LATTICE_SLACK, Tree, first_triangle, node_box, to_lattice
+from sdm.kernels.tree import Tree, first_triangle, node_box, to_lattice
 
 wp.set_module_options({"enable_backward": False})
+
+# A ray's room across it: more than a step of the lattice and a rounding of the sum, in scaled units and relative.
+RAY_ROOM = wp.constant(1.2e-7)
 
 
 @wp.func
@@ -73,29 +76,57 @@ def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
     )
 
 
+@wp.struct
+class Ray:
+    """A ray along x, with room for the lattice and for rounding across it: it may seem to meet more than it does."""
+
+    x: float
+    back: wp.int32  # towards -x
+    low_y: float
+    high_y: float
+    low_z: float
+    high_z: float
+
+
 @wp.func
-def meets_ray(tree: Tree, node: int, p: wp.vec3d):
-    """Whether the ray from p along +x can meet something in a node's box, with a lattice step of slack."""
+def ray_from(p: wp.vec3d, back: bool):
+    """The ray from p (scaled, and float32's) along +x, or along -x."""
+    ray = Ray()
+    ray.x = float(p[0])
+    ray.back = wp.where(back, 1, 0)
+    y = float(p[1])
+    z = float(p[2])
+    room_y = RAY_ROOM + RAY_ROOM * wp.abs(y)
+    room_z = RAY_ROOM + RAY_ROOM * wp.abs(z)
+    ray.low_y = y - room_y
+    ray.high_y = y + room_y
+    ray.low_z = z - room_z
+    ray.high_z = z + room_z
+    return ray
+
+
+@wp.func
+def meets_ray(tree: Tree, node: int, ray: Ray):
+    """Whether a ray can meet something in a node's box."""
     low, high = node_box(tree, node)
-    return (
-        wp.float64(high[0]) > p[0]
-        and p[1] >= wp.float64(low[1]) - LATTICE_SLACK
-        and p[1] <= wp.float64(high[1]) + LATTICE_SLACK
-        and p[2] >= wp.float64(low[2]) - LATTICE_SLACK
-        and p[2] <= wp.float64(high[2]) + LATTICE_SLACK
-    )
+    ahead = wp.where(ray.back != 0, low[0] <= ray.x, high[0] > ray.x)
+    return ahead and low[1] <= ray.high_y and high[1] >= ray.low_y and low[2] <= ray.high_z and high[2] >= ray.low_z
 
 
 @wp.func
-def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
-    """Signed crossings of the ray from p (scaled) along +x: the winding number at p if the mesh is closed."""
+def count_on_ray(tree: Tree, mesh: int, p: wp.vec3d, back: bool):
+    """Signed crossings beyond p along +x; or of those at p and along -x, turned round.
+
+    Of a closed mesh they are equal, as the crossings of a whole line add up to zero.
+    """
     base = mesh * (2 << tree.depth)
     leaves = 1 << tree.depth
     q = to_lattice(tree, mesh, p[1], p[2])
+    ray = ray_from(p, back)
     total = int(0)
     nodes = NodeStack()
     waiting = int(0)
-    node = wp.where(meets_ray(tree, base + 1, p), 1, 0)
+    node = wp.where(meets_ray(tree, base + 1, ray), 1, 0)
     while node > 0:
         if node >= leaves:
             leaf = node - leaves
@@ -104,14 +135,14 @@ def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
                 slot = mesh * tree.count + t
                 sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
                 if sign != 0:
-                    if crossing_x(tree, slot, q) > p[0]:
+                    if (crossing_x(tree, slot, q) > p[0]) != back:
                         total = total + sign
             node = int(0)
         else:
             left = 2 * node
             right = left + 1
-            hit_left = meets_ray(tree, base + left, p)
-            hit_right = meets_ray(tree, base + right, p)
+            hit_left = meets_ray(tree, base + left, ray)
+            hit_right = meets_ray(tree, base + right, ray)
             node = wp.where(hit_left, left, wp.where(hit_right, right, 0))
             if hit_left and hit_right:
                 nodes[waiting] = right
@@ -119,4 +150,17 @@ def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
         if node == 0 and waiting > 0:
             waiting = waiting - 1
             node = nodes[waiting]
-    return total
+    return wp.where(back, -total, total)
+
+
+@wp.func
+def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
+    """Signed crossings of the ray from p (scaled) along +x: the winding number at p if the mesh is closed."""
+    return count_on_ray(tree, mesh, p, False)
+
+
+@wp.func
+def winding_of_closed(tree: Tree, mesh: int, p: wp.vec3d):
+    """The winding number of a closed mesh at p (scaled), by whichever ray along x leaves its box sooner."""
+    low, high = node_box(tree, mesh * (2 << tree.depth) + 1)
+    return count_on_ray(tree, mesh, p, wp.float64(low[0] + high[0]) > wp.float64(2.0) * p[0])

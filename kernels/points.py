@@ -12,9 +12,9 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.boundary import Boundary, boundary_winding
-from sdm.kernels.caps import count_caps, is_far, view_caps
+from sdm.kernels.caps import count_caps, is_far, may_cover, view_caps
 from sdm.kernels.closest import nearest_slot
-from sdm.kernels.crossings import count_crossings
+from sdm.kernels.crossings import count_crossings, winding_of_closed
 from sdm.kernels.cull import Cell
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import closest_point
@@ -39,12 +39,15 @@ _GROUP = wp.constant(GROUP)
 class Winding:
     """How the winding number is found: the kind of mesh decides."""
 
-    boundary: Boundary  # used if kind is OPEN
-    moments: wp.array(dtype=wp.float32)  # used if kind is SOUP
+    boundary: Boundary  # used if kind is OPEN or MANY
+    moments: wp.array(dtype=wp.float32)  # used if kind is MANY or SOUP
     kind: wp.int32
 
 
-CLOSED, OPEN, SOUP = 0, 1, 2
+# Without a boundary; with few boundary edges, all of which are visited where they matter; with many, which are visited
+# where a whole block of voxels or points shares the cost; with so many that only the tree of dipoles is used.
+CLOSED, OPEN, MANY, SOUP = 0, 1, 2, 3
+_CLOSED = wp.constant(CLOSED)
 _OPEN = wp.constant(OPEN)
 _SOUP = wp.constant(SOUP)
 
@@ -52,22 +55,28 @@ _SOUP = wp.constant(SOUP)
 @wp.func
 def winding_at(tree: Tree, winding: Winding, mesh: int, p: wp.vec3d):
     """The generalised winding number at p (scaled)."""
-    if winding.kind == _SOUP:
-        return float(soup_winding(tree, winding.moments, mesh, p))
-    result = wp.float64(count_crossings(tree, mesh, p))
+    if winding.kind == _CLOSED:
+        return float(winding_of_closed(tree, mesh, p))
     if winding.kind == _OPEN:
-        result = result + boundary_winding(winding.boundary, tree, mesh, p)
-    return float(result)
+        return float(wp.float64(count_crossings(tree, mesh, p)) + boundary_winding(winding.boundary, tree, mesh, p))
+    return float(soup_winding(tree, winding.moments, mesh, p))
 
 
 @wp.func
-def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool):
-    """Whether the winding number at p (scaled) is more than 0.5; `far` from the holes of an open mesh or not.
+def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool, covered: bool):
+    """Whether the winding number at p (scaled) is more than 0.5.
 
-    Far from its holes an open mesh with its holes closed has the same sides.
+    Args:
+        tree: One mesh's hierarchy.
+        winding: How its winding number is found.
+        p: The point.
+        far: Whether the holes of an open mesh are so far away that it has the same sides with its holes closed.
+        covered: Whether the line through p along x may meet what closes them.
     """
-    if far and winding.kind == _OPEN:
+    if far and covered:
         return count_crossings(tree, 0, p) + count_caps(winding.boundary, tree, 0, p, 0, 1) > 0
+    if far:
+        return winding_of_closed(tree, 0, p) > 0
     return winding_at(tree, winding, 0, p) > 0.5
 
 
@@ -120,18 +129,19 @@ def _look_around(
         at = at + lanes
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
     high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
-    far = bool(False)
+    hint = int(0)
     cell = Cell()
     cell.centre = 0.5 * (low + high)
     if low[0] <= high[0] and is_finite(cell.centre):
         cell.half = wp.max(high - cell.centre, cell.centre - low) * 1.000001
         cell.half2 = wp.dot(cell.half, cell.half)
-        if winding.kind == _OPEN:
-            far = is_far(view_caps(winding.boundary, 0, cell, lane, lanes))
+        if winding.kind != _CLOSED and winding.kind != _SOUP:
+            if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
+                hint = wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), 3, 1)
     else:
         cell.centre = wp.vec3(0.0, 0.0, 0.0)
     if lane == 0:
-        groups[group] = 2 * nearest_slot(tree, 0, cell.centre, 0) + wp.where(far, 1, 0)
+        groups[group] = 4 * nearest_slot(tree, 0, cell.centre, 0) + hint
 
 
 @wp.kernel
@@ -154,7 +164,9 @@ def _query(
     known = int(0)
     if run * length < total:
         known = groups[run * length / _GROUP]
-    guess = known >> 1
+    guess = known >> 2
+    far = (known & 1) != 0
+    covered = (known & 2) != 0
     scale = tree.frame[_SCALE]
     unscale = tree.frame[_UNSCALE]
     # The bound is a variable so that Warp does not write the loop out.
@@ -177,7 +189,7 @@ def _query(
                     wp.vec3d(tree.corners[4 * guess + 2]),
                 )
                 distance = float(wp.sqrt(hit.distance2) * unscale)
-                if inside_at(tree, winding, exact, (known & 1) != 0):
+                if inside_at(tree, winding, exact, far, covered):
                     distance = -distance
                 values[i] = distance
                 if want_hits != 0:
@@ -234,7 +246,7 @@ def query_points(
         winding: How its winding number is found.
         points: (N,) vec3; one that is not finite gives NaN and face -1.
         order: (N,) the order to go through them, or empty: as they come.
-        groups: (ceil(N / GROUP),) int32, scratch.
+        groups: (ceil(N / GROUP),) int32, scratch: for each group a triangle near it, and two hints for the sign.
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
         launch: `sdm.kernels.launch.launch`.

@@ -17,7 +17,7 @@ from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
 from sdm.kernels.holes import open_caps
 from sdm.kernels.lanes import GPU_LANES, fetch_add
-from sdm.kernels.points import CLOSED, OPEN, SOUP, Winding
+from sdm.kernels.points import CLOSED, MANY, OPEN, SOUP, Winding
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
 
@@ -27,7 +27,7 @@ wp.set_module_options({"enable_backward": False})
 FEWEST_LANES = 4
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
-_SOUP = wp.constant(SOUP)
+_OPEN = wp.constant(OPEN)
 
 
 @wp.func
@@ -148,7 +148,7 @@ def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtyp
 def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
     mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
     share = float(0.0)
-    if winding.kind == _SOUP:
+    if winding.kind != _OPEN:
         share = float(soup_winding(tree, winding.moments, mesh, p))
     else:
         share = float(boundary_winding(winding.boundary, tree, mesh, p))
@@ -174,7 +174,8 @@ def slab_winding(
     device = values.device
     meshes, nx, ny, nz = values.shape
     total = meshes * nx * ny * nz
-    if winding.kind == SOUP:
+    # Rays along the columns close the holes and open them again; of a turned grid there are none.
+    if winding.kind == SOUP or (winding.kind == MANY and slab.turned != 0):
         values.zero_()
     elif slab.turned != 0:
         launch(_count_at_voxels, total, [tree, slab, values], device)
@@ -184,12 +185,12 @@ def slab_winding(
         boundary = winding.boundary
         lanes = lanes_per_triangle(tree.count, ny * nz) if device.is_cuda else 1
         launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)
-        if winding.kind == OPEN:
+        if winding.kind != CLOSED:
             lanes = GPU_LANES if device.is_cuda else 1
             edges = meshes * boundary.count * lanes
             launch(_scan_caps, edges, [tree, boundary, slab, lanes, counts.flatten()], device)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
-        if winding.kind == OPEN:
+        if winding.kind != CLOSED:
             open_caps(tree, boundary, slab, values, launch, empty)
         return
     if winding.kind != CLOSED:

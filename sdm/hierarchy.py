@@ -18,14 +18,23 @@ from sdm.memory import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_
 from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
 
-# Above this many boundary edges the tree of dipoles costs less than visiting every edge.
+# Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
+# number also than visiting them for a whole block of voxels.
 MOST_BOUNDARY_EDGES = 1024
+MOST_FOR_BLOCKS = 8192
+# Only of a surface with holes, though: of loose triangles, whose edges are all boundary, no block is far from any.
+FEWEST_FACES_AN_EDGE = 16
 
 
-def kind_of(edges: Tensor) -> int:
-    """How the sign of a mesh with these boundary edges is found."""
+def kind_of(edges: Tensor, faces: Tensor) -> int:
+    """How the sign of a mesh with these boundary edges and faces is found."""
     count = edges.shape[0]
-    return points.CLOSED if count == 0 else points.OPEN if count <= MOST_BOUNDARY_EDGES else points.SOUP
+    if count == 0:
+        return points.CLOSED
+    if count <= MOST_BOUNDARY_EDGES:
+        return points.OPEN
+    few = count <= MOST_FOR_BLOCKS and count * FEWEST_FACES_AN_EDGE <= faces.shape[0]
+    return points.MANY if few else points.SOUP
 
 
 def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:
@@ -64,7 +73,7 @@ def surroundings(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
     """What `build_known` wants to know about faces: neighbours, boundary edges and, of an open mesh, their loops."""
     if edges is None:
         edges = boundary_edges(vertices, faces)
-    around = loops(edges) if kind_of(edges) == points.OPEN else edges
+    around = loops(edges) if kind_of(edges, faces) in (points.OPEN, points.MANY) else edges
     return neighbours(faces, vertices.shape[-2]), edges, around
 
 
@@ -72,7 +81,7 @@ def build_known(
     vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor
 ) -> tuple[list[Tensor], int]:
     """`build` of contiguous tensors whose `surroundings` are known: queues kernels, and does nothing else."""
-    kind = kind_of(edges)
+    kind = kind_of(edges, faces)
     meshes, count = vertices.shape[0], faces.shape[0]
     tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
     empty = scratch_on(vertices.device)
@@ -91,11 +100,11 @@ def build_known(
         frames.make_frames(hierarchy, local, launch)
         for make, out in ((parts.make_parts, pieces), (cones.make_cones, facing)):
             make(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), out, launch)
-        if kind == points.OPEN:
+        if kind in (points.OPEN, points.MANY):
             gather_boundary(
                 winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
             )
-        elif kind == points.SOUP:
+        if kind in (points.MANY, points.SOUP):
             solid_angle.build_moments(hierarchy, winding.moments, meshes, launch)
     return tensors, kind
 
@@ -111,11 +120,11 @@ def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
     sizes["balls"] = 4 * slots * 4
     sizes["cones"] = 4 * slots * 4
     sizes["node_cones"] = 4 * (meshes << (tree.depth_for(count) + 3))
-    ends = 2 * meshes * edges if kind == points.OPEN else 0
+    ends = 2 * meshes * edges if kind in (points.OPEN, points.MANY) else 0
     sizes["ends"] = 4 * ends * 3
     sizes["ends_lattice"] = 4 * ends * 2
     sizes["apexes"] = 4 * ends // 2 * 3
-    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind == points.SOUP else 0
+    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind in (points.MANY, points.SOUP) else 0
     sizes["moments"] = 4 * nodes * solid_angle.MOMENTS_SIZE
     return sizes
 

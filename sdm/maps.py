@@ -22,7 +22,7 @@ from sdm.topology import is_known, leaves_none_over, queue_pairing, remember_clo
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
-LARGEST_RECORDED = 1 << 28
+LARGEST_RECORDED = 1 << 29
 
 
 def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:

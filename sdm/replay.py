@@ -4,7 +4,7 @@ A map takes about 60 launches, which take the host longer than a GPU needs to ru
 kind (the same grid, numbers of meshes, vertices, faces and boundary edges, on one device) is recorded as a CUDA graph,
 and those that follow copy their tensors into the recording's, launch it and copy the result out. The values are the
 same bits. Calls that want gradients, those inside `torch.compile` or another graph's capture, and results larger than
-256 MiB are not recorded, nor is what a `MeshIndex` does.
+512 MiB are not recorded, nor is what a `MeshIndex` does.
 
 Of each device the four recordings used last are kept, with at most a sixteenth of its memory; they share their scratch,
 so the device runs one after the other, whatever streams they are launched on. `enable(False)`, or the environment

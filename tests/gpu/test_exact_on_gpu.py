@@ -35,6 +35,19 @@ def test_soups(monkeypatch, mesh, seed):
     assert_exact(mesh.vertices, mesh.faces, points, index.signed_distance(points))
 
 
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(mesh=strategies.anywhere(meshes), seed=strategies.seeds, shape=st.tuples(*[st.integers(1, 20)] * 3))
+def test_many_boundary_edges(monkeypatch, mesh, seed, shape):
+    monkeypatch.setattr(sdm.hierarchy, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.hierarchy, "FEWEST_FACES_AN_EDGE", 0)
+    points = strategies.points_about(mesh, seed)
+    index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
+    assert_exact(mesh.vertices, mesh.faces, points, index.signed_distance(points))
+    grid = sdm.Grid([-0.125 * (n - 1) for n in shape], [0.25] * 3, shape)
+    centres = grid.points().reshape(-1, 3).numpy()
+    assert_exact(mesh.vertices, mesh.faces, centres, index.signed_distance_map(grid).values)
+
+
 @settings(max_examples=100)
 @given(meshes, st.tuples(*[st.integers(1, 20)] * 3), st.sampled_from([0.25, 0.4, 0.5]))
 def test_maps(mesh, shape, spacing):
