@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from bench._record import put, write
 from sdm.errors import FormatError
-from sdm.io.atomic import replacing
 
 
 def write_results(report: dict[str, Any], out: Path) -> list[Path]:
@@ -26,11 +25,9 @@ def write_results(report: dict[str, Any], out: Path) -> list[Path]:
     except OSError as error:
         raise FormatError(f"the folder {folder} cannot be made: {error.strerror or error}") from error
     written = [out if alone else out / "results.json"]
-    with replacing(written[0]) as part:
-        part.write_text(json.dumps(report, indent=1) + "\n")
+    write(written[0], report)
     if not alone:
         written.append(out / "report.md")
-        with replacing(written[1]) as part:
-            part.write_text(results_markdown(report))
+        put(written[1], results_markdown(report))
         written += draw(report, out, "results")
     return written

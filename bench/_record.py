@@ -1,4 +1,4 @@
-"""Results as JSON files, whole or not at all."""
+"""Results as files, whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from typing import Any
 from sdm.io.atomic import replacing
 
 
-def write(path: Path, record: dict[str, Any]) -> None:
-    """Write JSON; atomic."""
+def put(path: Path, text: str) -> None:
+    """Write text; atomic."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
-        part.write_text(json.dumps(record, indent=1) + "\n")
+        part.write_text(text)
+
+
+def write(path: Path, record: dict[str, Any]) -> None:
+    """Write JSON; atomic."""
+    put(path, json.dumps(record, indent=1) + "\n")

@@ -18,6 +18,8 @@ from typing import Any
 
 import torch
 
+from bench._record import write
+
 Job = dict[str, Any]
 # From a job, the device, the folder for unfinished work, what the process keeps between jobs, and the deadline
 # (time.monotonic()), to the log; None if the deadline came first.
@@ -100,9 +102,7 @@ def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float
 
 def write_log(path: Path, log: dict[str, Any]) -> None:
     """Small JSON: numbers of five digits, infinities as words, whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(_short(log), indent=1, allow_nan=False) + "\n")
-    part.replace(path)
+    write(path, _short(log))
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:

@@ -25,6 +25,7 @@ import sdm
 from bench import _sampling as sampling
 from bench._checks import LIMIT, Tally, compare, rounding
 from bench._machine import ROOT, describe
+from bench._record import put, write
 from bench._report import accuracy_markdown
 from bench.brute import Brute
 from bench.meshes import Case, load_case, missing_note, names
@@ -212,11 +213,8 @@ def _line(name: str, result: dict[str, Any]) -> str:
 
 
 def _write(out: Path, report: dict[str, Any]) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    for path, text in ((out, json.dumps(report, indent=1) + "\n"), (out.with_suffix(".md"), accuracy_markdown(report))):
-        part = path.with_name(path.name + ".part")
-        part.write_text(text)
-        part.replace(path)
+    write(out, report)
+    put(out.with_suffix(".md"), accuracy_markdown(report))
 
 
 if __name__ == "__main__":

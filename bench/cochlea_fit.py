@@ -26,6 +26,7 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from bench._record import write
 from sdm.shapes import Cochlea
 
 # Where the fit starts: a plain cochlea, turned and moved roughly onto the real one.
@@ -52,10 +53,7 @@ def main() -> None:
         "versions": {name: importlib.metadata.version(name) for name in ("libigl", "torch", "warp-lang", "numpy")},
         "machine": {"processor": platform.processor() or platform.machine(), "device": "cpu"},
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    part = options.out.with_suffix(".part")
-    part.write_text(json.dumps(result, indent=1) + "\n")
-    part.replace(options.out)
+    write(options.out, result)
     print(json.dumps(result, indent=1))
 
 

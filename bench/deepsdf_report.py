@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench._record import put, write
+
 COLUMNS = {
     "chamfer": "Chamfer (points)",
     "chamfer_floor": "its floor",
@@ -32,9 +34,8 @@ def report(runs: list[Path], to: Path) -> None:
         lines += ["", f"## {name}", "", *_machines(found)]
         for title, part in _tables(found):
             lines += ["", f"### {title}", "", *part]
-    to.mkdir(parents=True, exist_ok=True)
-    _put("\n".join(lines) + "\n", to / "deepsdf.md")
-    _put(json.dumps(scores, indent=1) + "\n", to / "deepsdf.json")
+    put(to / "deepsdf.md", "\n".join(lines) + "\n")
+    write(to / "deepsdf.json", scores)
     for found in scores.values():
         if "recipe_study" in found:
             _picture(found["recipe_study"], to / "deepsdf_recipe.png")
@@ -98,9 +99,3 @@ def _picture(study: dict[str, Any], path: Path) -> None:
         axes.set_yscale("log")
         axes.legend()
     figure.savefig(path, dpi=120)
-
-
-def _put(text: str, path: Path) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(text)
-    part.replace(path)

@@ -26,9 +26,9 @@ from typing import Any
 import sdm
 from bench._dense_job import Job
 from bench._machine import describe
+from bench._record import write
 from bench._report import machine_line, markdown_table
 from sdm.device import choose_device
-from sdm.io.atomic import replacing
 
 # Seconds for each part on a GPU; compiling is in them.
 BUDGETS_S = {
@@ -66,9 +66,7 @@ def run_part(part: str, job: Job, out: Path | None, report: dict[str, Any], **ch
 def _save(out: Path | None, report: dict[str, Any], part: str, result: dict[str, Any]) -> None:
     report["parts"][part] = result
     if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(out) as temporary:
-            temporary.write_text(json.dumps(report, indent=1) + "\n")
+        write(out, report)
 
 
 def _print(part: str, result: dict[str, Any], lines: list[list[str]]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ import torch
 
 import sdm
 from bench._machine import describe
+from bench._record import write
 from bench.meshes import sphere
 
 # Samples of memory, evenly over the run; the first is taken after a tenth of it, when caches are full.
@@ -62,7 +62,7 @@ def main() -> int:
     report = {**describe(options.device), "seconds": round(time.perf_counter() - begin, 1), "grown": grown}
     print("grown since the first sample:", grown)
     if options.out:
-        options.out.write_text(json.dumps({**report, "samples": samples}, indent=2) + "\n")
+        write(options.out, {**report, "samples": samples})
     return 0
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -19,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from bench._machine import ROOT, describe
+from bench._record import write
 from bench._report import markdown_table
 from bench.sanitize import find_tool
 from sdm.errors import DeviceError, SDMError
-from sdm.io.atomic import replacing
 
 CASES = ("rocker-arm:256", "nefertiti:256", "torus-1000000:256", "rocker-arm:128")
 LONGEST = 8
@@ -179,9 +178,7 @@ def _run(options: argparse.Namespace) -> None:
         results.append(result)
         _print(result)
         if options.out is not None:
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(options.out) as part:
-                part.write_text(json.dumps({**describe("cuda"), "cases": results}, indent=1) + "\n")
+            write(options.out, {**describe("cuda"), "cases": results})
 
 
 def _print(result: dict[str, Any]) -> None:

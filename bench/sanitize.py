@@ -8,7 +8,6 @@ that every tensor is an allocation of its own, and one step past its end is seen
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
@@ -20,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from bench._machine import ROOT, describe
+from bench._record import write
 from sdm.errors import DeviceError, SDMError
-from sdm.io.atomic import replacing
 
 TOOLS = ("memcheck", "racecheck")
 WORK = ("-m", "bench._gpu_work", "cuda")
@@ -109,10 +108,7 @@ def _run(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         results[tool] = check(tool, program, options.resolution, options.timeout_s)
         print(f"{tool}: {results[tool]['summary']} ({results[tool]['seconds']:.0f} s)", flush=True)
         if options.out is not None:
-            options.out.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(options.out) as part:
-                report = {**describe("cuda"), "resolution": options.resolution, "tools": results}
-                part.write_text(json.dumps(report, indent=1) + "\n")
+            write(options.out, {**describe("cuda"), "resolution": options.resolution, "tools": results})
     return results
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import stats
 
 from bench import segmentation_juhl, segmentation_ma
+from bench._record import put
 from bench._segmentation_jobs import read_logs
 from sdm.segmentation import METHODS
 
@@ -36,9 +37,7 @@ def main() -> None:
     text = page(options.ma, options.juhl)
     print(text)
     if options.out is not None:
-        part = options.out.with_suffix(".part")
-        part.write_text(text + "\n")
-        part.replace(options.out)
+        put(options.out, text + "\n")
 
 
 def page(ma: Path, juhl: Path) -> str:

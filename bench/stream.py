@@ -33,6 +33,7 @@ import torch.distributed as dist
 
 from bench._loader import loader
 from bench._machine import describe
+from bench._record import write
 from bench._stream_endurance import endurance
 from bench._stream_rates import rates
 from bench._stream_reading import reading
@@ -113,10 +114,7 @@ class Results:
     def add(self, name: str, found: dict[str, Any]) -> None:
         self._all[name] = found
         print(json.dumps({name: found}, indent=1), flush=True)
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        part = self._path.with_suffix(".part")
-        part.write_text(json.dumps(self._all, indent=1) + "\n")
-        part.replace(self._path)
+        write(self._path, self._all)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from bench._record import put, write
 from bench.surrogate_accuracy import COLUMNS
+from sdm.io.atomic import replacing
 from sdm.shapes import Cochlea
 from sdm.surrogate import GRID, Settings
 from sdm.surrogate.shipped import WEIGHTS
@@ -44,10 +46,10 @@ def main() -> None:
     }
     facts["validation"] = measured["validation"]
     name = facts["model"]
-    options.to.mkdir(parents=True, exist_ok=True)
-    (options.to / f"{name}.json").write_text(json.dumps(facts, indent=1) + "\n")
-    (options.to / "README.md").write_text(card(facts, len(data), measured["machine"], options.results))
-    (options.to / f"{name}.safetensors").write_bytes(data)
+    write(options.to / f"{name}.json", facts)
+    put(options.to / "README.md", card(facts, len(data), measured["machine"], options.results))
+    with replacing(options.to / f"{name}.safetensors") as part:
+        part.write_bytes(data)
     print(f"{options.to / name}.safetensors, {len(data) / 1e6:.2f} MB")
 
 
