@@ -1,7 +1,8 @@
 """Exact Euclidean distance transform of binary volumes: one pass for each axis.
 
-Squared distances add over the axes, so the nearest voxel is found axis by axis: first in each row, then by lower
-envelopes along the other two. Time is proportional to the number of voxels, whatever the mask.
+Squared distances add over the axes, so the nearest voxel is found axis by axis: first in each row, then along the other
+two, among a voxel's neighbours where that is enough and by lower envelopes where not. Time is proportional to the
+number of voxels, whatever the mask.
 
 Both sides of a signed transform share the memory: seen from outside a voxel inside is at distance zero, so one number
 with a sign holds what both need.
@@ -9,11 +10,12 @@ with a sign holds what both need.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import warp as wp
 
-from sdm.kernels.edt_lines import lower_envelope
+from sdm.kernels.edt_lines import NEIGHBOURS, Marks, nearest_on_line
 from sdm.kernels.edt_rows import nearest_in_row
 from sdm.kernels.lanes import GPU_LANES
 
@@ -28,7 +30,7 @@ def transform(
     half: float,
     signed: bool,
     missing: float,
-    room: tuple[wp.array, wp.array],
+    room: tuple[wp.array, wp.array, wp.array],
     out: wp.array,
     launch: Any,
 ) -> None:
@@ -41,7 +43,7 @@ def transform(
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         signed: Whether voxels inside get minus their distance to the outside, rather than 0.
         missing: Distance where there is no voxel of the other class.
-        room: Scratch, float32 and int32, each as large as the mask.
+        room: Scratch, float32 and int32, each as large as the mask, and int32 zeros: B * nz * (nx + ny).
         out: float32, flat.
         launch: See `launch.launch`.
     """
@@ -50,12 +52,23 @@ def transform(
     # In units of the largest spacing an isotropic grid's squared distances are whole numbers or quarters: exact.
     unit = max(spacing)
     weights = [(s / unit) * (s / unit) for s in spacing]
-    between, stack = room
-    rows = meshes * nx * ny
+    between, stack, far = room
+    rows, lines = meshes * nx * ny, meshes * nx * nz
     sides = 2 if signed else 1
     lanes = GPU_LANES if device.is_cuda else 1
-    launch(nearest_in_row, rows * lanes, [mask, nz, lanes, weights[2], half, int(signed), out], device)
-    along_y = [out, ny, nz, weights[1], half, sides, 0.0, missing, stack, between]
-    launch(lower_envelope, meshes * nx * nz, along_y, device, BLOCK_DIM)
-    along_x = [between, nx, ny * nz, weights[0], half, sides, unit, missing, stack, out]
-    launch(lower_envelope, meshes * ny * nz, along_x, device, BLOCK_DIM)
+    along_y = _marks(far[:lines], weights[1], half)
+    along_x = _marks(far[lines:], weights[0], half)
+    none = _marks(far[:1], math.inf, half)
+    row = [mask, nz, lanes, weights[2], half, int(signed), along_y, ny, out]
+    launch(nearest_in_row, rows * lanes, row, device)
+    line = [out, ny, nz, weights[1], half, sides, 0.0, missing, along_y, along_x, nx, stack, between]
+    launch(nearest_on_line, lines, line, device, BLOCK_DIM)
+    line = [between, nx, ny * nz, weights[0], half, sides, unit, missing, along_x, none, 1, stack, out]
+    launch(nearest_on_line, meshes * ny * nz, line, device, BLOCK_DIM)
+
+
+def _marks(far: wp.array, weight: float, half: float) -> Any:
+    marks = Marks()
+    marks.far = far
+    marks.limit = weight * (int(NEIGHBOURS) - half) ** 2
+    return marks

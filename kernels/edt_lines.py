@@ -2,6 +2,9 @@
 
 The scan of Meijster, Roerdink and Hesselink (2000): a stack of the voxels that are closest somewhere on the line, each
 with the first place where it is. One thread does one line, so neighbouring threads read neighbouring addresses.
+
+Where all voxels of a line are close to the other class already, as in noise, each asks its few neighbours instead. The
+pass before knows that: it marks the lines that have a voxel further away.
 """
 
 from __future__ import annotations
@@ -10,6 +13,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# A line is marked if one of its voxels might have to look further than this.
+NEIGHBOURS = wp.constant(6)
 # A stack's entry keeps two positions in 32 bits.
 LONGEST_LINE = (1 << 15) - 1
 _LOW = wp.constant((1 << 16) - 1)
@@ -51,8 +56,54 @@ def first_won(site: int, height: float, later: int, later_height: float, weight:
     return int(wp.ceil(wp.clamp(between, wp.float64(site + 1), wp.float64(later))))
 
 
+@wp.struct
+class Marks:
+    """Which lines have a voxel that is far from the other class."""
+
+    far: wp.array(dtype=wp.int32)  # one for each line of a pass: not zero where it has
+    limit: float  # squared distances beyond this one are far
+
+
+@wp.func
+def mark(marks: Marks, line: int, height: float):
+    """Note that a line of the next pass has a voxel with this height."""
+    if wp.abs(height) > marks.limit:
+        marks.far[line] = 1
+
+
+@wp.func
+def finished(squared: float, scale: float, missing: float):
+    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
+    if scale > 0.0:
+        return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
+    return squared
+
+
+@wp.func
+def from_neighbours(
+    heights: wp.array(dtype=wp.float32), base: int, stride: int, length: int, x: int, weight: float, half: float
+):
+    """The value of voxel x of a line that is not marked, with its sign.
+
+    A voxel whose own height is h has nothing to gain from one at a squared distance of h or more.
+    """
+    value = heights[base + x * stride]
+    side = wp.where(value < 0.0, -1.0, 1.0)
+    best = wp.abs(value)
+    k = int(1)
+    added = cost(k, 0, 0.0, weight, half)
+    while added < best:
+        if x >= k:
+            best = wp.min(best, wp.max(side * heights[base + (x - k) * stride], 0.0) + added)
+        if x + k < length:
+            best = wp.min(best, wp.max(side * heights[base + (x + k) * stride], 0.0) + added)
+        k = k + 1
+        added = cost(k, 0, 0.0, weight, half)
+    return side * best
+
+
 @wp.kernel
-def lower_envelope(
+def nearest_on_line(
     begin: int,
     heights: wp.array(dtype=wp.float32),
     length: int,
@@ -62,17 +113,32 @@ def lower_envelope(
     sides: int,
     scale: float,
     missing: float,
+    marks: Marks,
+    following: Marks,
+    across: int,
     stack: wp.array(dtype=wp.int32),
     out: wp.array(dtype=wp.float32),
 ):
     """One line: out[x] = min over i of heights[i] + cost(x - i), for the voxels outside, then for those inside.
 
     A height below zero belongs to a voxel inside: seen from outside it is zero, and the other way round. With a
-    `scale` above zero the result is no longer squared.
+    `scale` above zero the result is no longer squared. The lines of the next pass, `across` of which this one's voxels
+    are the first, second, ... voxels, are marked in `following`.
     """
     line = begin + wp.tid()
     outer = line / stride
     base = outer * stride * length + (line - outer * stride)
+    # The line of the next pass through x = 0; they are a stride apart.
+    crossing = outer / across * stride * length + (line - outer * stride)
+    if marks.far[line] == 0:
+        # A variable, or the compiler would write the loop out.
+        steps = int(length)
+        for x in range(steps):
+            near = from_neighbours(heights, base, stride, length, x, weight, half)
+            mark(following, crossing + x * stride, near)
+            side_of = wp.where(near < 0.0, -1.0, 1.0)
+            out[base + x * stride] = side_of * finished(wp.abs(near), scale, missing)
+        return
     inside = int(0)
     for turn in range(sides):
         side = float(1.0)
@@ -122,9 +188,8 @@ def lower_envelope(
                         best = cost(x, site, height, weight, half)
                     if value == 0.0:
                         best = 0.0
-                    if scale > 0.0:
-                        best = wp.where(best < wp.inf, scale * wp.sqrt(best), missing)
-                    out[base + x * stride] = side * best
+                    mark(following, crossing + x * stride, best)
+                    out[base + x * stride] = side * finished(best, scale, missing)
                 if count > 0 and x == start:
                     count = count - 1
                     if count > 0:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.edt_lines import Marks, mark
 from sdm.kernels.lanes import ballot
 
 wp.set_module_options({"enable_backward": False})
@@ -59,9 +60,14 @@ def nearest_in_row(
     weight: float,
     half: float,
     both: int,
+    following: Marks,
+    across: int,
     out: wp.array(dtype=wp.float32),
 ):
-    """Squared distance to the nearest voxel of the other class in the same row; see `edt.transform`."""
+    """Squared distance to the nearest voxel of the other class in the same row; see `edt.transform`.
+
+    The lines of the next pass are marked in `following`; `across` rows side by side have the same ones.
+    """
     thread = begin + wp.tid()
     row = thread / lanes
     lane = thread - row * lanes
@@ -122,6 +128,7 @@ def nearest_in_row(
                 value = -value
                 if both == 0:
                     value = 0.0
+            mark(following, row / across * length + k, value)
             out[base + k] = value
         found = first_at_or_after(insides, 0)
         if found >= 0:

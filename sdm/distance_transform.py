@@ -32,11 +32,13 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
     chunk = max(1, min(count, MOST_VOXELS // largest))
     between = torch.empty(chunk * nx * ny * nz, dtype=torch.float32, device=mask.device)
     stack = torch.empty_like(between, dtype=torch.int32)
+    far = torch.empty(chunk * (nx + ny) * nz, dtype=torch.int32, device=mask.device)
     sizes = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
     with on_current_stream(mask, mask):
-        room = (as_warp(between, wp.float32), as_warp(stack, wp.int32))
         for begin in range(0, count, chunk):
             part = mask[begin : begin + chunk]
+            marks = far[: part.shape[0] * (nx + ny) * nz].zero_()
+            room = (as_warp(between, wp.float32), as_warp(stack, wp.int32), as_warp(marks, wp.int32))
             source = as_warp(part.view(torch.uint8).reshape(-1), wp.uint8)
             result = as_warp(out[begin : begin + chunk].reshape(-1), wp.float32)
             shape = (part.shape[0], nx, ny, nz)
