@@ -17,7 +17,6 @@ from sdm.kernels.least import VOXELS
 from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import CELL_BITS, plan_blocks
-from sdm.kernels.points import Winding
 from sdm.kernels.regions import STACK, list_regions
 from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
@@ -25,6 +24,7 @@ from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.selection import select_parts
 from sdm.kernels.tree import Tree
 from sdm.kernels.voxels import Features
+from sdm.kernels.winding import Winding
 from sdm.kernels.witness import find_witnesses
 
 # Entries of the pool of lists: 64 MiB on a CPU, 128 to 512 MiB on a GPU.

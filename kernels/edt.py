@@ -15,7 +15,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.edt_lines import NEIGHBOURS, Marks, nearest_on_line
+from sdm.kernels.edt_lines import nearest_on_line
+from sdm.kernels.edt_near import NEIGHBOURS, Marks
 from sdm.kernels.edt_rows import nearest_in_row
 from sdm.kernels.lanes import GPU_LANES
 

@@ -3,28 +3,20 @@
 The scan of Meijster, Roerdink and Hesselink (2000): a stack of the voxels that are closest somewhere on the line, each
 with the first place where it is. One thread does one line, so neighbouring threads read neighbouring addresses.
 
-Where all voxels of a line are close to the other class already, as in noise, each asks its few neighbours instead. The
-pass before knows that: it marks the lines that have a voxel further away.
+Lines without a voxel far from the other class are left to `edt_near`.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.edt_near import Marks, cost, from_neighbours, mark
+
 wp.set_module_options({"enable_backward": False})
 
-# A line is marked if one of its voxels might have to look further than this.
-NEIGHBOURS = wp.constant(6)
 # A stack's entry keeps two positions in 32 bits.
 LONGEST_LINE = (1 << 15) - 1
 _LOW = wp.constant((1 << 16) - 1)
-
-
-@wp.func
-def cost(x: int, site: int, height: float, weight: float, half: float):
-    """Squared distance at x through the voxel at `site`."""
-    away = wp.max(float(wp.abs(x - site)) - half, 0.0)
-    return height + weight * (away * away)
 
 
 @wp.func
@@ -56,50 +48,12 @@ def first_won(site: int, height: float, later: int, later_height: float, weight:
     return int(wp.ceil(wp.clamp(between, wp.float64(site + 1), wp.float64(later))))
 
 
-@wp.struct
-class Marks:
-    """Which lines have a voxel that is far from the other class."""
-
-    far: wp.array(dtype=wp.int32)  # one for each line of a pass: not zero where it has
-    limit: float  # squared distances beyond this one are far
-
-
-@wp.func
-def mark(marks: Marks, line: int, height: float):
-    """Note that a line of the next pass has a voxel with this height."""
-    if wp.abs(height) > marks.limit:
-        marks.far[line] = 1
-
-
 @wp.func
 def finished(squared: float, scale: float, missing: float):
     """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
     if scale > 0.0:
         return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
     return squared
-
-
-@wp.func
-def from_neighbours(
-    heights: wp.array(dtype=wp.float32), base: int, stride: int, length: int, x: int, weight: float, half: float
-):
-    """The value of voxel x of a line that is not marked, with its sign.
-
-    A voxel whose own height is h has nothing to gain from one at a squared distance of h or more.
-    """
-    value = heights[base + x * stride]
-    side = wp.where(value < 0.0, -1.0, 1.0)
-    best = wp.abs(value)
-    k = int(1)
-    added = cost(k, 0, 0.0, weight, half)
-    while added < best:
-        if x >= k:
-            best = wp.min(best, wp.max(side * heights[base + (x - k) * stride], 0.0) + added)
-        if x + k < length:
-            best = wp.min(best, wp.max(side * heights[base + (x + k) * stride], 0.0) + added)
-        k = k + 1
-        added = cost(k, 0, 0.0, weight, half)
-    return side * best
 
 
 @wp.kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_lines import Marks, mark
+from sdm.kernels.edt_near import Marks, mark
 from sdm.kernels.lanes import ballot
 
 wp.set_module_options({"enable_backward": False})

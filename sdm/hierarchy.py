@@ -11,9 +11,10 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import cones, frames, parts, points, solid_angle, tree
+from sdm.kernels import cones, frames, parts, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
 from sdm.kernels.launch import launch
+from sdm.kernels.winding import CLOSED, MANY, OPEN, SOUP, Winding
 from sdm.memory import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_on
 from sdm.mesh import MOST_TRIANGLES
 from sdm.topology import boundary_edges, loops, neighbours
@@ -30,11 +31,11 @@ def kind_of(edges: Tensor, faces: Tensor) -> int:
     """How the sign of a mesh with these boundary edges and faces is found."""
     count = edges.shape[0]
     if count == 0:
-        return points.CLOSED
+        return CLOSED
     if count <= MOST_BOUNDARY_EDGES:
-        return points.OPEN
+        return OPEN
     few = count <= MOST_FOR_BLOCKS and count * FEWEST_FACES_AN_EDGE <= faces.shape[0]
-    return points.MANY if few else points.SOUP
+    return MANY if few else SOUP
 
 
 def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:
@@ -73,7 +74,7 @@ def surroundings(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
     """What `build_known` wants to know about faces: neighbours, boundary edges and, of an open mesh, their loops."""
     if edges is None:
         edges = boundary_edges(vertices, faces)
-    around = loops(edges) if kind_of(edges, faces) in (points.OPEN, points.MANY) else edges
+    around = loops(edges) if kind_of(edges, faces) in (OPEN, MANY) else edges
     return neighbours(faces, vertices.shape[-2]), edges, around
 
 
@@ -100,11 +101,11 @@ def build_known(
         frames.make_frames(hierarchy, local, launch)
         for make, out in ((parts.make_parts, pieces), (cones.make_cones, facing)):
             make(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), out, launch)
-        if kind in (points.OPEN, points.MANY):
+        if kind in (OPEN, MANY):
             gather_boundary(
                 winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
             )
-        if kind in (points.MANY, points.SOUP):
+        if kind in (MANY, SOUP):
             solid_angle.build_moments(hierarchy, winding.moments, meshes, launch)
     return tensors, kind
 
@@ -120,11 +121,11 @@ def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
     sizes["balls"] = 4 * slots * 4
     sizes["cones"] = 4 * slots * 4
     sizes["node_cones"] = 4 * (meshes << (tree.depth_for(count) + 3))
-    ends = 2 * meshes * edges if kind in (points.OPEN, points.MANY) else 0
+    ends = 2 * meshes * edges if kind in (OPEN, MANY) else 0
     sizes["ends"] = 4 * ends * 3
     sizes["ends_lattice"] = 4 * ends * 2
     sizes["apexes"] = 4 * ends // 2 * 3
-    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind in (points.MANY, points.SOUP) else 0
+    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind in (MANY, SOUP) else 0
     sizes["moments"] = 4 * nodes * solid_angle.MOMENTS_SIZE
     return sizes
 
@@ -179,7 +180,7 @@ def _views(
     boundary.lattice = array(wp.vec2i)
     boundary.apexes = array(wp.vec3)
     boundary.count = boundary.apexes.shape[0] // meshes
-    winding = points.Winding()
+    winding = Winding()
     winding.boundary = boundary
     winding.moments = array(wp.float32)
     winding.kind = kind

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import sdm
 import sdm.hierarchy
 from bench.meshes import load_case
-from sdm.kernels import points as kinds
+from sdm.kernels import winding as kinds
 from tests import strategies
 from tests.exactness import assert_exact
 

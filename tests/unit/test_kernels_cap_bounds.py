@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from sdm.hierarchy import build, unpack
-from sdm.kernels import points
+from sdm.kernels import winding
 from sdm.kernels.boundary import Boundary
 from sdm.kernels.caps import doubt, is_far, see_caps, share_of_turn, view_caps
 from sdm.kernels.cull import Cell
@@ -61,7 +61,7 @@ def fan(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 def caps_of(vertices: np.ndarray, faces: np.ndarray):
     tensors, kind = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
-    assert kind == points.OPEN
+    assert kind == winding.OPEN
     return tensors, unpack(tensors, kind, 1)[1].boundary
 
 
