@@ -10,6 +10,10 @@ from sdm.recording import Inputs, Recording, Room, Work
 
 # A call is recorded once it has come this often, as a recording takes as long as some calls.
 CALLS = 3
+# One that has to make room before it was used so often was not worth it: from then on calls have to come twice as
+# often, up to a limit. Otherwise many kinds by turns, as of a folder of meshes, would be recorded again and again.
+WORTH = 32
+MOST_CALLS = 64 * CALLS
 MOST_RECORDINGS = 4
 # Kinds of calls that are counted.
 MOST_KINDS = 64
@@ -30,6 +34,8 @@ class Shelf:
         self._room = Room()
         self._kept: OrderedDict[Hashable, Recording] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
+        self._used: dict[Hashable, int] = {}
+        self.needed = CALLS
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -39,6 +45,7 @@ class Shelf:
         found = self._kept.get(kind)
         if found is not None:
             self._kept.move_to_end(kind)
+            self._used[kind] += 1
         return found
 
     def note(self, kind: Hashable, work: Work, inputs: Inputs) -> None:
@@ -46,11 +53,14 @@ class Shelf:
         self._calls[kind] = self._calls.pop(kind, 0) + 1
         while len(self._calls) > MOST_KINDS:
             self._calls.popitem(last=False)
-        if self._calls[kind] < CALLS or kind in self._kept:
+        if self._calls[kind] < self.needed or kind in self._kept:
             return
         self._calls[kind] = 0
         while len(self._kept) >= MOST_RECORDINGS:
-            self.drop(next(iter(self._kept)))
+            oldest = next(iter(self._kept))
+            if self._used[oldest] < WORTH:
+                self.needed = min(2 * self.needed, MOST_CALLS)
+            self.drop(oldest)
         try:
             made = self._record(self._room, work, inputs)
         except RuntimeError as error:
@@ -59,7 +69,7 @@ class Shelf:
             warnings.warn(f"a call could not be recorded, and will not be replayed: {error}", stacklevel=2)
             return
         if self._room.nbytes <= self._most:
-            self._kept[kind] = made
+            self._kept[kind], self._used[kind] = made, 0
             return
         if not self._kept:
             self._calls[kind] = _REFUSED
@@ -69,10 +79,12 @@ class Shelf:
     def drop(self, kind: Hashable) -> None:
         """Forget a recording."""
         self._kept.pop(kind, None)
+        self._used.pop(kind, None)
         if not self._kept:
             self.clear()
 
     def clear(self) -> None:
         """Forget them all; those under way go on."""
         self._kept.clear()
+        self._used.clear()
         self._room = Room(self._room)

@@ -25,6 +25,7 @@ def afresh():
     replay.clear()
     for shelf in replay._shelves.values():
         shelf._calls.clear()
+        shelf.needed = CALLS
     yield
     replay.clear()
 

@@ -11,7 +11,7 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere
 from sdm import maps, replay, topology
-from sdm.shelf import MOST_KINDS, Shelf
+from sdm.shelf import MOST_CALLS, MOST_KINDS, WORTH, Shelf
 
 INPUTS = (torch.zeros(1),)
 
@@ -51,6 +51,8 @@ def test_kinds_are_counted_apart(shelf):
 def test_the_least_recently_used_goes(shelf):
     for kind in "abcd":
         _note(shelf, kind)
+        for _ in range(WORTH):
+            shelf.find(kind)
     shelf.find("a")
     _note(shelf, "e")
     assert [kind for kind in "abcde" if shelf.find(kind)] == ["a", "c", "d", "e"]
@@ -59,6 +61,21 @@ def test_the_least_recently_used_goes(shelf):
     assert shelf.find("b") is None
     shelf.note("b", 10, INPUTS)
     assert shelf.find("b") is not None
+
+
+def test_kinds_by_turns_are_not_recorded_again_and_again(shelf):
+    made = []
+    shelf._record = lambda *args: made.append(1) or Stub(*args)
+    for _ in range(MOST_CALLS):
+        for kind in range(20):
+            if shelf.find(kind) is None:
+                shelf.note(kind, 1, INPUTS)
+    assert shelf.needed == MOST_CALLS
+    # Without a limit it would be one for each three calls.
+    assert len(made) < 20 * 10
+    # One that stays is recorded all the same.
+    _note(shelf, "stays", times=MOST_CALLS)
+    assert shelf.find("stays") is not None
 
 
 def test_too_much_memory_is_given_back(shelf):
