@@ -6,10 +6,10 @@ and those that follow copy their tensors into the recording's, launch it and cop
 same bits. Calls that want gradients, those inside `torch.compile` or another graph's capture, and results larger than
 512 MiB are not recorded, nor is what a `MeshIndex` does.
 
-A recording that has to go before it was used often makes later ones wait for more calls, so that many kinds by turns cost
-little. Of each device the four recordings used last are kept, with at most a sixteenth of its memory; they share their scratch,
-so the device runs one after the other, whatever streams they are launched on. `enable(False)`, or the environment
-variable `SDM_REPLAY=0`, turns this off, `paused()` for a while; `clear()` gives the memory back.
+A recording that has to go before it was used often makes later ones wait for more calls, so that many kinds by turns
+cost little. Of each device the four recordings used last are kept, with at most a sixteenth of its memory; they share
+their scratch, so the device runs one after the other, whatever streams they are launched on. `enable(False)`, or the
+environment variable `SDM_REPLAY=0`, turns this off, `paused()` for a while; `clear()` gives the memory back.
 """
 
 from __future__ import annotations

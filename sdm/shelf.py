@@ -58,8 +58,7 @@ class Shelf:
         self._calls[kind] = 0
         while len(self._kept) >= MOST_RECORDINGS:
             oldest = next(iter(self._kept))
-            if self._used[oldest] < WORTH:
-                self.needed = min(2 * self.needed, MOST_CALLS)
+            self._regret(self._used[oldest])
             self.drop(oldest)
         try:
             made = self._record(self._room, work, inputs)
@@ -74,7 +73,13 @@ class Shelf:
         if not self._kept:
             self._calls[kind] = _REFUSED
         # Memory of one room goes back together.
+        self._regret(min(self._used.values(), default=WORTH))
         self.clear()
+
+    def _regret(self, used: int) -> None:
+        """Be slower to record if what has to go was used so little."""
+        if used < WORTH:
+            self.needed = min(2 * self.needed, MOST_CALLS)
 
     def drop(self, kind: Hashable) -> None:
         """Forget a recording."""

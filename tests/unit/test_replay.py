@@ -80,9 +80,18 @@ def test_kinds_by_turns_are_not_recorded_again_and_again(shelf):
 
 def test_too_much_memory_is_given_back(shelf):
     _note(shelf, "a", 60)
+    for _ in range(WORTH):
+        shelf.find("a")
     _note(shelf, "b", 60)
     assert len(shelf) == 0
     _note(shelf, "b", 60)
+    assert len(shelf) == 1
+    # This one was not worth it.
+    _note(shelf, "a", 60)
+    assert len(shelf) == 0
+    _note(shelf, "a", 60)
+    assert len(shelf) == 0
+    _note(shelf, "a", 60)
     assert len(shelf) == 1
 
 
