@@ -9,7 +9,7 @@ import torch
 
 import sdm
 from bench._dense_batch import BATCHES, GRID, RESOLUTION, family
-from bench._dense_job import Job, as_dict
+from bench._dense_job import Job, as_dict, recorded
 from bench._timing import median
 from sdm import replay
 
@@ -31,19 +31,10 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
             expected = sdm.signed_distance_maps(other, shared, grid)
             plain = median(lambda a=at, s=shared: sdm.signed_distance_maps(a, s, grid), job.device, 3 * job.runs, 1e3)
         row["plain"] = as_dict(plain)
-        graph = torch.cuda.CUDAGraph()
         try:
-            stream = torch.cuda.Stream()
-            stream.wait_stream(torch.cuda.current_stream())
-            with torch.cuda.stream(stream):
-                for _ in range(2):
-                    sdm.signed_distance_maps(at, shared, grid)
-            torch.cuda.current_stream().wait_stream(stream)
-            torch.cuda.synchronize()
-            with torch.cuda.graph(graph, stream=stream):
-                values = sdm.signed_distance_maps(at, shared, grid)
+            again, values = recorded(lambda a=at, s=shared: sdm.signed_distance_maps(a, s, grid))
             at.copy_(other)
-            graph.replay()
+            again()
             torch.cuda.synchronize()
         except Exception as error:  # noqa: BLE001 - whatever torch or Warp says is the result here
             # What failed in a capture may leave the stream unusable: nothing more is tried.
@@ -51,7 +42,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
             return
         same = bool(torch.equal(values, expected))
         largest = float((values - expected).abs().max())
-        timing = median(graph.replay, job.device, 3 * job.runs, 1e3)
+        timing = median(again, job.device, 3 * job.runs, 1e3)
         yield row | {
             "captured": True,
             "replay": as_dict(timing),

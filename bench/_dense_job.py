@@ -127,6 +127,21 @@ def time_ours(job: Job, ours: Ours, grid: sdm.Grid, budget_s: float = 2.0) -> tu
     return row, values
 
 
+def recorded(call: Callable[[], Tensor]) -> tuple[Callable[[], None], Tensor]:
+    """A call as a CUDA graph: how to launch it again, and the tensor that it then fills."""
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        for _ in range(2):
+            call()
+    torch.cuda.current_stream().wait_stream(stream)
+    torch.cuda.synchronize()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph, stream=stream):
+        values = call()
+    return graph.replay, values
+
+
 def as_dict(timing: Timing) -> dict[str, float]:
     """For a JSON file."""
     return {"ms": timing.ms, "spread_percent": timing.spread, "runs": timing.runs}

@@ -7,15 +7,14 @@ since the launches would take longer than some kernels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import torch
 
 import sdm
-from bench._dense_job import Job, Ours, as_dict, cube_around
+from bench._dense_job import Job, Ours, as_dict, cube_around, recorded
 from bench._timing import median
 from bench.meshes import Case
 from sdm.kernels import dense
@@ -81,28 +80,9 @@ def timed(job: Job, ours: Ours, grid: sdm.Grid) -> dict[str, float]:
         index = ours.index
         return slab_of(ours.vertices[None], ours.faces, index._hierarchy, index._kind, grid, 0, grid.shape[0])[0]
 
-    call = recorded(query) if job.gpu else query
+    call = recorded(query)[0] if job.gpu else query
     call()
     return as_dict(median(call, job.device, job.runs, 500.0))
-
-
-def recorded(call: Callable[[], Any]) -> Callable[[], Any]:
-    """The call as a CUDA graph."""
-    stream = torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        call()
-    torch.cuda.current_stream().wait_stream(stream)
-    torch.cuda.synchronize()
-    graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, stream=stream):
-        kept = call()
-
-    def replay() -> Any:
-        graph.replay()
-        return kept
-
-    return replay
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:

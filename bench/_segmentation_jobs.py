@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from bench._record import write
+from bench._record import put
 
 Job = dict[str, Any]
 # From a job, the device, the folder for unfinished work, what the process keeps between jobs, and the deadline
@@ -102,7 +102,7 @@ def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float
 
 def write_log(path: Path, log: dict[str, Any]) -> None:
     """Small JSON: numbers of five digits, infinities as words, whole or not at all."""
-    write(path, _short(log))
+    put(path, json.dumps(_short(log), indent=1, allow_nan=False) + "\n")
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:

@@ -41,6 +41,7 @@ from bench.deepsdf_shapes import Shapes, atria, cochleas
 from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
 from sdm.deepsdf.ranks import process_group
 from sdm.deepsdf.settings import VARIANTS, Settings
+from sdm.io.atomic import replacing
 from sdm.mesh import TriangleMesh
 from sdm.sampling import SampleSource, ShapeSet
 from sdm.shapes import Cochlea
@@ -113,10 +114,10 @@ def search(model: DeepSDF, test: list[TriangleMesh], options: argparse.Namespace
     """Codes into `codes.pt`, so that another machine may score them; their times into the figures."""
     compiled = options.compile and model.device.type == "cuda"
     found = evaluation.search(model, test, options.steps, options.prior, compiled, options.search)
-    part, target = options.out / "codes.part", options.out / "codes.pt"
+    target = options.out / "codes.pt"
     known = torch.load(target, map_location="cpu") if target.exists() else {}
-    torch.save(known | {name: tuple(each) for name, each in found.items()}, part)
-    part.replace(target)
+    with replacing(target) as part:
+        torch.save(known | {name: tuple(each) for name, each in found.items()}, part)
     seconds = {name: each.seconds_a_shape for name, each in found.items()}
     return {"device": device_name(str(model.device)), "shapes": len(test), "prior": options.prior, "seconds": seconds}
 

@@ -17,12 +17,11 @@ from sdm.kernels.cull import Cell
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.lanes import GPU_LANES, least_of_lanes
-from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree, node_box
+from sdm.kernels.tree import SCALE, UNSCALE, Tree, node_box
 from sdm.kernels.winding import CLOSED, SOUP, Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
 
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
 _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
@@ -37,6 +36,14 @@ _GROUP = wp.constant(GROUP)
 @wp.func
 def is_finite(p: wp.vec3):
     return wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])
+
+
+@wp.func
+def numbered(order: wp.array(dtype=wp.int32), at: int):
+    """Which point is the one at a place in the order, which may be empty: as they come."""
+    if order.shape[0] > 0:
+        return order[at]
+    return at
 
 
 @wp.kernel
@@ -73,9 +80,7 @@ def _look_around(
     negated_high = low
     at = _GROUP * group + lane
     while at < wp.min(_GROUP * (group + 1), points.shape[0]):
-        i = at
-        if order.shape[0] > 0:
-            i = order[at]
+        i = numbered(order, at)
         if is_finite(points[i]):
             p = float(tree.frame[_SCALE]) * points[i]
             low = wp.min(low, p)
@@ -128,9 +133,7 @@ def _query(
     for step in range(steps):
         at = run * steps + step
         if at < total:
-            i = at
-            if order.shape[0] > 0:
-                i = order[at]
+            i = numbered(order, at)
             point = points[i]
             if is_finite(point):
                 p = float(scale) * point
