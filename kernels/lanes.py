@@ -179,6 +179,20 @@ def from_lane(value: float, source: int) -> float:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, source);
+#else
+    return value;
+#endif
+"""
+)
+def int_from_lane(value: int, source: int) -> int:
+    """Another lane's whole number."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     __syncwarp();
 #endif
 """

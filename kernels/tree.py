@@ -214,7 +214,7 @@ def _make_keys(
     high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
     # The middle of the triangle's box: for long triangles better than the mean of the corners.
     middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
-    keys[i] = (wp.int64(mesh) << wp.int64(3 * CURVE_BITS)) | wp.int64(curve_code(middle, low, high))
+    keys[i] = (wp.int64(mesh) << wp.int64(3 * CURVE_BITS)) | curve_code(middle, low, high, CURVE_BITS)
     slots[i] = f
 
 

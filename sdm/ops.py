@@ -22,12 +22,14 @@ from sdm.hierarchy import build, one_of, unpack
 from sdm.kernels import dense
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
-from sdm.kernels.points import GROUP, query_points, query_winding, sort_points
+from sdm.kernels.points import query_points, query_winding, sort_points
 from sdm.memory import as_warp, on_current_stream, scratch_on
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
 DENSE_METHOD = "auto"
+# And distances of points: "lists" (fast on a GPU), "search" (plain) or "auto".
+POINTS_METHOD = "auto"
 # Fewer points than this are queried in the order they come in.
 SMALLEST_SORT = 1 << 12
 # Points of a grid that the backward pass looks up at a time.
@@ -45,9 +47,8 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
     sort = count >= SMALLEST_SORT
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
-    groups = torch.empty(-(-count // GROUP), dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, tensors[0]):
-        hierarchy, winding, *_ = unpack(tensors, kind, 1)
+        hierarchy, winding, _, parts, cones = unpack(tensors, kind, 1)
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
@@ -55,8 +56,19 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
         room = None
         if hits:
             room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
-        around = as_warp(groups, wp.int32)
-        query_points(hierarchy, winding, where, by, around, as_warp(values, wp.float32), room, launch)
+        query_points(
+            hierarchy,
+            parts,
+            cones,
+            winding,
+            where,
+            by,
+            as_warp(values, wp.float32),
+            room,
+            launch,
+            scratch_on(at.device),
+            POINTS_METHOD,
+        )
     return [values, *found]
 
 

@@ -1,0 +1,204 @@
+"""Which triangles matter to a group of points: by the tree, all lanes together.
+
+A tree of two children a node is narrow at the top, where a descent by levels leaves most lanes idle. So each lane takes
+a descendant as many levels down as fills the lanes: its number follows from its ancestor's, and whatever its ancestors'
+tests would have dropped, its own does too.
+
+Found slots are left in the worker's scratch. A list too long for it is given up: its points are then searched one by
+one, which is slower, never wrong.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.cones import Cones
+from sdm.kernels.crossings import Ray, meets_ray
+from sdm.kernels.cull import Cell, Witness
+from sdm.kernels.lanes import GPU_LANES, wait_for_lanes
+from sdm.kernels.leaves import full_of_leaves, push, triangles_that_matter
+from sdm.kernels.regions import node_matters
+from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
+
+wp.set_module_options({"enable_backward": False})
+
+# A worker's scratch: nodes, of which each level leaves at most 32 more than it takes, at each of up to 27 levels, and
+# 64 of one batch; leaves, of which at most 7 wait for the 64 of one batch; the triangles found, at most MOST and the 32
+# of one batch; and of these each point's own, see `shortlist`.
+LEAVES, FOUND = 1024, 1152
+MOST, OWN_ROOM = 3072, 64
+OWN = FOUND + MOST + 128
+SCRATCH = OWN + OWN_ROOM * GPU_LANES
+
+_LEAVES, _FOUND = wp.constant(LEAVES), wp.constant(FOUND)
+_MOST = wp.constant(MOST)
+_LEAF = wp.constant(TRIANGLES_PER_LEAF)
+
+
+@wp.struct
+class Descent:
+    """Nodes and leaves that wait in a worker's scratch, and a lane's node."""
+
+    waiting: wp.int32
+    ripe: wp.int32
+    node: wp.int32  # 0 for none
+
+
+@wp.func
+def start_descent(tree: Tree, scratch: wp.array(dtype=wp.int32), at: int, lane: int):
+    """From the root."""
+    descent = Descent()
+    if lane == 0:
+        scratch[at] = 1
+        scratch[at + _LEAVES] = 0
+    if tree.depth > 0:
+        descent.waiting = 1
+    else:
+        descent.ripe = 1
+    wait_for_lanes()
+    return descent
+
+
+@wp.func
+def next_nodes(tree: Tree, scratch: wp.array(dtype=wp.int32), at: int, descent: Descent, lane: int, lanes: int):
+    """Take waiting nodes, and give each lane one of them or of their descendants that is no leaf."""
+    taken = wp.min(lanes, descent.waiting)
+    down = int(0)
+    while (taken << (down + 1)) <= lanes:
+        down = down + 1
+    descent.waiting = descent.waiting - taken
+    descent.node = 0
+    which = lane >> down
+    if which < taken:
+        node = scratch[at + descent.waiting + which]
+        # Above the last level there may be fewer.
+        levels = down
+        while (node << levels) >= (1 << tree.depth):
+            levels = levels - 1
+        number = lane - (which << down)
+        if number < (1 << levels):
+            descent.node = (node << levels) + number
+    wait_for_lanes()
+    return descent
+
+
+@wp.func
+def keep_children(
+    tree: Tree, scratch: wp.array(dtype=wp.int32), at: int, descent: Descent, child: int, keep: bool, lane: int
+):
+    """Let the lanes' children that they keep wait, as nodes or as leaves."""
+    leaves = 1 << tree.depth
+    descent.waiting = descent.waiting + push(scratch, at + descent.waiting, keep and child < leaves, child, lane)
+    descent.ripe = descent.ripe + push(
+        scratch, at + _LEAVES + descent.ripe, keep and child >= leaves, child - leaves, lane
+    )
+    return descent
+
+
+@wp.func
+def gather_near(
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    cell: Cell,
+    known: Witness,
+    scratch: wp.array(dtype=wp.int32),
+    at: int,
+    lane: int,
+    lanes: int,
+):
+    """Find the triangles that may be nearest to a point of the cell; returns how many, or -1 if there is no room."""
+    radius = wp.sqrt(cell.half2)
+    descent = start_descent(tree, scratch, at, lane)
+    found = int(0)
+    while descent.waiting + descent.ripe > 0 and found <= _MOST:
+        if descent.waiting > 0 and descent.ripe < full_of_leaves(lanes):
+            descent = next_nodes(tree, scratch, at, descent, lane, lanes)
+            for side in range(2):
+                child = 2 * descent.node + side
+                keep = False
+                if descent.node > 0:
+                    keep = node_matters(cell, radius, known, tree, cones, 0, child)
+                descent = keep_children(tree, scratch, at, descent, child, keep, lane)
+        else:
+            taken = wp.min(full_of_leaves(lanes), descent.ripe)
+            descent.ripe = descent.ripe - taken
+            found = found + triangles_that_matter(
+                cell,
+                radius,
+                known,
+                tree,
+                balls,
+                cones,
+                0,
+                scratch,
+                at + _LEAVES + descent.ripe,
+                taken,
+                at + _FOUND + found,
+                lane,
+                lanes,
+            )
+        wait_for_lanes()
+    return wp.where(found <= _MOST, found, -1)
+
+
+@wp.func
+def triangle_meets(tree: Tree, slot: int, ray: Ray, low: wp.vec2i, high: wp.vec2i):
+    """Whether a triangle may be met by a ray along x from a box whose (y,z) on the lattice are from `low` to `high`."""
+    a = tree.lattice[3 * slot]
+    b = tree.lattice[3 * slot + 1]
+    c = tree.lattice[3 * slot + 2]
+    if wp.min(a[0], wp.min(b[0], c[0])) > high[0] or wp.max(a[0], wp.max(b[0], c[0])) < low[0]:
+        return False
+    if wp.min(a[1], wp.min(b[1], c[1])) > high[1] or wp.max(a[1], wp.max(b[1], c[1])) < low[1]:
+        return False
+    ax = tree.corners[4 * slot][0]
+    bx = tree.corners[4 * slot + 1][0]
+    cx = tree.corners[4 * slot + 2][0]
+    if ray.back != 0:
+        return wp.min(ax, wp.min(bx, cx)) <= ray.x
+    return wp.max(ax, wp.max(bx, cx)) > ray.x
+
+
+@wp.func
+def gather_on_rays(
+    tree: Tree,
+    ray: Ray,
+    low: wp.vec2i,
+    high: wp.vec2i,
+    scratch: wp.array(dtype=wp.int32),
+    at: int,
+    lane: int,
+    lanes: int,
+):
+    """Find the triangles that rays along x from a box may meet; returns how many, or -1 if there is no room.
+
+    `ray` is as wide as the box and begins at its nearer side; `low` and `high` are the box's (y,z) on the lattice.
+    """
+    descent = start_descent(tree, scratch, at, lane)
+    found = int(0)
+    while descent.waiting + descent.ripe > 0 and found <= _MOST:
+        if descent.waiting > 0 and descent.ripe < full_of_leaves(lanes):
+            descent = next_nodes(tree, scratch, at, descent, lane, lanes)
+            for side in range(2):
+                child = 2 * descent.node + side
+                keep = False
+                if descent.node > 0:
+                    keep = meets_ray(tree, child, ray)
+                descent = keep_children(tree, scratch, at, descent, child, keep, lane)
+        else:
+            taken = wp.min(full_of_leaves(lanes), descent.ripe)
+            descent.ripe = descent.ripe - taken
+            i = lane
+            while i - lane < taken * _LEAF:
+                keep = False
+                slot = int(0)
+                if i < taken * _LEAF:
+                    leaf = scratch[at + _LEAVES + descent.ripe + i / _LEAF]
+                    slot = first_triangle(tree, leaf) + i % _LEAF
+                    if slot < first_triangle(tree, leaf + 1):
+                        keep = triangle_meets(tree, slot, ray, low, high)
+                found = found + push(scratch, at + _FOUND + found, keep, slot, lane)
+                i = i + lanes
+        wait_for_lanes()
+    return wp.where(found <= _MOST, found, -1)

@@ -1,0 +1,162 @@
+"""Groups of neighbouring points, which share most of the work of a query.
+
+Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a group. Of a
+group this file keeps the box around its points, as a cell in the sense of `cull`; the triangle nearest to its centre;
+and what can be said about the signs of all its points at once (see `caps` for open meshes).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.caps import is_far, may_cover, view_caps
+from sdm.kernels.closest import nearest_slot
+from sdm.kernels.cull import Cell, no_witness
+from sdm.kernels.geometry import closest_point
+from sdm.kernels.lanes import least_of_lanes, load4, write4
+from sdm.kernels.tree import SCALE, Tree
+from sdm.kernels.winding import CLOSED, SOUP, Winding
+from sdm.kernels.witness import read_witness, write_witness
+
+wp.set_module_options({"enable_backward": False})
+
+# Points of a group.
+GROUP = 32
+# What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
+# may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
+FAR, COVERED, APART = wp.constant(1), wp.constant(2), wp.constant(4)
+# Room for rounding in the distance from a box's centre and its radius.
+ROOM = wp.constant(1.0e-5)
+
+_GROUP = wp.constant(GROUP)
+_SCALE = wp.constant(SCALE)
+_CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
+
+
+@wp.struct
+class Groups:
+    """What is known of each of `count` groups."""
+
+    boxes: wp.array(dtype=wp.float32)  # (count * 8) centre (3), 0, half-widths (3), 0, scaled
+    witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
+    nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
+    hints: wp.array(dtype=wp.int32)  # (count)
+    count: wp.int32
+
+
+@wp.func
+def is_finite(p: wp.vec3):
+    return wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])
+
+
+@wp.func
+def numbered(order: wp.array(dtype=wp.int32), at: int):
+    """Which point is the one at a place in the order, which may be empty: as they come."""
+    if order.shape[0] > 0:
+        return order[at]
+    return at
+
+
+@wp.func
+def group_end(group: int, points: int):
+    """One past the last of a group's places in the order."""
+    return wp.min(_GROUP * (group + 1), points)
+
+
+@wp.func
+def box_around(
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), group: int, lane: int, lanes: int
+):
+    """The box around a group's finite points, scaled; without any, or where it is not finite, at the origin."""
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    negated_high = low
+    at = _GROUP * group + lane
+    while at < group_end(group, points.shape[0]):
+        i = numbered(order, at)
+        if is_finite(points[i]):
+            p = float(tree.frame[_SCALE]) * points[i]
+            low = wp.min(low, p)
+            negated_high = wp.min(negated_high, -p)
+        at = at + lanes
+    low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
+    high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
+    cell = Cell()
+    cell.centre = 0.5 * low + 0.5 * high
+    if is_finite(cell.centre):
+        # A rounding more than the points need, so that none sticks out.
+        cell.half = wp.max(high - cell.centre, cell.centre - low) * 1.000001
+        cell.half2 = wp.dot(cell.half, cell.half)
+    else:
+        cell.centre = wp.vec3(0.0, 0.0, 0.0)
+        cell.half2 = float(wp.inf)
+    return cell
+
+
+@wp.func
+def read_box(groups: Groups, group: int):
+    """A group's box; `half2` is infinite if there is none."""
+    centre = load4(groups.boxes, 2 * group)
+    half = load4(groups.boxes, 2 * group + 1)
+    cell = Cell()
+    cell.centre = wp.vec3(centre[0], centre[1], centre[2])
+    cell.half = wp.vec3(half[0], half[1], half[2])
+    cell.half2 = half[3]
+    return cell
+
+
+@wp.func
+def read_group_witness(groups: Groups, group: int):
+    return read_witness(groups.witnesses, group)
+
+
+@wp.kernel
+def _look_around(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    cell = box_around(tree, points, order, group, lane, lanes)
+    slot = nearest_slot(tree, 0, cell.centre, 0)
+    hint = int(0)
+    known = no_witness()
+    if cell.half2 < float(wp.inf):
+        hit = closest_point(
+            wp.vec3d(cell.centre),
+            wp.vec3d(tree.corners[4 * slot]),
+            wp.vec3d(tree.corners[4 * slot + 1]),
+            wp.vec3d(tree.corners[4 * slot + 2]),
+        )
+        known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
+        known.distance2 = float(hit.distance2)
+        if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
+            hint = APART
+        if winding.kind == _CLOSED:
+            hint = hint + FAR
+        elif winding.kind != _SOUP:
+            if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
+                hint = hint + FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
+    elif winding.kind == _CLOSED:
+        hint = FAR
+    if lane == 0:
+        half = cell.half
+        write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
+        write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
+        write_witness(groups.witnesses, group, known)
+        groups.nearest[group] = slot
+        groups.hints[group] = hint
+
+
+def look_around(
+    tree: Tree, winding: Winding, points: wp.array, order: wp.array, groups: Groups, lanes: int, launch: Any
+) -> None:
+    """Fill `groups` for points (N,) in their order, or as they come if `order` is empty."""
+    launch(_look_around, groups.count * lanes, [lanes, tree, winding, points, order, groups], points.device)

@@ -1,0 +1,167 @@
+"""Signs of scattered points: each group's list of triangles that rays along x from its points may meet.
+
+Where a whole number of crossings tells the side (a closed mesh, or a group far from an open one's holes), all points of
+a group use one list; where the surface does not come into the group's box, they are on one side of it, that of its
+centre. Elsewhere each point has its own winding number.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.caps import count_caps
+from sdm.kernels.crossings import covers, crossing_x, ray_from
+from sdm.kernels.cull import Cell
+from sdm.kernels.gather import SCRATCH, gather_on_rays
+from sdm.kernels.groups import APART, COVERED, FAR, GROUP, Groups, group_end, is_finite, numbered, read_box
+from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
+from sdm.kernels.shortlist import keep_covering
+from sdm.kernels.tree import SCALE, Tree, node_box, to_lattice
+from sdm.kernels.voxels import LARGEST_SQUARE
+from sdm.kernels.winding import Winding, inside_at
+
+wp.set_module_options({"enable_backward": False})
+
+_GROUP = wp.constant(GROUP)
+_SCRATCH = wp.constant(SCRATCH)
+_SCALE = wp.constant(SCALE)
+
+
+@wp.func
+def list_rays(
+    tree: Tree,
+    cell: Cell,
+    back: bool,
+    scratch: wp.array(dtype=wp.int32),
+    room: int,
+    lane: int,
+    lanes: int,
+):
+    """`gather_on_rays` for all points of a box."""
+    low = wp.vec3d(cell.centre - cell.half)
+    high = wp.vec3d(cell.centre + cell.half)
+    ray = ray_from(low, back)
+    other = ray_from(high, back)
+    ray.high_y = other.high_y
+    ray.high_z = other.high_z
+    if back:
+        ray.x = other.x
+    return gather_on_rays(
+        tree,
+        ray,
+        to_lattice(tree, 0, low[1], low[2]),
+        to_lattice(tree, 0, high[1], high[2]),
+        scratch,
+        room,
+        lane,
+        lanes,
+    )
+
+
+@wp.func
+def crossings_in_list(
+    tree: Tree,
+    p: wp.vec3d,
+    back: bool,
+    scratch: wp.array(dtype=wp.int32),
+    room: int,
+    found: int,
+    lane: int,
+    lanes: int,
+):
+    """`count_on_ray` from the lane's p (scaled), of the triangles found for its group."""
+    q = to_lattice(tree, 0, p[1], p[2])
+    column = keep_covering(tree, q, scratch, room, found, lane, lanes)
+    total = int(0)
+    for k in range(column.count):
+        slot = scratch[column.begin + k * column.step]
+        sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
+        if sign != 0:
+            if (crossing_x(tree, slot, q) > p[0]) != back:
+                total = total + sign
+    return wp.where(back, -total, total)
+
+
+@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+def _find_sides(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    next_group: wp.array(dtype=wp.int32),
+    lists: int,
+    scratch: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    room = (thread / lanes) * _SCRATCH
+    scale = tree.frame[_SCALE]
+    low, high = node_box(tree, 1)
+    group = fetch_add_once(next_group, 0, 1, lane)
+    while group < groups.count:
+        cell = read_box(groups, group)
+        hint = groups.hints[group]
+        far = (hint & FAR) != 0
+        covered = (hint & COVERED) != 0
+        apart = (hint & APART) != 0
+        back = low[0] + high[0] > 2.0 * cell.centre[0] and not covered
+        found = int(-1)
+        if lists != 0 and far and cell.half2 < LARGEST_SQUARE:
+            if apart:
+                cell.half = wp.vec3(0.0, 0.0, 0.0)
+            found = list_rays(tree, cell, back, scratch, room, lane, lanes)
+        end = group_end(group, points.shape[0])
+        first = _GROUP * group
+        while first < end:
+            at = first + lane
+            i = int(0)
+            usable = False
+            p = wp.vec3d(cell.centre)
+            if at < end:
+                i = numbered(order, at)
+                usable = is_finite(points[i])
+                if usable and not (apart and found >= 0):
+                    p = scale * wp.vec3d(points[i])
+            inside = False
+            if found >= 0:
+                total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
+                if covered:
+                    total = total + count_caps(winding.boundary, tree, 0, p, 0, 1)
+                inside = total > 0
+            elif usable:
+                inside = inside_at(tree, winding, p, far, covered)
+            if usable and inside:
+                values[i] = -values[i]
+            first = first + lanes
+        # The scratch is read until here.
+        wait_for_lanes()
+        group = fetch_add_once(next_group, 0, 1, lane)
+
+
+def find_sides(
+    tree: Tree,
+    winding: Winding,
+    points: wp.array,
+    order: wp.array,
+    groups: Groups,
+    next_group: wp.array,
+    lists: bool,
+    scratch: wp.array,
+    values: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Give distances (N,) of points (N,) their signs, negative inside, `workers` groups of lanes at work.
+
+    `next_group` (1,) must be zero. Without `lists` each point is searched by itself. `scratch` has room for
+    workers * SCRATCH.
+    """
+    inputs = [lanes, tree, winding, points, order, groups, next_group, int(lists), scratch, values]
+    launch(_find_sides, workers * lanes, inputs, points.device, smallest=1)
