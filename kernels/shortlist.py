@@ -113,10 +113,13 @@ def keep_covering(
             low = wp.min(a, wp.min(b, c))
             high = wp.max(a, wp.max(b, c))
         for k in range(wp.min(lanes, found - first)):
-            within_y = q[0] >= int_from_lane(low[0], k) and q[0] <= int_from_lane(high[0], k)
-            within_z = q[1] >= int_from_lane(low[1], k) and q[1] <= int_from_lane(high[1], k)
+            # Each of these for all lanes: an `and` would leave some of them out.
+            low_y = int_from_lane(low[0], k)
+            high_y = int_from_lane(high[0], k)
+            low_z = int_from_lane(low[1], k)
+            high_z = int_from_lane(high[1], k)
             other = int_from_lane(slot, k)
-            if within_y and within_z:
+            if q[0] >= low_y and q[0] <= high_y and q[1] >= low_z and q[1] <= high_z:
                 if kept < _OWN_ROOM:
                     scratch[at + _OWN + kept * lanes + lane] = other
                 kept = kept + 1
