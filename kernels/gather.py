@@ -24,11 +24,12 @@ wp.set_module_options({"enable_backward": False})
 
 # A worker's scratch: nodes, of which each level leaves at most 32 more than it takes, at each of up to 27 levels, and
 # 64 of one batch; leaves, of which at most 7 wait for the 64 of one batch; the triangles found, at most MOST and the 32
-# of one batch; and of these each point's own, see `shortlist`.
+# of one batch; of these each point's own, see `shortlist`, and their squared distances.
 LEAVES, FOUND = 1024, 1152
-MOST, OWN_ROOM = 3072, 64
+MOST, OWN_ROOM = 3072, 128
 OWN = FOUND + MOST + 128
-SCRATCH = OWN + OWN_ROOM * GPU_LANES
+SQUARES = OWN + OWN_ROOM * GPU_LANES
+SCRATCH = SQUARES + OWN_ROOM * GPU_LANES
 
 _LEAVES, _FOUND = wp.constant(LEAVES), wp.constant(FOUND)
 _MOST = wp.constant(MOST)

@@ -18,7 +18,7 @@ from sdm.kernels.geometry import closest_point
 from sdm.kernels.lanes import least_of_lanes, load4, write4
 from sdm.kernels.tree import SCALE, Tree
 from sdm.kernels.winding import CLOSED, SOUP, Winding
-from sdm.kernels.witness import read_witness, write_witness
+from sdm.kernels.witness import write_witness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,13 +106,8 @@ def read_box(groups: Groups, group: int):
     return cell
 
 
-@wp.func
-def read_group_witness(groups: Groups, group: int):
-    return read_witness(groups.witnesses, group)
-
-
 @wp.kernel
-def _look_around(
+def _find_boxes(
     begin: int,
     lanes: int,
     tree: Tree,
@@ -125,8 +120,25 @@ def _look_around(
     lane = thread % lanes
     group = thread / lanes
     cell = box_around(tree, points, order, group, lane, lanes)
-    slot = nearest_slot(tree, 0, cell.centre, 0)
     hint = int(0)
+    if winding.kind == _CLOSED:
+        hint = FAR
+    elif winding.kind != _SOUP and cell.half2 < float(wp.inf):
+        if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
+            hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
+    if lane == 0:
+        half = cell.half
+        write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
+        write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
+        groups.hints[group] = hint
+
+
+@wp.kernel
+def _search_centres(begin: int, tree: Tree, groups: Groups):
+    # One thread a group: lanes that all search for the same would only wait for the same memory.
+    group = begin + wp.tid()
+    cell = read_box(groups, group)
+    slot = nearest_slot(tree, 0, cell.centre, 0)
     known = no_witness()
     if cell.half2 < float(wp.inf):
         hit = closest_point(
@@ -138,25 +150,14 @@ def _look_around(
         known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
         known.distance2 = float(hit.distance2)
         if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
-            hint = APART
-        if winding.kind == _CLOSED:
-            hint = hint + FAR
-        elif winding.kind != _SOUP:
-            if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
-                hint = hint + FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
-    elif winding.kind == _CLOSED:
-        hint = FAR
-    if lane == 0:
-        half = cell.half
-        write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
-        write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
-        write_witness(groups.witnesses, group, known)
-        groups.nearest[group] = slot
-        groups.hints[group] = hint
+            groups.hints[group] = groups.hints[group] + APART
+    write_witness(groups.witnesses, group, known)
+    groups.nearest[group] = slot
 
 
 def look_around(
     tree: Tree, winding: Winding, points: wp.array, order: wp.array, groups: Groups, lanes: int, launch: Any
 ) -> None:
     """Fill `groups` for points (N,) in their order, or as they come if `order` is empty."""
-    launch(_look_around, groups.count * lanes, [lanes, tree, winding, points, order, groups], points.device)
+    launch(_find_boxes, groups.count * lanes, [lanes, tree, winding, points, order, groups], points.device)
+    launch(_search_centres, groups.count, [tree, groups], points.device)

@@ -2,7 +2,7 @@
 
 Where a whole number of crossings tells the side (a closed mesh, or a group far from an open one's holes), all points of
 a group use one list; where the surface does not come into the group's box, they are on one side of it, that of its
-centre. Elsewhere each point has its own winding number.
+centre. Elsewhere each point has its own winding number, which is not found here.
 """
 
 from __future__ import annotations
@@ -12,20 +12,23 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.caps import count_caps
-from sdm.kernels.crossings import covers, crossing_x, ray_from
+from sdm.kernels.crossings import count_on_ray, covers, crossing_x, ray_from
 from sdm.kernels.cull import Cell
-from sdm.kernels.gather import SCRATCH, gather_on_rays
+from sdm.kernels.gather import OWN_ROOM, SCRATCH, gather_on_rays
 from sdm.kernels.groups import APART, COVERED, FAR, GROUP, Groups, group_end, is_finite, numbered, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
-from sdm.kernels.shortlist import keep_covering
+from sdm.kernels.shortlist import keep_covering, own
 from sdm.kernels.tree import SCALE, Tree, node_box, to_lattice
 from sdm.kernels.voxels import LARGEST_SQUARE
-from sdm.kernels.winding import Winding, inside_at
+from sdm.kernels.winding import Winding
 
 wp.set_module_options({"enable_backward": False})
 
+UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
+
+_UNKNOWN, _OUTSIDE, _INSIDE = wp.constant(UNKNOWN), wp.constant(OUTSIDE), wp.constant(INSIDE)
 _GROUP = wp.constant(GROUP)
-_SCRATCH = wp.constant(SCRATCH)
+_SCRATCH, _OWN_ROOM = wp.constant(SCRATCH), wp.constant(OWN_ROOM)
 _SCALE = wp.constant(SCALE)
 
 
@@ -73,10 +76,12 @@ def crossings_in_list(
 ):
     """`count_on_ray` from the lane's p (scaled), of the triangles found for its group."""
     q = to_lattice(tree, 0, p[1], p[2])
-    column = keep_covering(tree, q, scratch, room, found, lane, lanes)
+    kept = keep_covering(tree, q, scratch, room, found, lane, lanes)
+    if kept > _OWN_ROOM:
+        return count_on_ray(tree, 0, p, back)
     total = int(0)
-    for k in range(column.count):
-        slot = scratch[column.begin + k * column.step]
+    for k in range(kept):
+        slot = scratch[own(room, k, lane, lanes)]
         sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
         if sign != 0:
             if (crossing_x(tree, slot, q) > p[0]) != back:
@@ -94,9 +99,8 @@ def _find_sides(
     order: wp.array(dtype=wp.int32),
     groups: Groups,
     next_group: wp.array(dtype=wp.int32),
-    lists: int,
     scratch: wp.array(dtype=wp.int32),
-    values: wp.array(dtype=wp.float32),
+    sides: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -107,12 +111,11 @@ def _find_sides(
     while group < groups.count:
         cell = read_box(groups, group)
         hint = groups.hints[group]
-        far = (hint & FAR) != 0
         covered = (hint & COVERED) != 0
         apart = (hint & APART) != 0
         back = low[0] + high[0] > 2.0 * cell.centre[0] and not covered
         found = int(-1)
-        if lists != 0 and far and cell.half2 < LARGEST_SQUARE:
+        if (hint & FAR) != 0 and cell.half2 < LARGEST_SQUARE:
             if apart:
                 cell.half = wp.vec3(0.0, 0.0, 0.0)
             found = list_rays(tree, cell, back, scratch, room, lane, lanes)
@@ -120,24 +123,19 @@ def _find_sides(
         first = _GROUP * group
         while first < end:
             at = first + lane
-            i = int(0)
-            usable = False
             p = wp.vec3d(cell.centre)
-            if at < end:
-                i = numbered(order, at)
-                usable = is_finite(points[i])
-                if usable and not (apart and found >= 0):
-                    p = scale * wp.vec3d(points[i])
-            inside = False
+            if at < end and not apart:
+                point = points[numbered(order, at)]
+                if is_finite(point):
+                    p = scale * wp.vec3d(point)
+            side = _UNKNOWN
             if found >= 0:
                 total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
                 if covered:
                     total = total + count_caps(winding.boundary, tree, 0, p, 0, 1)
-                inside = total > 0
-            elif usable:
-                inside = inside_at(tree, winding, p, far, covered)
-            if usable and inside:
-                values[i] = -values[i]
+                side = wp.where(total > 0, _INSIDE, _OUTSIDE)
+            if at < end:
+                sides[at] = side
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
@@ -151,17 +149,15 @@ def find_sides(
     order: wp.array,
     groups: Groups,
     next_group: wp.array,
-    lists: bool,
     scratch: wp.array,
-    values: wp.array,
+    sides: wp.array,
     workers: int,
     lanes: int,
     launch: Any,
 ) -> None:
-    """Give distances (N,) of points (N,) their signs, negative inside, `workers` groups of lanes at work.
+    """Fill `sides` (N,), in their order, with INSIDE, OUTSIDE or UNKNOWN for each of points (N,).
 
-    `next_group` (1,) must be zero. Without `lists` each point is searched by itself. `scratch` has room for
-    workers * SCRATCH.
+    `workers` groups of lanes are at work; `next_group` (1,) must be zero; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, winding, points, order, groups, next_group, int(lists), scratch, values]
+    inputs = [lanes, tree, winding, points, order, groups, next_group, scratch, sides]
     launch(_find_sides, workers * lanes, inputs, points.device, smallest=1)

@@ -1,10 +1,12 @@
 """Queries at scattered points.
 
-Points are sorted along a curve and taken in groups of neighbours, as a dense query takes voxels in blocks: what a group
-has in common (`groups`) gives one list of triangles that may be nearest to any of its points (`nearest_points`), and
-one of those that rays from them may meet (`point_signs`). Found along the tree by all lanes together (`gather`), both
-are short. A search of the tree for each point by itself, which is what all this does faster, stays for groups whose
-points are so far apart that their lists would be too long.
+The plain way (`_query`) is a search of the tree and a winding number for each point. Points are sorted along a curve
+first and taken in groups of neighbours (`groups`), each of which begins with the triangle nearest to its middle.
+
+The fast way finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
+triangles that may be nearest to any of a group's points (`nearest_points`), and one of those that rays from them may
+meet (`point_signs`), gathered from the tree by all lanes together (`gather`). The plain way then has only to finish,
+and to search for what was left: groups so wide that their lists are too long, and those near an open mesh's holes.
 """
 
 from __future__ import annotations
@@ -14,21 +16,38 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cones import Cones
 from sdm.kernels.curve import POINT_BITS, curve_code
 from sdm.kernels.gather import SCRATCH
-from sdm.kernels.groups import GROUP, Groups, is_finite, look_around
+from sdm.kernels.geometry import closest_point
+from sdm.kernels.groups import COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
 from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS
 from sdm.kernels.launch import threads
-from sdm.kernels.nearest_points import Hits, find_nearest
+from sdm.kernels.nearest_points import find_nearest
 from sdm.kernels.parts import Parts
-from sdm.kernels.point_signs import find_sides
-from sdm.kernels.tree import SCALE, Tree, node_box
-from sdm.kernels.winding import Winding, winding_at
+from sdm.kernels.point_signs import INSIDE, UNKNOWN, find_sides
+from sdm.kernels.tree import SCALE, UNSCALE, Tree, node_box
+from sdm.kernels.winding import Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
 
-_SCALE = wp.constant(SCALE)
+_SCALE, _UNSCALE = wp.constant(SCALE), wp.constant(UNSCALE)
+_GROUP = wp.constant(GROUP)
+_UNKNOWN, _INSIDE = wp.constant(UNKNOWN), wp.constant(INSIDE)
+# Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
+# rather have more threads.
+CPU_RUN = 8
+
+
+@wp.struct
+class Hits:
+    """Where the closest points are, if `wanted`."""
+
+    points: wp.array(dtype=wp.vec3)
+    faces: wp.array(dtype=wp.int32)  # -1 for a point that is not finite
+    barycentric: wp.array(dtype=wp.vec3)
+    wanted: wp.int32
 
 
 @wp.kernel
@@ -46,6 +65,69 @@ def _point_keys(
     middle = 0.5 * (low + high)
     keys[i] = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
     order[i] = i
+
+
+@wp.kernel
+def _query(
+    begin: int,
+    length: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    slots: wp.array(dtype=wp.int32),
+    sides: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    run = begin + wp.tid()
+    total = points.shape[0]
+    scale = tree.frame[_SCALE]
+    unscale = tree.frame[_UNSCALE]
+    guess = int(-1)
+    # The bound is a variable so that Warp does not write the loop out.
+    steps = int(length)
+    for step in range(steps):
+        at = run * steps + step
+        if at < total:
+            i = numbered(order, at)
+            point = points[i]
+            if is_finite(point):
+                exact = scale * wp.vec3d(point)
+                slot = int(-1)
+                if slots.shape[0] > 0:
+                    slot = slots[at]
+                if slot < 0:
+                    if guess < 0:
+                        guess = groups.nearest[at / _GROUP]
+                    slot = nearest_slot(tree, 0, float(scale) * point, guess)
+                    guess = slot
+                hit = closest_point(
+                    exact,
+                    wp.vec3d(tree.corners[4 * slot]),
+                    wp.vec3d(tree.corners[4 * slot + 1]),
+                    wp.vec3d(tree.corners[4 * slot + 2]),
+                )
+                distance = float(wp.sqrt(hit.distance2) * unscale)
+                side = _UNKNOWN
+                if sides.shape[0] > 0:
+                    side = sides[at]
+                inside = side == _INSIDE
+                if side == _UNKNOWN:
+                    hint = groups.hints[at / _GROUP]
+                    inside = inside_at(tree, winding, exact, (hint & FAR) != 0, (hint & COVERED) != 0)
+                values[i] = wp.where(inside, -distance, distance)
+                if hits.wanted != 0:
+                    hits.points[i] = wp.vec3(unscale * hit.point)
+                    hits.faces[i] = tree.face[slot]
+                    hits.barycentric[i] = wp.vec3(hit.barycentric)
+            else:
+                values[i] = float(wp.nan)
+                if hits.wanted != 0:
+                    hits.points[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
+                    hits.faces[i] = -1
+                    hits.barycentric[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
 
 
 @wp.kernel
@@ -102,41 +184,35 @@ def query_points(
         method: `"lists"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
             faster. Both are exact.
     """
+    count, device = points.shape[0], points.device
     # One lane goes through a list slower than down the tree.
-    lists = method == "lists" or (method == "auto" and points.device.is_cuda)
-    lanes, workers = (GPU_LANES, GPU_WORKERS) if points.device.is_cuda else (1, 16 * threads())
+    lists = method == "lists" or (method == "auto" and device.is_cuda)
+    lanes = GPU_LANES if device.is_cuda else 1
     groups = Groups()
-    groups.count = -(-points.shape[0] // GROUP)
+    groups.count = -(-count // GROUP)
     groups.boxes = empty(8 * groups.count, wp.float32)
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
+    look_around(tree, winding, points, order, groups, lanes, launch)
+    slots = empty(count if lists else 0, wp.int32)
+    sides = empty(count if lists else 0, wp.int32)
+    if lists:
+        workers = min(GPU_WORKERS if device.is_cuda else 16 * threads(), groups.count)
+        scratch = empty(workers * SCRATCH, wp.int32)
+        next_groups = empty(2, wp.int32)
+        next_groups.zero_()
+        of_nearest, of_sides = next_groups[:1], next_groups[1:]
+        find_nearest(
+            tree, parts.balls, cones, points, order, groups, of_nearest, scratch, slots, workers, lanes, launch
+        )
+        find_sides(tree, winding, points, order, groups, of_sides, scratch, sides, workers, lanes, launch)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
-    next_groups = [empty(1, wp.int32), empty(1, wp.int32)]
-    for count in next_groups:
-        count.zero_()
-    workers = min(workers, groups.count)
-    scratch = empty(workers * SCRATCH, wp.int32)
-    look_around(tree, winding, points, order, groups, lanes, launch)
-    find_nearest(
-        tree,
-        parts.balls,
-        cones,
-        points,
-        order,
-        groups,
-        next_groups[0],
-        lists,
-        scratch,
-        values,
-        wanted,
-        workers,
-        lanes,
-        launch,
-    )
-    find_sides(tree, winding, points, order, groups, next_groups[1], lists, scratch, values, workers, lanes, launch)
+    length = 1 if device.is_cuda else CPU_RUN
+    inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]
+    launch(_query, -(-count // length), inputs, device)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array, launch: Any) -> None:

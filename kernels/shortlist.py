@@ -8,55 +8,37 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.gather import FOUND, OWN, OWN_ROOM
+from sdm.kernels.closest import moved_square, room_at, slot_part
+from sdm.kernels.gather import FOUND, OWN, OWN_ROOM, SQUARES
 from sdm.kernels.lanes import from_lane, int_from_lane, load4
 from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
 
 _FOUND, _OWN, _OWN_ROOM = wp.constant(FOUND), wp.constant(OWN), wp.constant(OWN_ROOM)
-
-
-@wp.struct
-class Column:
-    """Where a lane's triangles are: `count` slots in the scratch from `begin`, `step` apart."""
-
-    begin: wp.int32
-    step: wp.int32
-    count: wp.int32
+# From a triangle of a lane's own to its squared distance.
+_TO_SQUARE = wp.constant(SQUARES - OWN)
 
 
 @wp.func
-def column_of(at: int, found: int, kept: int, lane: int, lanes: int):
-    """The lane's own column of `kept` triangles, or, if there was no room for all, the group's whole list."""
-    column = Column()
-    column.begin = at + _OWN + lane
-    column.step = lanes
-    column.count = kept
-    if kept > _OWN_ROOM:
-        column.begin = at + _FOUND
-        column.step = 1
-        column.count = found
-    return column
+def own(at: int, k: int, lane: int, lanes: int):
+    """Where in the scratch the lane's own triangle number k is."""
+    return at + _OWN + k * lanes + lane
 
 
 @wp.func
-def keep_near(
+def nearest_middle(
     balls: wp.array(dtype=wp.float32),
     p: wp.vec3,
-    room: float,
     scratch: wp.array(dtype=wp.int32),
     at: int,
     found: int,
     lane: int,
     lanes: int,
 ):
-    """Of the triangles found for a group, those that may be nearest to the lane's point p (scaled).
-
-    The middle of a triangle's ball is on it, so the least distance of a middle bounds p's distance from above; a
-    triangle whose ball is further away than that (and `room`, for rounding) is left out.
-    """
+    """Of the triangles found for a group, the slot of one whose ball's middle is nearest to the lane's point p."""
     least2 = float(wp.inf)
+    place = int(0)
     first = int(0)
     while first < found:
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -64,9 +46,29 @@ def keep_near(
             ball = load4(balls, scratch[at + _FOUND + first + lane])
         for k in range(wp.min(lanes, found - first)):
             d = p - wp.vec3(from_lane(ball[0], k), from_lane(ball[1], k), from_lane(ball[2], k))
-            least2 = wp.min(least2, wp.dot(d, d))
+            d2 = wp.dot(d, d)
+            if d2 < least2:
+                least2 = d2
+                place = first + k
         first = first + lanes
-    bound = wp.sqrt(least2) + 4.0 * room
+    return scratch[at + _FOUND + place]
+
+
+@wp.func
+def keep_near(
+    balls: wp.array(dtype=wp.float32),
+    p: wp.vec3,
+    bound: float,
+    scratch: wp.array(dtype=wp.int32),
+    at: int,
+    found: int,
+    lane: int,
+    lanes: int,
+):
+    """Keep for the lane those triangles found for its group whose balls are within `bound` of its point p (scaled).
+
+    Returns how many there are; OWN_ROOM of them are kept.
+    """
     kept = int(0)
     first = int(0)
     while first < found:
@@ -82,10 +84,46 @@ def keep_near(
             # Not the opposite test: what is no number is kept.
             if not wp.dot(d, d) > reach * reach:
                 if kept < _OWN_ROOM:
-                    scratch[at + _OWN + kept * lanes + lane] = other
+                    scratch[own(at, kept, lane, lanes)] = other
                 kept = kept + 1
         first = first + lanes
-    return column_of(at, found, kept, lane, lanes)
+    return kept
+
+
+@wp.func
+def keep_nearest(
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    p: wp.vec3,
+    scratch: wp.array(dtype=wp.int32),
+    at: int,
+    found: int,
+    lane: int,
+    lanes: int,
+):
+    """Keep for the lane those triangles found for its group that float32 cannot tell from the nearest to p (scaled).
+
+    Returns how many; 0 if there was no room.
+    """
+    room = room_at(p)
+    best2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
+    # Its distance bounds that of the nearest from above.
+    kept = keep_near(balls, p, wp.sqrt(best2) + 4.0 * room, scratch, at, found, lane, lanes)
+    if kept > _OWN_ROOM:
+        return 0
+    for k in range(kept):
+        place = own(at, k, lane, lanes)
+        d2, _other_part = slot_part(tree, scratch[place], p)
+        scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
+        best2 = wp.min(best2, d2)
+    out2 = moved_square(best2, room)
+    left = int(0)
+    for k in range(kept):
+        place = own(at, k, lane, lanes)
+        if wp.cast(scratch[place + _TO_SQUARE], wp.float32) <= out2:
+            scratch[own(at, left, lane, lanes)] = scratch[place]
+            left = left + 1
+    return left
 
 
 @wp.func
@@ -98,7 +136,10 @@ def keep_covering(
     lane: int,
     lanes: int,
 ):
-    """Of the triangles found for a group, those that the ray along x at the lane's q (on the lattice) may meet."""
+    """Keep for the lane those triangles found for its group that the ray along x at its q (on the lattice) may meet.
+
+    Returns how many there are; OWN_ROOM of them are kept.
+    """
     kept = int(0)
     first = int(0)
     while first < found:
@@ -121,7 +162,7 @@ def keep_covering(
             other = int_from_lane(slot, k)
             if q[0] >= low_y and q[0] <= high_y and q[1] >= low_z and q[1] <= high_z:
                 if kept < _OWN_ROOM:
-                    scratch[at + _OWN + kept * lanes + lane] = other
+                    scratch[own(at, kept, lane, lanes)] = other
                 kept = kept + 1
         first = first + lanes
-    return column_of(at, found, kept, lane, lanes)
+    return kept
