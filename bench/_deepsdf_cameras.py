@@ -1,6 +1,7 @@
 """What virtual cameras around a shape see of it: DeepSDF's dense oriented points, without a display."""
 # Warp's own compiler checks the types inside kernels, by rules that are not Python's.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportIndexIssue=false
+# pyright: reportOperatorIssue=false
 
 from __future__ import annotations
 
@@ -41,10 +42,10 @@ class Cameras:
 def _trace(
     begin: int,
     mesh: wp.uint64,
-    directions: wp.array(dtype=wp.vec3),
+    directions: wp.array[wp.vec3],
     pixels: int,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
 ):
     """One ray of one pixel; a normal of zero where it meets nothing."""
     thread = begin + wp.tid()

@@ -1,4 +1,6 @@
 """The nearest of millions of points on the device: the answers of a KD-tree on the host, in milliseconds."""
+# Warp compiles a subset of Python, in which int(0) is a variable.
+# ruff: noqa: RUF046, UP018
 # Warp's own compiler checks the types inside kernels, by rules that are not Python's.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportIndexIssue=false
 # pyright: reportOperatorIssue=false
@@ -29,7 +31,7 @@ WaitingDistances = wp.types.vector(length=32, dtype=wp.float32)
 
 
 @wp.kernel(enable_backward=False)
-def _code(begin: int, points: wp.array(dtype=wp.vec3), low: wp.vec3, high: wp.vec3, codes: wp.array(dtype=wp.int64)):
+def _code(begin: int, points: wp.array[wp.vec3], low: wp.vec3, high: wp.vec3, codes: wp.array[wp.int64]):
     i = begin + wp.tid()
     codes[i] = wp.int64(curve_code(points[i], low, high))
 
@@ -37,12 +39,12 @@ def _code(begin: int, points: wp.array(dtype=wp.vec3), low: wp.vec3, high: wp.ve
 @wp.kernel(enable_backward=False)
 def _search(
     begin: int,
-    points: wp.array(dtype=wp.vec3),
-    low: wp.array(dtype=wp.vec3),
-    high: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    low: wp.array[wp.vec3],
+    high: wp.array[wp.vec3],
     leaves: int,
-    queries: wp.array(dtype=wp.vec3),
-    found: wp.array2d(dtype=wp.int32),
+    queries: wp.array[wp.vec3],
+    found: wp.array2d[wp.int32],
 ):
     """Near children first; a node further away than the last of the best is left out."""
     q = begin + wp.tid()
@@ -69,9 +71,9 @@ def _search(
                             other = best[i]
                             best[i] = d
                             d = other
-                            next = number[i]
+                            swapped = number[i]
                             number[i] = this
-                            this = next
+                            this = swapped
             node = int(0)
         else:
             near = 2 * node

@@ -14,6 +14,7 @@ import statistics
 import time
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -81,14 +82,11 @@ class ApproximateSamples:
         for number, name in enumerate(shapes.names):
             about = {"name": name, "samples": samples, **asdict(cameras)}
             path = None if folder is None else folder / f"{number:04}.pt"
-            saved = torch.load(path, map_location="cpu") if path is not None and path.exists() else {"about": None}
-            if saved["about"] != about:
+            saved = _read(path, about)
+            if saved is None:
                 at, found, quality = prepare(shapes, number, samples, cameras)
                 saved = {"about": about, "points": at.cpu(), "values": found.cpu(), "quality": asdict(quality)}
-                if path is not None:
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    with replacing(path) as part:
-                        torch.save(saved, part)
+                _keep(path, saved)
             # Tables of one length: what was thrown away is made up by repeating.
             rows = torch.arange(samples) % len(saved["values"])
             points.append(saved["points"][rows].to(shapes.device))
@@ -161,6 +159,21 @@ def approximate(
     distance = torch.where(distance < plane_within, heights[:, 0].abs(), distance)
     outside = (heights > 0).sum(1)
     return torch.where(outside > VOTES // 2, distance, -distance), (outside == 0) | (outside == VOTES)
+
+
+def _read(path: Path | None, about: dict[str, Any]) -> dict[str, Any] | None:
+    """A table that was kept, if it is of the same shape and made in the same way."""
+    if path is None or not path.exists():
+        return None
+    saved = torch.load(path, map_location="cpu")
+    return saved if saved["about"] == about else None
+
+
+def _keep(path: Path | None, saved: dict[str, Any]) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as part:
+            torch.save(saved, part)
 
 
 def _quantile(values: Tensor, share: float) -> Tensor:
