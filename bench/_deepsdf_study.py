@@ -6,22 +6,22 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from bench._deepsdf_tables import pairs, rows_table
+from bench._deepsdf_tables import rows_table
 
 KINDS = ("exact", "approximate")
 COLOURS = {"exact": "#1f5a96", "approximate": "#c9453f"}
 SCORES = {"chamfer_surface": "to the surface", "mean_mm": "mean [mm]", "percentile95_mm": "95 % [mm]", "dice": "Dice"}
 QUALITY = {
-    "seen_points": "points that the cameras see",
-    "hidden": "share of the surface that none sees",
-    "thrown_away": "share of samples thrown away",
-    "wrong_signs": "share of wrong signs among the rest",
-    "mean_error": "mean error [unit-sphere radii]",
-    "percentile95_error": "95 % error [unit-sphere radii]",
-    "worst_error": "worst error [unit-sphere radii]",
+    "seen_points": "points seen",
+    "hidden": "surface hidden",
+    "thrown_away": "thrown away",
+    "wrong_signs": "wrong signs",
+    "mean_error": "mean error [radii]",
+    "percentile95_error": "95 % error [radii]",
+    "worst_error": "worst error [radii]",
     "mean_error_mm": "mean error [mm]",
     "percentile95_error_mm": "95 % error [mm]",
-    "seconds": "seconds of preparation a shape",
+    "seconds": "prepared, a shape [s]",
 }
 
 
@@ -35,11 +35,24 @@ def trainings(found: dict[str, Any]) -> list[dict[str, Any]]:
     return [part for name, part in found.items() if name.split(" ")[0] in KINDS]
 
 
+def qualities(studies: dict[str, dict[str, Any]]) -> list[str]:
+    """A table of the approximate samples themselves, a line for each run."""
+    columns = {"run": "run", "shapes": "shapes", "images": "images"} | QUALITY
+    rows = [
+        {
+            "run": name,
+            "shapes": found["shapes"],
+            **found["recipe"],
+            "images": "{views} of {pixels}^2".format(**found["recipe"]),
+        }
+        for name, found in studies.items()
+    ]
+    return rows_table(rows, columns)
+
+
 def tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
-    """Titles and tables: the samples, what was trained on them, and the difference that they make."""
-    done = trainings(found)
-    quality = {text: found["recipe"][name] for name, text in QUALITY.items()}
-    made = [(f"the approximate samples, {found['shapes']} shapes", pairs(quality))]
+    """Titles and tables: what was trained on either samples, and the difference that they make."""
+    done, made = trainings(found), []
     about = {
         "samples": "samples",
         "seed": "seed",
@@ -80,24 +93,23 @@ def _differences(done: list[dict[str, Any]], part: str) -> list[dict[str, Any]]:
 
 
 def picture(studies: dict[str, dict[str, Any]], path: Path) -> None:
-    """Mean distance of each shape's surface from the truth: exact samples' networks across, the recipe's upwards."""
+    """Mean distances of surfaces from the truth, shape by shape: exact samples across, other trainings upwards."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 4.2 * len(studies)), layout="constrained")
+    figure = Figure(figsize=(9, 4.4 * len(studies)), layout="constrained")
     FigureCanvasAgg(figure)
     every = figure.subplots(len(studies), 2, squeeze=False)
     for (name, found), line in zip(studies.items(), every, strict=True):
-        done = trainings(found)
         for axes, part in zip(line, ("known", "unseen"), strict=True):
-            for each in done:
-                rows = sorted(row["mean_mm"] for row in each[part]["rows"])
-                style = "-" if each["seed"] == 0 else "--"
+            first, *others = ([row["mean_mm"] for row in each[part]["rows"]] for each in trainings(found))
+            for each, values in zip(trainings(found)[1:], others, strict=True):
                 label = f"{each['samples']} samples, seed {each['seed']}"
-                axes.plot(range(1, len(rows) + 1), rows, style, marker="o", color=COLOURS[each["samples"]], label=label)
-            error = found["recipe"]["mean_error_mm"]
-            axes.axhline(error, color="#777777", linewidth=1, label="mean error of the approximate samples")
-            axes.set(title=f"{name}, {part} shapes", xlabel="shapes, best first", ylabel="mean distance [mm]")
-            axes.set_yscale("log")
+                marker = "o" if each["seed"] == 0 else "s"
+                axes.scatter(first, values, marker=marker, alpha=0.8, color=COLOURS[each["samples"]], label=label)
+            low, high = (end([*first, *(v for other in others for v in other)]) for end in (min, max))
+            axes.plot([low, high], [low, high], color="#777777", linewidth=1, label="equal")
+            axes.set(title=f"{name}, {part} shapes", xlabel="exact samples, seed 0: mean distance [mm]")
+            axes.set(ylabel="another training: mean distance [mm]", aspect="equal")
         line[0].legend(fontsize="small")
     figure.savefig(path, dpi=120)
