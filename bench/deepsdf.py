@@ -2,7 +2,8 @@
 
     python -m bench.deepsdf train atria --variant local --budget-s 120 --out runs/atria-local
     python -m bench.deepsdf evaluate atria --out runs/atria-local [--parts search unseen known ...]
-    python -m bench.deepsdf recipe cochlea --budget-s 60 --out runs/recipe
+    python -m bench.deepsdf recipe cochlea --count 100 --epochs 1000 --seeds 2 --out runs/cochlea-recipe
+    python -m bench.deepsdf scale atria --out runs/atria-local
     python -m bench.deepsdf fit cochlea --out runs/cochlea-local
     python -m bench.deepsdf report runs/* --to bench/results
 
@@ -10,7 +11,9 @@
 - `evaluate`: `search` finds the codes of unseen shapes, of half of their surface and of noisy points, by maximum a
   posteriori estimation, into `codes.pt`, which another machine may score; then known and unseen shapes, completion,
   times, and a strip of pictures from one code to another. `scores.json` grows part by part.
-- `recipe`: exact samples against DeepSDF's approximate recipe: one network, one budget, the same shapes.
+- `recipe`: exact samples against DeepSDF's approximate recipe: one network, as many steps, the same shapes; how wrong
+  the recipe's samples are, and what that costs.
+- `scale`: the paper's scale for scores that are older than it.
 - `fit`: a cochlea's map and the fit of one to a label, beside the mesh.
 - `report`: a table (`deepsdf.md`) and all figures (`deepsdf.json`) of some runs.
 
@@ -25,7 +28,8 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +37,11 @@ import torch
 
 from bench import deepsdf_evaluate as evaluation
 from bench import deepsdf_fit as fitting
+from bench._deepsdf_cameras import Cameras
+from bench._deepsdf_scale import in_paper_scale
 from bench._machine import describe, device_name
 from bench._record import write
-from bench.deepsdf_approximate import ApproximateSamples
+from bench.deepsdf_approximate import ApproximateSamples, Quality
 from bench.deepsdf_report import report
 from bench.deepsdf_shapes import Shapes, atria, cochleas
 from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
@@ -54,7 +60,13 @@ def main() -> None:
     if options.command == "report":
         report(options.runs, options.to)
         return
-    commands = {"train": run_train, "evaluate": run_evaluate, "recipe": run_recipe, "fit": run_fit}
+    commands = {
+        "train": run_train,
+        "evaluate": run_evaluate,
+        "recipe": run_recipe,
+        "scale": run_scale,
+        "fit": run_fit,
+    }
     commands[options.command](options)
 
 
@@ -63,7 +75,7 @@ def run_train(options: argparse.Namespace) -> None:
         shapes = ShapeSet(of_class(options).training, device)
         source: SampleSource = shapes
         if options.samples == "approximate":
-            source = ApproximateSamples(shapes, options.table, options.dense)
+            source = approximate_of(shapes, options)
         trained(source, shapes, settings_of(options), options.out, options)
 
 
@@ -107,7 +119,7 @@ def run_evaluate(options: argparse.Namespace) -> None:
     }
     chosen = {name: parts[name] for name in parts if name in options.parts}
     about = {"class": options.shapes, "settings": model.settings.as_dict(), "training": training_of(options.out)}
-    in_turn(chosen, options, about)
+    in_turn(chosen, options, about, options.budget_s)
 
 
 def search(model: DeepSDF, test: list[TriangleMesh], options: argparse.Namespace) -> dict[str, Any]:
@@ -128,34 +140,62 @@ def run_fit(options: argparse.Namespace) -> None:
         "maps": lambda: fitting.whole_maps(model, family),
         "fits": lambda: fitting.fits(model, family, options.test or 3, options.fit_steps),
     }
-    in_turn(parts, options, {})
+    in_turn(parts, options, {}, options.budget_s)
 
 
 def run_recipe(options: argparse.Namespace) -> None:
     shapes = of_class(options)
     found = ShapeSet(shapes.training, options.device)
     settings = settings_of(options)
-    start = time.monotonic()
-    table = ApproximateSamples(found, options.table, options.dense)
-    preparation = {"table": options.table, "dense": options.dense, "seconds": time.monotonic() - start}
-    result: dict[str, Any] = {"class": options.shapes, "settings": settings.as_dict(), "budget_s": options.budget_s}
-    result["recipe"] = {**asdict(table.quality), **preparation}
-
-    def of_unseen(model: DeepSDF) -> evaluation.Found:
-        return evaluation.search(model, shapes.test, options.steps, None, False, ("unseen",))["unseen"]
-
+    table = approximate_of(found, options)
     sources: dict[str, SampleSource] = {"exact": found, "approximate": table}
-    for name, source in sources.items():
-        model = DeepSDF.load(trained(source, found, settings, options.out / name, options), options.device)
-        result[name] = {
-            "training": training_of(options.out / name),
+
+    def study(name: str, seed: int) -> dict[str, Any]:
+        out = options.out / f"{name}-{seed}"
+        path = trained(sources[name], found, replace(settings, seed=seed), out, options)
+        model = DeepSDF.load(path, options.device)
+        codes = evaluation.search(model, shapes.test, options.steps, None, False, ("unseen",))["unseen"]
+        return {
+            "samples": name,
+            "seed": seed,
+            "training": training_of(out),
             "known": evaluation.known(model, shapes.training, options.known, options.resolution),
-            "unseen": evaluation.unseen(model, shapes.test, of_unseen(model), options.resolution),
+            "unseen": evaluation.unseen(model, shapes.test, codes, options.resolution),
         }
-    write(options.out / "scores.json", {"machine": describe(str(found.device)), "recipe_study": result})
+
+    cameras = asdict(cameras_of(options))
+    parts: dict[str, Callable[[], Any]] = {
+        "recipe": lambda: {"samples": options.table, **cameras, **asdict(Quality.mean(table.qualities))}
+    }
+    for seed in range(options.seeds):
+        parts |= {f"{name} {seed}": partial(study, name, seed) for name in sources}
+    in_turn(parts, options, {"class": options.shapes, "settings": settings.as_dict(), "shapes": len(found)}, None)
 
 
-def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, about: dict[str, Any]) -> None:
+def approximate_of(shapes: ShapeSet, options: argparse.Namespace) -> ApproximateSamples:
+    return ApproximateSamples(shapes, options.table, cameras_of(options), options.out / "tables")
+
+
+def cameras_of(options: argparse.Namespace) -> Cameras:
+    return Cameras(options.views, options.pixels)
+
+
+def run_scale(options: argparse.Namespace) -> None:
+    path, shapes = options.out / "scores.json", of_class(options)
+    result = json.loads(path.read_text())
+    for name, truths in (("known", shapes.training), ("unseen", shapes.test)):
+        if name in result:
+            result[name] = in_paper_scale(result[name], truths)
+            print(json.dumps({name: {k: result[name][k] for k in ("mean", "median")}}, indent=1))
+    write(path, result)
+
+
+def in_turn(
+    parts: dict[str, Callable[[], Any]],
+    options: argparse.Namespace,
+    about: dict[str, Any],
+    budget_s: float | None,
+) -> None:
     """Each part that `scores.json` does not have yet, until the budget is over."""
     path, start = options.out / "scores.json", time.monotonic()
     result = json.loads(path.read_text()) if path.exists() else {}
@@ -166,7 +206,7 @@ def in_turn(parts: dict[str, Callable[[], Any]], options: argparse.Namespace, ab
     for name, part in parts.items():
         if name in result and not options.again:
             continue
-        if options.budget_s is not None and time.monotonic() - start > options.budget_s:
+        if budget_s is not None and time.monotonic() - start > budget_s:
             print(f"{name} is left for the next time: the budget is over")
             continue
         result[name] = part()
@@ -216,7 +256,7 @@ def training_of(folder: Path) -> dict[str, Any]:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    for name in ("train", "evaluate", "recipe", "fit"):
+    for name in ("train", "evaluate", "recipe", "scale", "fit"):
         command = commands.add_parser(name)
         command.add_argument("shapes", choices=("cochlea", "atria"))
         command.add_argument("--out", type=Path, required=True, help="folder of the run")
@@ -233,8 +273,10 @@ def arguments() -> argparse.Namespace:
             command.add_argument(f"--{option}", type=int)
         command.add_argument("--precision", choices=("bf16", "tf32", "float32"))
         command.add_argument("--samples", choices=("exact", "approximate"), default="exact")
-        command.add_argument("--table", type=int, default=100_000, help="approximate samples of a shape")
-        command.add_argument("--dense", type=int, default=250_000, help="surface points of the approximate recipe")
+        command.add_argument("--table", type=int, default=500_000, help="approximate samples of a shape")
+        command.add_argument("--views", type=int, default=Cameras.views, help="cameras of the approximate recipe")
+        command.add_argument("--pixels", type=int, default=Cameras.pixels, help="along an image of such a camera")
+        command.add_argument("--seeds", type=int, default=1, help="trainings of each kind in a study of the recipe")
         command.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
         searches = evaluation.SEARCHES
         command.add_argument("--search", nargs="+", choices=searches, default=searches, help="from what, for search")

@@ -177,6 +177,7 @@ def _parts(
         found: ShapeScores = score_shape(mesh, truth, sphere=UNIT)
         yield {
             "chamfer": found.chamfer,
+            "chamfer_paper": found.chamfer_paper,
             "dice": found.dice,
             "seen_half_mean_mm": radius * float(away[half].mean()),
             "other_half_mean_mm": radius * float(away[~half].mean()),

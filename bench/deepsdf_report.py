@@ -6,39 +6,59 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench import _deepsdf_study as study
+from bench._deepsdf_tables import pairs, rows_table, text
 from bench._record import put, write
 
 COLUMNS = {
-    "chamfer": "Chamfer (points)",
+    "chamfer": "Chamfer, unit sphere",
     "chamfer_floor": "its floor",
-    "chamfer_surface": "Chamfer (surface)",
+    "chamfer_paper": "Chamfer, paper's scale",
+    "chamfer_paper_floor": "its floor",
+    "chamfer_surface": "to the surface",
     "mean_mm": "mean [mm]",
     "percentile95_mm": "95 % [mm]",
     "dice": "Dice",
 }
 PARTS = {
-    "chamfer": "Chamfer (points)",
+    "chamfer": "Chamfer, unit sphere",
     "dice": "Dice",
     "seen_half_mean_mm": "seen half, mean [mm]",
     "other_half_mean_mm": "other half, mean [mm]",
     "other_half_95_mm": "other half, 95 % [mm]",
 }
 FIT = {key: key for key in ("seconds", "mean_mm", "percentile95_mm", "dice", "failed", "why")}
+# At most this: which shapes, which figure of them.
+AIMS = (("known", "mean", 0.05), ("unseen", "mean", 0.20), ("unseen", "median", 0.10))
+SCALES = {"chamfer_paper": "paper's scale", "chamfer": "unit sphere"}
+ABOUT = """\
+Made by `python -m bench.deepsdf report`. Chamfer distances are 1000 times the sum of both mean squared
+distances between 30,000 points of each surface; a floor is what a perfect answer scores. Paper's scale: the true
+surface's bounding box has a diagonal of 1 (why: `sdm/deepsdf/scores.py`). To the surface: exactly, not to points of it,
+in unit-sphere radii."""
+
+QUALITY = """\
+Against exact values within 0.1 unit-sphere radii of the surface; means over the shapes, the worst error of all. Thrown
+away: the share of the samples without a clear vote. Wrong signs: the share of those that are left. Surface hidden: the
+share of it that is 0.01 radii or further from every point seen. Prepared: what cameras, tree and neighbours take."""
 
 
 def report(runs: list[Path], to: Path) -> None:
-    """Write `deepsdf.md`, `deepsdf.json` and, for a study of the recipe, `deepsdf_recipe.png` into a folder."""
+    """Write `deepsdf.md`, `deepsdf.json` and, for studies of the recipe, `deepsdf_recipe.png` into a folder."""
     scores = {run.name: json.loads((run / "scores.json").read_text()) for run in runs if (run / "scores.json").exists()}
-    lines = ["# DeepSDF", "", "Made by `python -m bench.deepsdf report`. Chamfer distances are times 1000."]
+    lines = ["# DeepSDF", "", *ABOUT.splitlines()]
     for name, found in scores.items():
         lines += ["", f"## {name}", "", *_machines(found)]
         for title, part in _tables(found):
             lines += ["", f"### {title}", "", *part]
+    studies = {name: found for name, found in scores.items() if study.is_study(found)}
+    if studies:
+        lines += ["", "## The approximate recipe's samples", "", *QUALITY.splitlines(), "", *study.qualities(studies)]
     put(to / "deepsdf.md", "\n".join(lines) + "\n")
     write(to / "deepsdf.json", scores)
-    for found in scores.values():
-        if "recipe_study" in found:
-            _picture(found["recipe_study"], to / "deepsdf_recipe.png")
+    compared = {name: found for name, found in studies.items() if len(study.trainings(found)) > 1}
+    if compared:
+        study.picture(compared, to / "deepsdf_recipe.png")
     print("\n".join(lines))
 
 
@@ -53,49 +73,31 @@ def _machines(found: dict[str, Any]) -> list[str]:
 
 
 def _tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
+    if study.is_study(found):
+        return study.tables(found)
     made = [(f"{n} shapes, {found[n]['shapes']}", _table(found[n], COLUMNS)) for n in ("known", "unseen") if n in found]
+    aims = [_aim(found, *aim) for aim in AIMS if aim[0] in found]
+    if aims:
+        made.append(("aims, Chamfer distance", rows_table(aims, {"": "", **SCALES})))
     made += [(f"completion, {n}", _table(found[n], PARTS)) for n in ("half", "noisy") if n in found]
-    made += [(n, _pairs(found[n])) for n in ("training", "search", "speed", "maps") if n in found]
-    made += [(f"fit by {way}", _rows(fit["rows"], FIT)) for way, fit in found.get("fits", {}).items() if "rows" in fit]
-    study = found.get("recipe_study")
-    if study is not None:
-        made.append(("the approximate recipe", _pairs(study["recipe"])))
-        ways = [(name, part) for name in ("exact", "approximate") for part in ("known", "unseen")]
-        made += [(f"{name} samples, {part} shapes", _table(study[name][part], COLUMNS)) for name, part in ways]
+    made += [(n, pairs(found[n])) for n in ("training", "search", "speed", "maps") if n in found]
+    made += [
+        (f"fit by {way}", rows_table(fit["rows"], FIT)) for way, fit in found.get("fits", {}).items() if "rows" in fit
+    ]
     return made
 
 
 def _table(part: dict[str, Any], columns: dict[str, str]) -> list[str]:
     rows = [{"": kind, **part[kind]} for kind in ("mean", "median") if kind in part]
-    return _rows(rows, {"": "", **columns})
+    return rows_table(rows, {"": "", **columns})
 
 
-def _rows(rows: list[dict[str, Any]], columns: dict[str, str]) -> list[str]:
-    head = "| " + " | ".join(columns.values()) + " |"
-    body = ["| " + " | ".join(_text(row.get(key, "")) for key in columns) + " |" for row in rows]
-    return [head, "|" + "---|" * len(columns), *body]
-
-
-def _pairs(values: dict[str, Any]) -> list[str]:
-    return ["| | |", "|---|---|", *(f"| {key} | {_text(value)} |" for key, value in values.items())]
-
-
-def _text(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _picture(study: dict[str, Any], path: Path) -> None:
-    """Chamfer distance of each shape, exact against approximate samples."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, part in zip(figure.subplots(1, 2), ("known", "unseen"), strict=True):
-        for name, colour in (("exact", "#1f5a96"), ("approximate", "#c9453f")):
-            rows = sorted(row["chamfer_surface"] for row in study[name][part]["rows"])
-            axes.plot(range(1, len(rows) + 1), rows, marker="o", color=colour, label=f"{name} samples")
-        axes.set(title=f"{part} shapes", xlabel="shapes, best first", ylabel="Chamfer distance to the surface x 1000")
-        axes.set_yscale("log")
-        axes.legend()
-    figure.savefig(path, dpi=120)
+def _aim(found: dict[str, Any], part: str, kind: str, most: float) -> dict[str, str]:
+    """What is aimed at, and in each scale whether it is reached."""
+    values = found[part].get(kind, {})
+    said = {
+        scale: f"{'met' if values[scale] <= most else 'not met'}: {text(values[scale])}"
+        for scale in SCALES
+        if scale in values
+    }
+    return {"": f"{part} shapes, {kind} at most {most:g}", **said}

@@ -12,7 +12,7 @@ from sdm.deepsdf.label_surface import label_surface
 from sdm.deepsdf.model import DeepSDF
 from sdm.deepsdf.render import interpolation_strip, render, save_picture, sphere_trace
 from sdm.deepsdf.scan import Scan, half_of
-from sdm.deepsdf.scores import ShapeScores, chamfer_distance, score_shape
+from sdm.deepsdf.scores import ShapeScores, box_diagonal, chamfer_distance, score_shape
 from sdm.deepsdf.settings import Settings, local, published
 from sdm.deepsdf.surface import decode_mesh, decode_near_surface
 from sdm.deepsdf.training import train
@@ -26,6 +26,7 @@ __all__ = [
     "Settings",
     "ShapeCode",
     "ShapeScores",
+    "box_diagonal",
     "chamfer_distance",
     "decode_mesh",
     "decode_near_surface",

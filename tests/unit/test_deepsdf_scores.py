@@ -27,6 +27,10 @@ def test_balls_of_two_sizes() -> None:
     assert found.mean == pytest.approx(1.0, rel=5e-3)
     assert found.percentile95 == pytest.approx(1.0, rel=5e-3)
     assert found.chamfer_surface == pytest.approx(1000 * 2 * 0.05**2, rel=5e-3)
+    # The truth's box is a cube with sides of 20.
+    assert found.diagonal == pytest.approx(3**0.5, rel=1e-5)
+    assert found.chamfer_paper == pytest.approx(found.chamfer / 3, rel=1e-5)
+    assert found.chamfer_paper_floor == pytest.approx(found.chamfer_floor / 3, rel=1e-5)
     assert found.dice == pytest.approx(2 * 0.729 / 1.729, abs=1e-2)
 
 
