@@ -4,7 +4,7 @@
 
 - `samples`: exact signed distances of fresh samples a second, for batches of 64 shapes with 16,384 points each.
 - `share`: how much of a step of the published network (bf16 on a GPU) and of the local one is spent on its samples:
-  the time of a step with fresh samples, and with one batch that stays.
+  the time of a step with fresh samples, drawn beside the step before as in training, and with one batch that stays.
 
 Values are checked against every triangle in float64 before they are timed. On a CPU the networks' batches are small:
 their share only shows that the program runs; the rate of samples is that of the full batch.
@@ -108,10 +108,10 @@ def share(shapes: ShapeSet, settings: Settings, device: str, compiled: bool, bud
     trainer = Trainer(shapes, settings, Path(), names=shapes.names, spheres=shapes.spheres, device=device)
     trainer.prepare(compiled)
     kept = trainer.draw(0)
+    batches = trainer.batches_ahead()
 
     def fresh() -> Any:
-        trainer.step += 1
-        return trainer.update(*trainer.draw(trainer.step))
+        return trainer.update(*next(batches))
 
     def stale() -> Any:
         return trainer.update(*kept)
@@ -121,7 +121,7 @@ def share(shapes: ShapeSet, settings: Settings, device: str, compiled: bool, bud
             once(call, device)
         with_samples = median(fresh, device, RUNS, budget_ms / 2)
         without = median(stale, device, RUNS, budget_ms / 2)
-        making = median(lambda: trainer.draw(trainer.step), device, RUNS, budget_ms / 2)
+        making = median(lambda: trainer.draw(0), device, RUNS, budget_ms / 2)
     return {
         "compiled": compiled,
         "batch": list(kept[1].shape[:2]),

@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.ahead import ahead, one_by_one
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.dataset.pose import transforms_of
 from sdm.errors import FormatError
 from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
-from sdm.stream.ahead import ahead, one_by_one
 
 # Bytes and number of the maps that are made at a time.
 BATCH_BYTES, LARGEST_BATCH = 1 << 27, 64

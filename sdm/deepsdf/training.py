@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from sdm.ahead import ahead, one_by_one
 from sdm.deepsdf import checkpoint
 from sdm.deepsdf.auto_decoder import AutoDecoder
 from sdm.deepsdf.batches import Batches, mixed
@@ -141,8 +142,9 @@ class Trainer:
             self.optimizer.zero_grad(set_to_none=True)
         before, saved_at = time.monotonic() - self.seconds, self.seconds
         done = self._done(budget_s)
+        batches = self.batches_ahead()
         while done < 1:
-            loss = self.update(*self.draw(self.step), done)
+            loss = self.update(*next(batches), done)
             self.step += 1
             if self.step % LOOK_EVERY and self.step < self.steps:
                 continue
@@ -174,6 +176,13 @@ class Trainer:
         shapes = self.batches[step].to(self.device)
         points, values = self.source.sample(shapes, self.settings.points, seed=self.settings.seed, step=step)
         return shapes, points, values
+
+    def batches_ahead(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """What `draw` gives for this step and those to come, on a GPU beside the step before, which leaves it room."""
+        steps = iter(range(self.step, self.steps))
+        gpu = self.device.type == "cuda"
+        drawn = ahead(self.draw, steps, self.device, 1) if gpu else one_by_one(self.draw, steps)
+        return (batch for _, batch in drawn)
 
     def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:
         """One step of Adam when a share `done` of the training is over; gives the loss of the data."""

@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
+from sdm.ahead import ahead, one_by_one
 from sdm.errors import SDMError
 from sdm.grid import Grid
 from sdm.shapes import Family
-from sdm.stream.ahead import ahead, one_by_one
 from sdm.stream.batch import Batch
 from sdm.stream.maker import Maker, refuse_fork
 from sdm.stream.ranks import rank_and_size
