@@ -12,10 +12,10 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.caps import is_far, may_cover, view_caps
-from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cull import Cell, no_witness
+from sdm.kernels.gather import SCRATCH, nearest_together
 from sdm.kernels.geometry import closest_point
-from sdm.kernels.lanes import least_of_lanes, load4, write4
+from sdm.kernels.lanes import fetch_add_once, least_of_lanes, load4, write4
 from sdm.kernels.tree import SCALE, Tree
 from sdm.kernels.winding import CLOSED, SOUP, Winding
 from sdm.kernels.witness import write_witness
@@ -30,7 +30,7 @@ FAR, COVERED, APART = wp.constant(1), wp.constant(2), wp.constant(4)
 # Room for rounding in the distance from a box's centre and its radius.
 ROOM = wp.constant(1.0e-5)
 
-_GROUP = wp.constant(GROUP)
+_GROUP, _SCRATCH = wp.constant(GROUP), wp.constant(SCRATCH)
 _SCALE = wp.constant(SCALE)
 _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
 
@@ -107,7 +107,7 @@ def read_box(groups: Groups, group: int):
 
 
 @wp.kernel
-def _find_boxes(
+def _look_around(
     begin: int,
     lanes: int,
     tree: Tree,
@@ -115,49 +115,58 @@ def _find_boxes(
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     groups: Groups,
+    next_group: wp.array(dtype=wp.int32),
+    scratch: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    group = thread / lanes
-    cell = box_around(tree, points, order, group, lane, lanes)
-    hint = int(0)
-    if winding.kind == _CLOSED:
-        hint = FAR
-    elif winding.kind != _SOUP and cell.half2 < float(wp.inf):
-        if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
-            hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
-    if lane == 0:
-        half = cell.half
-        write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
-        write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
-        groups.hints[group] = hint
-
-
-@wp.kernel
-def _search_centres(begin: int, tree: Tree, groups: Groups):
-    # One thread a group: lanes that all search for the same would only wait for the same memory.
-    group = begin + wp.tid()
-    cell = read_box(groups, group)
-    slot = nearest_slot(tree, 0, cell.centre, 0)
-    known = no_witness()
-    if cell.half2 < float(wp.inf):
-        hit = closest_point(
-            wp.vec3d(cell.centre),
-            wp.vec3d(tree.corners[4 * slot]),
-            wp.vec3d(tree.corners[4 * slot + 1]),
-            wp.vec3d(tree.corners[4 * slot + 2]),
-        )
-        known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
-        known.distance2 = float(hit.distance2)
-        if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
-            groups.hints[group] = groups.hints[group] + APART
-    write_witness(groups.witnesses, group, known)
-    groups.nearest[group] = slot
+    group = fetch_add_once(next_group, 0, 1, lane)
+    while group < groups.count:
+        cell = box_around(tree, points, order, group, lane, lanes)
+        slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * _SCRATCH, lane, lanes)
+        known = no_witness()
+        hint = int(0)
+        if winding.kind == _CLOSED:
+            hint = FAR
+        if cell.half2 < float(wp.inf):
+            hit = closest_point(
+                wp.vec3d(cell.centre),
+                wp.vec3d(tree.corners[4 * slot]),
+                wp.vec3d(tree.corners[4 * slot + 1]),
+                wp.vec3d(tree.corners[4 * slot + 2]),
+            )
+            known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
+            known.distance2 = float(hit.distance2)
+            if winding.kind != _CLOSED and winding.kind != _SOUP:
+                if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
+                    hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
+            if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
+                hint = hint + APART
+        if lane == 0:
+            half = cell.half
+            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
+            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
+            write_witness(groups.witnesses, group, known)
+            groups.nearest[group] = slot
+            groups.hints[group] = hint
+        group = fetch_add_once(next_group, 0, 1, lane)
 
 
 def look_around(
-    tree: Tree, winding: Winding, points: wp.array, order: wp.array, groups: Groups, lanes: int, launch: Any
+    tree: Tree,
+    winding: Winding,
+    points: wp.array,
+    order: wp.array,
+    groups: Groups,
+    next_group: wp.array,
+    scratch: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
 ) -> None:
-    """Fill `groups` for points (N,) in their order, or as they come if `order` is empty."""
-    launch(_find_boxes, groups.count * lanes, [lanes, tree, winding, points, order, groups], points.device)
-    launch(_search_centres, groups.count, [tree, groups], points.device)
+    """Fill `groups` for points (N,) in their order, or as they come if `order` is empty.
+
+    `workers` groups of lanes are at work; `next_group` (1,) must be zero; `scratch` has room for workers * SCRATCH.
+    """
+    inputs = [lanes, tree, winding, points, order, groups, next_group, scratch]
+    launch(_look_around, workers * lanes, inputs, points.device, smallest=1)

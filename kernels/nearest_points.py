@@ -10,12 +10,12 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.closest import exact_distance2
 from sdm.kernels.cones import Cones
-from sdm.kernels.gather import SCRATCH, gather_near
-from sdm.kernels.geometry import closest_point
+from sdm.kernels.gather import SCRATCH, TIES, gather_near
 from sdm.kernels.groups import GROUP, Groups, group_end, is_finite, numbered, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
-from sdm.kernels.shortlist import keep_nearest, own
+from sdm.kernels.shortlist import keep_nearest
 from sdm.kernels.tree import SCALE, Tree
 from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.witness import read_witness
@@ -23,39 +23,28 @@ from sdm.kernels.witness import read_witness
 wp.set_module_options({"enable_backward": False})
 
 _GROUP = wp.constant(GROUP)
-_SCRATCH = wp.constant(SCRATCH)
+_SCRATCH, _TIES = wp.constant(SCRATCH), wp.constant(TIES)
 _SCALE = wp.constant(SCALE)
 
 
 @wp.func
-def square_of(tree: Tree, slot: int, p: wp.vec3d):
-    """Squared distance of p (scaled) from the triangle in a slot, in float64."""
-    hit = closest_point(
-        p,
-        wp.vec3d(tree.corners[4 * slot]),
-        wp.vec3d(tree.corners[4 * slot + 1]),
-        wp.vec3d(tree.corners[4 * slot + 2]),
-    )
-    return hit.distance2
-
-
-@wp.func
-def nearest_of_own(
-    tree: Tree, p: wp.vec3d, scratch: wp.array(dtype=wp.int32), at: int, left: int, lane: int, lanes: int
+def nearest_of_ties(
+    tree: Tree, p: wp.vec3, scratch: wp.array(dtype=wp.int32), at: int, left: int, lane: int, lanes: int
 ):
-    """The nearest to p (scaled) of the lane's own `left` triangles, as float64 sees it; -1 if there are none."""
+    """The slot of the nearest to p (scaled) of the lane's `left` triangles, as float64 sees it; -1 without any."""
+    first = at + _TIES + lane
     nearest = int(-1)
     if left > 0:
-        nearest = scratch[own(at, 0, lane, lanes)]
+        nearest = scratch[first]
     if left > 1:
-        least2 = square_of(tree, nearest, p)
+        least2 = exact_distance2(tree, nearest >> 2, nearest & 3, p)
         for k in range(1, left):
-            slot = scratch[own(at, k, lane, lanes)]
-            d2 = square_of(tree, slot, p)
+            other = scratch[first + k * lanes]
+            d2 = exact_distance2(tree, other >> 2, other & 3, p)
             if d2 < least2:
                 least2 = d2
-                nearest = slot
-    return nearest
+                nearest = other
+    return nearest >> 2
 
 
 @wp.kernel(launch_bounds=(128, GPU_BLOCKS))
@@ -75,7 +64,7 @@ def _find_nearest(
     thread = begin + wp.tid()
     lane = thread % lanes
     room = (thread / lanes) * _SCRATCH
-    scale = tree.frame[_SCALE]
+    scale = float(tree.frame[_SCALE])
     group = fetch_add_once(next_group, 0, 1, lane)
     while group < groups.count:
         cell = read_box(groups, group)
@@ -88,16 +77,16 @@ def _find_nearest(
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
-            p = wp.vec3d(cell.centre)
+            p = cell.centre
             if at < end:
                 point = points[numbered(order, at)]
                 if is_finite(point):
-                    p = scale * wp.vec3d(point)
+                    p = scale * point
             left = int(0)
             if found > 0:
-                left = keep_nearest(tree, balls, wp.vec3(p), scratch, room, found, lane, lanes)
+                left = keep_nearest(tree, balls, p, scratch, room, found, lane, lanes)
             if at < end:
-                slots[at] = nearest_of_own(tree, p, scratch, room, left, lane, lanes)
+                slots[at] = nearest_of_ties(tree, p, scratch, room, left, lane, lanes)
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()

@@ -5,8 +5,8 @@ first and taken in groups of neighbours (`groups`), each of which begins with th
 
 The fast way finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
 triangles that may be nearest to any of a group's points (`nearest_points`), and one of those that rays from them may
-meet (`point_signs`), gathered from the tree by all lanes together (`gather`). The plain way then has only to finish,
-and to search for what was left: groups so wide that their lists are too long, and those near an open mesh's holes.
+meet (`point_signs`), gathered from the tree by all lanes together (`gather`). The plain way is then left with groups so
+wide that their lists are too long, and with those near an open mesh's holes.
 """
 
 from __future__ import annotations
@@ -67,6 +67,49 @@ def _point_keys(
     order[i] = i
 
 
+@wp.func
+def answer(
+    tree: Tree,
+    slot: int,
+    inside: bool,
+    point: wp.vec3,
+    i: int,
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    """Write what is asked of point i, whose nearest triangle is in a slot."""
+    unscale = tree.frame[_UNSCALE]
+    hit = closest_point(
+        tree.frame[_SCALE] * wp.vec3d(point),
+        wp.vec3d(tree.corners[4 * slot]),
+        wp.vec3d(tree.corners[4 * slot + 1]),
+        wp.vec3d(tree.corners[4 * slot + 2]),
+    )
+    distance = float(wp.sqrt(hit.distance2) * unscale)
+    values[i] = wp.where(inside, -distance, distance)
+    if hits.wanted != 0:
+        hits.points[i] = wp.vec3(unscale * hit.point)
+        hits.faces[i] = tree.face[slot]
+        hits.barycentric[i] = wp.vec3(hit.barycentric)
+
+
+@wp.kernel
+def _finish(
+    begin: int,
+    tree: Tree,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    slots: wp.array(dtype=wp.int32),
+    sides: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    at = begin + wp.tid()
+    i = numbered(order, at)
+    if slots[at] >= 0 and sides[at] != _UNKNOWN and is_finite(points[i]):
+        answer(tree, slots[at], sides[at] == _INSIDE, points[i], i, values, hits)
+
+
 @wp.kernel
 def _query(
     begin: int,
@@ -82,52 +125,37 @@ def _query(
     hits: Hits,
 ):
     run = begin + wp.tid()
-    total = points.shape[0]
     scale = tree.frame[_SCALE]
-    unscale = tree.frame[_UNSCALE]
     guess = int(-1)
     # The bound is a variable so that Warp does not write the loop out.
     steps = int(length)
     for step in range(steps):
         at = run * steps + step
-        if at < total:
+        if at < points.shape[0]:
             i = numbered(order, at)
             point = points[i]
-            if is_finite(point):
-                exact = scale * wp.vec3d(point)
-                slot = int(-1)
-                if slots.shape[0] > 0:
-                    slot = slots[at]
-                if slot < 0:
-                    if guess < 0:
-                        guess = groups.nearest[at / _GROUP]
-                    slot = nearest_slot(tree, 0, float(scale) * point, guess)
-                    guess = slot
-                hit = closest_point(
-                    exact,
-                    wp.vec3d(tree.corners[4 * slot]),
-                    wp.vec3d(tree.corners[4 * slot + 1]),
-                    wp.vec3d(tree.corners[4 * slot + 2]),
-                )
-                distance = float(wp.sqrt(hit.distance2) * unscale)
-                side = _UNKNOWN
-                if sides.shape[0] > 0:
-                    side = sides[at]
-                inside = side == _INSIDE
-                if side == _UNKNOWN:
-                    hint = groups.hints[at / _GROUP]
-                    inside = inside_at(tree, winding, exact, (hint & FAR) != 0, (hint & COVERED) != 0)
-                values[i] = wp.where(inside, -distance, distance)
-                if hits.wanted != 0:
-                    hits.points[i] = wp.vec3(unscale * hit.point)
-                    hits.faces[i] = tree.face[slot]
-                    hits.barycentric[i] = wp.vec3(hit.barycentric)
-            else:
+            slot = int(-1)
+            side = _UNKNOWN
+            if slots.shape[0] > 0:
+                slot = slots[at]
+                side = sides[at]
+            if not is_finite(point):
                 values[i] = float(wp.nan)
                 if hits.wanted != 0:
                     hits.points[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
                     hits.faces[i] = -1
                     hits.barycentric[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
+            elif slot < 0 or side == _UNKNOWN:
+                if slot < 0:
+                    if guess < 0:
+                        guess = groups.nearest[at / _GROUP]
+                    slot = nearest_slot(tree, 0, float(scale) * point, guess)
+                    guess = slot
+                inside = side == _INSIDE
+                if side == _UNKNOWN:
+                    hint = groups.hints[at / _GROUP]
+                    inside = inside_at(tree, winding, scale * wp.vec3d(point), (hint & FAR) != 0, (hint & COVERED) != 0)
+                answer(tree, slot, inside, point, i, values, hits)
 
 
 @wp.kernel
@@ -194,22 +222,21 @@ def query_points(
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
-    look_around(tree, winding, points, order, groups, lanes, launch)
+    workers = min(GPU_WORKERS if device.is_cuda else 16 * threads(), groups.count)
+    scratch = empty(workers * SCRATCH, wp.int32)
+    counts = empty(3, wp.int32)
+    counts.zero_()
+    look_around(tree, winding, points, order, groups, counts[:1], scratch, workers, lanes, launch)
     slots = empty(count if lists else 0, wp.int32)
     sides = empty(count if lists else 0, wp.int32)
-    if lists:
-        workers = min(GPU_WORKERS if device.is_cuda else 16 * threads(), groups.count)
-        scratch = empty(workers * SCRATCH, wp.int32)
-        next_groups = empty(2, wp.int32)
-        next_groups.zero_()
-        of_nearest, of_sides = next_groups[:1], next_groups[1:]
-        find_nearest(
-            tree, parts.balls, cones, points, order, groups, of_nearest, scratch, slots, workers, lanes, launch
-        )
-        find_sides(tree, winding, points, order, groups, of_sides, scratch, sides, workers, lanes, launch)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
+    if lists:
+        of_all = tree, parts.balls, cones, points, order, groups
+        find_nearest(*of_all, counts[1:2], scratch, slots, workers, lanes, launch)
+        find_sides(tree, winding, points, order, groups, counts[2:], scratch, sides, workers, lanes, launch)
+        launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
     length = 1 if device.is_cuda else CPU_RUN
     inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]
     launch(_query, -(-count // length), inputs, device)

@@ -9,15 +9,16 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import moved_square, room_at, slot_part
-from sdm.kernels.gather import FOUND, OWN, OWN_ROOM, SQUARES
+from sdm.kernels.gather import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
 from sdm.kernels.lanes import from_lane, int_from_lane, load4
 from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
 
 _FOUND, _OWN, _OWN_ROOM = wp.constant(FOUND), wp.constant(OWN), wp.constant(OWN_ROOM)
-# From a triangle of a lane's own to its squared distance.
-_TO_SQUARE = wp.constant(SQUARES - OWN)
+_TIES, _TIES_ROOM = wp.constant(TIES), wp.constant(TIES_ROOM)
+# From one of those that tie to its squared distance.
+_TO_SQUARE = wp.constant(SQUARES - TIES)
 
 
 @wp.func
@@ -103,25 +104,44 @@ def keep_nearest(
 ):
     """Keep for the lane those triangles found for its group that float32 cannot tell from the nearest to p (scaled).
 
-    Returns how many; 0 if there was no room.
+    Returns how many; each is four times its slot, and its nearest part as in `geometry.nearest_part`. None means that
+    there was no room for all.
     """
     room = room_at(p)
     best2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
     # Its distance bounds that of the nearest from above.
-    kept = keep_near(balls, p, wp.sqrt(best2) + 4.0 * room, scratch, at, found, lane, lanes)
-    if kept > _OWN_ROOM:
-        return 0
-    for k in range(kept):
-        place = own(at, k, lane, lanes)
-        d2, _other_part = slot_part(tree, scratch[place], p)
-        scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
-        best2 = wp.min(best2, d2)
+    count = keep_near(balls, p, wp.sqrt(best2) + 4.0 * room, scratch, at, found, lane, lanes)
+    first = own(at, 0, lane, lanes)
+    step = int(lanes)
+    if count > _OWN_ROOM:
+        # All of the group's then.
+        first = at + _FOUND
+        step = 1
+        count = found
     out2 = moved_square(best2, room)
+    ties = int(0)
+    for k in range(count):
+        slot = scratch[first + k * step]
+        d2, part = slot_part(tree, slot, p)
+        if d2 <= out2:
+            if d2 < best2:
+                out2 = moved_square(d2, room)
+                if best2 > out2:
+                    # All those before are out.
+                    ties = 0
+                best2 = d2
+            if ties < _TIES_ROOM:
+                place = at + _TIES + ties * lanes + lane
+                scratch[place] = 4 * slot + part
+                scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
+            ties = ties + 1
+    if ties > _TIES_ROOM:
+        return 0
     left = int(0)
-    for k in range(kept):
-        place = own(at, k, lane, lanes)
+    for k in range(ties):
+        place = at + _TIES + k * lanes + lane
         if wp.cast(scratch[place + _TO_SQUARE], wp.float32) <= out2:
-            scratch[own(at, left, lane, lanes)] = scratch[place]
+            scratch[at + _TIES + left * lanes + lane] = scratch[place]
             left = left + 1
     return left
 
