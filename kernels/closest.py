@@ -47,57 +47,10 @@ def moved_square(d2: float, by: float):
     return d * d
 
 
-@wp.struct
-class Best:
-    """The nearest triangle so far."""
-
-    slot: wp.int32
-    part: wp.int32
-    # What is further than this is out; what is nearer than that is better; float64 judges what lies between.
-    out2: float
-    better2: float
-    # Its distance in float64, once that was needed.
-    exact2: wp.float64
-
-
 @wp.func
 def room_at(p: wp.vec3):
     """How far float32's distances from p (scaled) may be off."""
     return CLOSE * wp.max(1.0, wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
-
-
-@wp.func
-def begin_with(tree: Tree, slot: int, p: wp.vec3, room: float):
-    """The triangle in a slot as the nearest to p so far."""
-    d2, part = slot_part(tree, slot, p)
-    best = Best()
-    best.slot = slot
-    best.part = part
-    best.out2 = moved_square(d2, room)
-    best.better2 = moved_square(d2, -room)
-    best.exact2 = wp.float64(-1.0)
-    return best
-
-
-@wp.func
-def consider(tree: Tree, best: Best, slot: int, p: wp.vec3, room: float):
-    """The nearer to p of the best triangle and the one in a slot."""
-    d2, part = slot_part(tree, slot, p)
-    if d2 < best.out2 and slot != best.slot:
-        wins = d2 < best.better2
-        e2 = wp.float64(-1.0)
-        if not wins:
-            if best.exact2 < wp.float64(0.0):
-                best.exact2 = exact_distance2(tree, best.slot, best.part, p)
-            e2 = exact_distance2(tree, slot, part, p)
-            wins = e2 < best.exact2
-        if wins:
-            best.slot = slot
-            best.part = part
-            best.exact2 = e2
-            best.out2 = moved_square(d2, room)
-            best.better2 = moved_square(d2, -room)
-    return best
 
 
 @wp.func
@@ -110,7 +63,13 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
     base = mesh * (2 << tree.depth)
     leaves = 1 << tree.depth
     room = room_at(p)
-    best = begin_with(tree, guess, p, room)
+    best = guess
+    best2, best_part = slot_part(tree, guess, p)
+    # What is further than this is out; what is nearer than that is better; float64 judges what lies between.
+    out2 = moved_square(best2, room)
+    better2 = moved_square(best2, -room)
+    # The best triangle's distance in float64, once that was needed.
+    exact2 = wp.float64(-1.0)
     nodes = NodeStack()
     distances = DistanceStack()
     waiting = int(0)
@@ -120,7 +79,22 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
             leaf = node - leaves
             end = first_triangle(tree, leaf + 1)
             for t in range(first_triangle(tree, leaf), end):
-                best = consider(tree, best, mesh * tree.count + t, p, room)
+                slot = mesh * tree.count + t
+                d2, part = slot_part(tree, slot, p)
+                if d2 < out2 and slot != best:
+                    wins = d2 < better2
+                    e2 = wp.float64(-1.0)
+                    if not wins:
+                        if exact2 < wp.float64(0.0):
+                            exact2 = exact_distance2(tree, best, best_part, p)
+                        e2 = exact_distance2(tree, slot, part, p)
+                        wins = e2 < exact2
+                    if wins:
+                        best = slot
+                        best_part = part
+                        exact2 = e2
+                        out2 = moved_square(d2, room)
+                        better2 = moved_square(d2, -room)
             node = int(0)
         else:
             near = 2 * node
@@ -133,13 +107,13 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
                 swap = near2
                 near2 = far2
                 far2 = swap
-            if far2 < best.out2:
+            if far2 < out2:
                 nodes[waiting] = far
                 distances[waiting] = far2
                 waiting = waiting + 1
-            node = wp.where(near2 < best.out2, near, 0)
+            node = wp.where(near2 < out2, near, 0)
         while node == 0 and waiting > 0:
             waiting = waiting - 1
-            if distances[waiting] < best.out2:
+            if distances[waiting] < out2:
                 node = nodes[waiting]
-    return best.slot
+    return best

@@ -13,9 +13,10 @@ import warp as wp
 
 from sdm.kernels.caps import is_far, may_cover, view_caps
 from sdm.kernels.cull import Cell, no_witness
-from sdm.kernels.gather import SCRATCH, nearest_together
+from sdm.kernels.descent import SCRATCH
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.lanes import fetch_add_once, least_of_lanes, load4, write4
+from sdm.kernels.together import nearest_together
 from sdm.kernels.tree import SCALE, Tree
 from sdm.kernels.winding import CLOSED, SOUP, Winding
 from sdm.kernels.witness import write_witness

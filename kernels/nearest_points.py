@@ -12,7 +12,8 @@ import warp as wp
 
 from sdm.kernels.closest import exact_distance2
 from sdm.kernels.cones import Cones
-from sdm.kernels.gather import SCRATCH, TIES, gather_near
+from sdm.kernels.descent import SCRATCH, TIES
+from sdm.kernels.gather import gather_near
 from sdm.kernels.groups import GROUP, Groups, group_end, is_finite, numbered, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
 from sdm.kernels.shortlist import keep_nearest

@@ -14,7 +14,8 @@ import warp as wp
 from sdm.kernels.caps import count_caps
 from sdm.kernels.crossings import count_on_ray, covers, crossing_x, ray_from
 from sdm.kernels.cull import Cell
-from sdm.kernels.gather import OWN_ROOM, SCRATCH, gather_on_rays
+from sdm.kernels.descent import OWN_ROOM, SCRATCH
+from sdm.kernels.gather import gather_on_rays
 from sdm.kernels.groups import APART, COVERED, FAR, GROUP, Groups, group_end, is_finite, numbered, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
 from sdm.kernels.shortlist import keep_covering, own

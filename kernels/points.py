@@ -19,7 +19,7 @@ import warp as wp
 from sdm.kernels.closest import nearest_slot
 from sdm.kernels.cones import Cones
 from sdm.kernels.curve import POINT_BITS, curve_code
-from sdm.kernels.gather import SCRATCH
+from sdm.kernels.descent import SCRATCH
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.groups import COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
 from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import moved_square, room_at, slot_part
-from sdm.kernels.gather import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
+from sdm.kernels.descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
 from sdm.kernels.lanes import from_lane, int_from_lane, load4
 from sdm.kernels.tree import Tree
 

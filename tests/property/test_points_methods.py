@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import sdm
 import sdm.ops
 from bench.meshes import load_case, sphere
-from sdm.kernels.gather import MOST, OWN_ROOM
+from sdm.kernels.descent import MOST, OWN_ROOM
 from sdm.kernels.groups import GROUP
 from tests import strategies
 from tests.exactness import assert_exact
