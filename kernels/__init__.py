@@ -2,12 +2,12 @@
 
 Nothing here knows torch or `sdm`: the functions take and fill `wp.array`s that the caller owns, and launch on Warp's
 current stream. Read in this order: `geometry` (one triangle), `curve` and `tree` (the hierarchy of boxes), `edges`
-(which faces meet), `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary`, `caps` and
-`holes` (what open meshes add), `solid_angle` (any soup), `winding` (the choice), `scan` and `search` (the plain dense
-query), `frames`, `cull`, `cones` and `parts` (what can be dropped), `lists`, `witness`, `regions`, `cells`, `plan`,
-`leaves`, `selection`, `rows`, `octants`, `features`, `least`, `voxels` and `blocks` (the fast one), `dense` (the choice
-between them), `descent`, `together`, `gather`, `shortlist`, `groups`, `nearest_points`, `point_signs` and `points`
-(scattered points, both ways).
+(which faces meet), `seams` (which edges bound a mesh), `closest` (the nearest triangle), `crossings` (integer winding
+numbers), `boundary`, `caps` and `holes` (what open meshes add), `solid_angle` (any soup), `winding` (the choice),
+`scan` and `search` (the plain dense query), `frames`, `cull`, `cones` and `parts` (what can be dropped), `lists`,
+`witness`, `regions`, `cells`, `plan`, `leaves`, `selection`, `rows`, `octants`, `features`, `least`, `voxels` and
+`blocks` (the fast one), `dense` (the choice between them), `descent`, `together`, `gather`, `shortlist`, `groups`,
+`nearest_points`, `point_signs` and `points` (scattered points, both ways).
 """
 
 import os

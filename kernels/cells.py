@@ -12,7 +12,7 @@ import warp as wp
 
 from sdm.kernels.cones import Cones
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once
+from sdm.kernels.lanes import fetch_add_once
 from sdm.kernels.lists import (
     CELL,
     NEXT_CELL,
@@ -34,13 +34,16 @@ from sdm.kernels.witness import nearer_of_leaves, read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
+# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
+CELL_BLOCKS = 8
+
 _NEXT_CELL = wp.constant(NEXT_CELL)
 _NEXT_CHUNK = wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
 
-@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+@wp.kernel(launch_bounds=(128, CELL_BLOCKS))
 def _list_cells(
     begin: int,
     lanes: int,

@@ -30,7 +30,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, ball_is_behind
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, read4, write4
+from sdm.kernels.lanes import GPU_LANES, load4, read4, wait_for_lanes, write4
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle
 
 wp.set_module_options({"enable_backward": False})
@@ -215,31 +215,37 @@ def merged(a: wp.vec4, b: wp.vec4):
     return wp.vec4(axis[0], axis[1], axis[2], wp.min(wp.sin(angle) + ANGLE_ROOM, 1.0))
 
 
-@wp.kernel
-def _cones_of_leaves(begin: int, tree: Tree, cones: Cones):
-    i = begin + wp.tid()
-    leaves = 1 << tree.depth
-    mesh = i / leaves
-    leaf = i - mesh * leaves
+@wp.func
+def cone_of_leaf(tree: Tree, cones: Cones, mesh: int, leaf: int):
     cone = wp.vec4(0.0, 0.0, 0.0, -1.0)
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
         cone = merged(cone, read4(cones.triangles, mesh * tree.count + t))
-    write4(cones.nodes, mesh * 2 * leaves + leaves + leaf, cone[0], cone[1], cone[2], cone[3])
+    return cone
 
 
 @wp.kernel
-def _cones_of_levels(begin: int, tree: Tree, width: int, levels: int, cones: Cones):
-    """Cones of `levels` levels from those below, the highest of them `width` nodes wide: one thread each."""
-    i = begin + wp.tid()
-    mesh = i / width
-    top = width + i - mesh * width
-    base = mesh * (2 << tree.depth)
+def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int, cones: Cones):
+    """Cones of the lowest levels, the highest of them `width` nodes wide: one group of lanes for what is below each."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    mesh = group / width
+    top = width + group - mesh * width
+    leaves = 1 << tree.depth
+    base = mesh * 2 * leaves
     for back in range(levels):
         down = levels - 1 - back
-        for node in range(top << down, (top + 1) << down):
-            left = base + 2 * node
-            cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
+        node = (top << down) + lane
+        while node < (top + 1) << down:
+            cone = wp.vec4()
+            if node >= leaves:
+                cone = cone_of_leaf(tree, cones, mesh, node - leaves)
+            else:
+                left = base + 2 * node
+                cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
             write4(cones.nodes, base + node, cone[0], cone[1], cone[2], cone[3])
+            node = node + lanes
+        wait_for_lanes()
 
 
 @wp.func
@@ -257,9 +263,7 @@ def make_cones(
     """Fill `cones` from a built tree, its meshes, and `sdm.topology.neighbours` of their faces (F,4)."""
     device, meshes = vertices.device, vertices.shape[0]
     launch(_cones_of_triangles, meshes * tree.count, [tree, vertices, faces, neighbours, cones], device)
-    launch(_cones_of_leaves, meshes << tree.depth, [tree, cones], device)
-    level = tree.depth
-    while level > max(tree.depth - int(LEVELS), 0):
-        levels = min(level, 3)
-        level -= levels
-        launch(_cones_of_levels, meshes << level, [tree, 1 << level, levels, cones], device)
+    lanes = GPU_LANES if device.is_cuda else 1
+    top = max(tree.depth - int(LEVELS), 0)
+    inputs = [lanes, tree, 1 << top, tree.depth - top + 1, cones]
+    launch(_cones_of_levels, (meshes << top) * lanes, inputs, device, smallest=8)

@@ -8,16 +8,16 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.blocks import measure_blocks
-from sdm.kernels.cells import list_cells
+from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.grid import Output, Slab
-from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS
+from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
 from sdm.kernels.least import VOXELS
 from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
 from sdm.kernels.parts import Parts
-from sdm.kernels.plan import CELL_BITS, plan_blocks
-from sdm.kernels.regions import STACK, list_regions
+from sdm.kernels.plan import CELL_BITS, PLAN_BLOCKS, plan_blocks
+from sdm.kernels.regions import REGION_BLOCKS, STACK, list_regions
 from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
@@ -108,7 +108,11 @@ def query_slab(
     if method == "search":
         search_slab(tree, slab, out, meshes, launch)
         return
-    lanes, workers = (GPU_LANES, GPU_WORKERS) if gpu else (1, 16 * threads())
+    lanes = GPU_LANES if gpu else 1
+
+    def workers(blocks: int) -> int:
+        return gpu_workers(blocks) if gpu else 16 * threads()
+
     lists = Lists()
     lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
@@ -137,11 +141,11 @@ def query_slab(
     lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
-    stacks = empty(workers * STACK, wp.int32)
+    stacks = empty(workers(max(REGION_BLOCKS, GPU_BLOCKS)) * STACK, wp.int32)
     features = Features()
-    features.rows = empty(1 if gpu else workers * ROWS * 4, wp.float32)
-    features.points = empty(1 if gpu else workers * 3 * VOXELS, wp.float32)
-    features.least = empty(workers * VOXELS, wp.float32)
+    features.rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
+    features.points = empty(1 if gpu else workers(GPU_BLOCKS) * 3 * VOXELS, wp.float32)
+    features.least = empty(workers(GPU_BLOCKS) * VOXELS, wp.float32)
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
     lists.step = passes
@@ -149,10 +153,10 @@ def query_slab(
         lists.first = first
         lists.count = -(-(total - first) // passes)
         lists.counts.zero_()
-        find_witnesses(tree, frames, slab, lists, workers, lanes, launch)
-        list_regions(tree, frames, cones, slab, lists, stacks, workers, lanes, launch)
-        list_cells(tree, frames, cones, slab, lists, workers, lanes, launch)
-        plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers, lanes, launch)
-        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers, lanes, launch)
-        measure_blocks(tree, parts, slab, lists, features, stacks, out, workers, lanes, launch)
-    mend_slab(tree, slab, out, workers * lanes, launch)
+        find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes, launch)
+        list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes, launch)
+        list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes, launch)
+        plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers(PLAN_BLOCKS), lanes, launch)
+        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(GPU_BLOCKS), lanes, launch)
+        measure_blocks(tree, parts, slab, lists, features, stacks, out, workers(GPU_BLOCKS), lanes, launch)
+    mend_slab(tree, slab, out, workers(GPU_BLOCKS) * lanes, launch)

@@ -16,11 +16,12 @@ from sdm.kernels.boundary import Boundary, boundary_part
 from sdm.kernels.caps import count_caps, doubt, is_far, is_sure, see_caps, share_of_turn, view_caps
 from sdm.kernels.grid import Slab, unravel, voxel
 from sdm.kernels.lanes import (
+    GPU_BLOCKS,
     GPU_LANES,
-    GPU_WORKERS,
     ballot,
     fetch_add,
     first_member,
+    gpu_workers,
     sum_of_four,
     sum_of_lanes,
     sum_of_lanes_in_double,
@@ -202,7 +203,7 @@ def open_caps(
     """
     device = values.device
     meshes, *shape = values.shape
-    lanes, share, workers = (GPU_LANES, SHARE, GPU_WORKERS) if device.is_cuda else (1, 1, 128 * threads())
+    lanes, share, workers = (GPU_LANES, SHARE, gpu_workers(GPU_BLOCKS)) if device.is_cuda else (1, 1, 128 * threads())
     near = Near()
     cells = [-(-n // int(CELL)) for n in shape]
     blocks = [-(-n // int(CELLS_OF_BLOCK)) for n in cells]

@@ -13,8 +13,13 @@ wp.set_module_options({"enable_backward": False})
 GPU_LANES = 32
 # A multiprocessor holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
 GPU_BLOCKS = 4
-# Groups of lanes at work at a time: 16 for each of an H100's multiprocessors.
-GPU_WORKERS = 132 * 16
+# Multiprocessors of an H100, and groups of lanes in a block.
+GPU_MULTIPROCESSORS, GPU_GROUPS = 132, 4
+
+
+def gpu_workers(blocks: int) -> int:
+    """Groups of lanes at work at a time, of a kernel of which a multiprocessor holds so many blocks."""
+    return GPU_MULTIPROCESSORS * GPU_GROUPS * blocks
 
 
 @wp.func_native(
@@ -117,6 +122,20 @@ def lane_of_least(value: float, lane: int) -> int:
 )
 def least_of_lanes(value: float) -> float:
     """The least of all lanes' values, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
+        value = min(value, __shfl_xor_sync(0xffffffffu, value, step));
+#endif
+    return value;
+"""
+)
+def least_whole_of_lanes(value: int) -> int:
+    """The least of all lanes' whole numbers, the same for each."""
     ...
 
 
@@ -229,6 +248,29 @@ def fetch_add(counts: wp.array(dtype=wp.int32), index: int, value: int) -> int:
 """
 )
 def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
+    """Bring a value down to another if it is larger, while others do the same."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    // Floats without a sign are in the order of their bits, those with one in the other order.
+    int* at = reinterpret_cast<int*>(values.data) + index;
+    const int bits = *reinterpret_cast<int*>(&value);
+#if defined(__CUDA_ARCH__)
+    if (bits >= 0)
+        atomicMin(at, bits);
+    else
+        atomicMax(reinterpret_cast<unsigned*>(at), (unsigned)bits);
+#else
+    union { int i; float f; } now;
+    now.i = __atomic_load_n(at, __ATOMIC_RELAXED);
+    while (value < now.f && !__atomic_compare_exchange_n(at, &now.i, bits, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED))
+        ;
+#endif
+"""
+)
+def lessen(values: wp.array(dtype=wp.float32), index: int, value: float):
     """Bring a value down to another if it is larger, while others do the same."""
     ...
 

@@ -35,6 +35,9 @@ from sdm.kernels.witness import read_witness, seen_from, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
+# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
+PLAN_BLOCKS = 8
+
 # A cell's number, which of its slices, how many there are less one, in one integer.
 CELL_BITS, SLICE_BITS = 18, 6
 _CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
@@ -170,7 +173,7 @@ def share_out(
     return unclear
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, PLAN_BLOCKS))
 def _plan_blocks(
     begin: int,
     lanes: int,

@@ -19,6 +19,9 @@ from sdm.kernels.witness import nearer_of_leaves, read_witness
 
 wp.set_module_options({"enable_backward": False})
 
+# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
+REGION_BLOCKS = 6
+
 # Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels; leaves that
 # wait, at most 32 and the 64 of one batch, grow from the other end.
 STACK = 1024
@@ -41,7 +44,7 @@ def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: C
     )
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(128, REGION_BLOCKS))
 def _list_regions(
     begin: int,
     lanes: int,

@@ -25,9 +25,14 @@ wp.set_module_options({"enable_backward": False})
 
 # Lanes for each triangle of a mesh that is finer than the grid.
 FEWEST_LANES = 4
+# Voxels of a column that are loaded at a time.
+AHEAD = 8
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _OPEN = wp.constant(OPEN)
+_AHEAD = wp.constant(AHEAD)
+
+Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
 
 
 @wp.func
@@ -123,10 +128,20 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
     j = (i - mesh * columns) / slab.shape[2]
     k = i % slab.shape[2]
     total = int(0)
-    for back in range(slab.shape[0]):
-        x = slab.shape[0] - 1 - back
-        total = total + counts[mesh, x, j, k]
-        values[mesh, x, j, k] = float(total)
+    end = slab.shape[0]
+    while end >= _AHEAD:
+        # All loads before any store, which each would wait for.
+        ahead = Ahead()
+        for back in range(_AHEAD):
+            ahead[back] = counts[mesh, end - 1 - back, j, k]
+        for back in range(_AHEAD):
+            total = total + ahead[back]
+            values[mesh, end - 1 - back, j, k] = float(total)
+        end = end - _AHEAD
+    while end > 0:
+        end = end - 1
+        total = total + counts[mesh, end, j, k]
+        values[mesh, end, j, k] = float(total)
 
 
 @wp.func

@@ -18,13 +18,23 @@ import warp as wp
 
 from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, load4_of_vectors, read4, write4
+from sdm.kernels.lanes import (
+    GPU_LANES,
+    least_of_lanes,
+    lessen,
+    load4,
+    load4_of_vectors,
+    read4,
+    wait_for_lanes,
+    write4,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 TRIANGLES_PER_LEAF = 4
 BOX_FLOATS = 8
-LEVELS_AT_ONCE = 3
+# Levels of boxes that one launch makes, and triangles that each lane looks at for the mesh's.
+LEVELS_AT_ONCE, RUN = 8, 8
 # The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
 LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
 # Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
@@ -135,33 +145,40 @@ def to_lattice(tree: Tree, mesh: int, y: wp.float64, z: wp.float64):
 
 @wp.kernel
 def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32)):
-    i = begin + wp.tid()
-    bounds[i] = wp.where((i / 3) % 2 == 0, float(wp.inf), -float(wp.inf))
+    bounds[begin + wp.tid()] = float(wp.inf)
 
 
 @wp.kernel
 def _reduce_bounds(
     begin: int,
+    lanes: int,
     vertices: wp.array2d(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     run: int,
     bounds: wp.array(dtype=wp.float32),
 ):
-    i = begin + wp.tid()
+    """Bring down each mesh's lowest coordinates, and its highest ones with the other sign: `run` faces a lane."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
     count = faces.shape[0]
-    runs = (count + run - 1) / run
-    mesh = i / runs
-    start = (i - mesh * runs) * run
-    low = vertices[mesh, faces[start, 0]]
-    high = low
-    for f in range(start, wp.min(start + run, count)):
-        for corner in range(3):
-            v = vertices[mesh, faces[f, corner]]
-            low = wp.min(low, v)
-            high = wp.max(high, v)
+    runs = (count + run * lanes - 1) / (run * lanes)
+    mesh = thread / lanes / runs
+    face = (thread / lanes % runs) * run * lanes + lane
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    lowest = low
+    for _step in range(run):
+        if face < count:
+            for corner in range(3):
+                v = vertices[mesh, faces[face, corner]]
+                low = wp.min(low, v)
+                lowest = wp.min(lowest, -v)
+        face = face + lanes
     for axis in range(3):
-        wp.atomic_min(bounds, 6 * mesh + axis, low[axis])
-        wp.atomic_max(bounds, 6 * mesh + 3 + axis, high[axis])
+        least = least_of_lanes(low[axis])
+        other = least_of_lanes(lowest[axis])
+        if lane == 0:
+            lessen(bounds, 6 * mesh + axis, least)
+            lessen(bounds, 6 * mesh + 3 + axis, other)
 
 
 @wp.kernel
@@ -169,6 +186,8 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     mesh = begin + wp.tid()
     largest = wp.float64(0.0)
     for i in range(6):
+        if i >= 3:
+            bounds[6 * mesh + i] = -bounds[6 * mesh + i]
         largest = wp.max(largest, wp.float64(wp.abs(bounds[6 * mesh + i])))
     # A power of two that brings the largest coordinate into (1/2, 1]; multiplying by it rounds nothing.
     scale = wp.float64(1.0)
@@ -239,12 +258,8 @@ def _gather_triangles(
     tree.corners[4 * i + 3] = wp.vec3(n)
 
 
-@wp.kernel
-def _bound_leaves(begin: int, tree: Tree):
-    i = begin + wp.tid()
-    leaves = 1 << tree.depth
-    mesh = i / leaves
-    leaf = i - mesh * leaves
+@wp.func
+def bound_leaf(tree: Tree, mesh: int, leaf: int):
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     high = -low
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
@@ -253,24 +268,36 @@ def _bound_leaves(begin: int, tree: Tree):
             v = tree.corners[4 * slot + corner]
             low = wp.min(low, v)
             high = wp.max(high, v)
-    node = mesh * 2 * leaves + leaves + leaf
-    write_box(tree, node, low, high)
+    leaves = 1 << tree.depth
+    write_box(tree, mesh * 2 * leaves + leaves + leaf, low, high)
 
 
 @wp.kernel
-def _bound_levels(begin: int, tree: Tree, width: int, levels: int):
-    """Boxes of `levels` levels from the children's below, the highest of them `width` nodes wide: one thread each."""
-    i = begin + wp.tid()
-    mesh = i / width
-    top = width + i - mesh * width
-    base = mesh * (2 << tree.depth)
+def _bound_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int):
+    """Boxes of `levels` levels, the highest of them `width` nodes wide: one group of lanes for what is below each.
+
+    From the children's below them, or from the triangles.
+    """
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    mesh = group / width
+    top = width + group - mesh * width
+    leaves = 1 << tree.depth
+    base = mesh * 2 * leaves
     for back in range(levels):
         down = levels - 1 - back
-        for node in range(top << down, (top + 1) << down):
-            left = 2 * (base + 2 * node)
-            low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
-            high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
-            write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
+        node = (top << down) + lane
+        while node < (top + 1) << down:
+            if node >= leaves:
+                bound_leaf(tree, mesh, node - leaves)
+            else:
+                left = 2 * (base + 2 * node)
+                low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
+                high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
+                write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
+            node = node + lanes
+        wait_for_lanes()
 
 
 def build(
@@ -295,20 +322,18 @@ def build(
     """
     device = vertices.device
     meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
-    run = 64
+    lanes = GPU_LANES if device.is_cuda else 1
     launch(_reset_bounds, 6 * meshes, [bounds], device)
-    # Warp's atomic minimum is not atomic on a CPU, so this one stays on one thread there.
-    runs = meshes * -(-faces.shape[0] // run)
-    launch(_reduce_bounds, runs, [vertices, faces, run, bounds], device, smallest=runs)
+    groups = meshes * -(-faces.shape[0] // (RUN * lanes))
+    launch(_reduce_bounds, groups * lanes, [lanes, vertices, faces, RUN, bounds], device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * CURVE_BITS + (meshes - 1).bit_length())
     launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
-    launch(_bound_leaves, meshes << tree.depth, [tree], device)
-    level = tree.depth
+    level = tree.depth + 1
     while level > 0:
         # A launch costs more than a few boxes one after the other.
         levels = min(level, LEVELS_AT_ONCE)
         level -= levels
-        launch(_bound_levels, meshes << level, [tree, 1 << level, levels], device)
+        launch(_bound_levels, (meshes << level) * lanes, [lanes, tree, 1 << level, levels], device, smallest=8)

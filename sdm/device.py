@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from sdm.errors import DeviceError, GridError
+
+# Bytes that fit, and the part of a GPU's memory that is not asked about beforehand.
+SMALL, SHARE_UNASKED = 1 << 26, 64
 
 
 def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) -> torch.device:
@@ -65,9 +70,31 @@ def require_memory(needed: int, device: torch.device, what: str) -> None:
         GridError: Says how much is needed and how much there is.
     """
     # Small things fit, and asking costs time.
-    if needed < 1 << 26 or torch.compiler.is_compiling():
+    if needed < SMALL or torch.compiler.is_compiling():
         return
-    free = free_memory(device)
+    _refuse_beyond(free_memory(device), needed, device, what)
+
+
+@contextmanager
+def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
+    """Refuse what cannot fit, as `require_memory`, but of a GPU's memory only what is large is asked about beforehand.
+
+    To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence.
+    """
+    if device.type != "cuda" or torch.compiler.is_compiling():
+        require_memory(needed, device, what)
+        yield
+        return
+    if needed > torch.cuda.get_device_properties(device).total_memory // SHARE_UNASKED:
+        require_memory(needed, device, what)
+    try:
+        yield
+    except torch.OutOfMemoryError:
+        _refuse_beyond(free_memory(device), needed, device, what)
+        raise
+
+
+def _refuse_beyond(free: int, needed: int, device: torch.device, what: str) -> None:
     if needed > free:
         raise GridError(
             f"{what} needs {needed / 2**30:.1f} GiB, but {device} has {free / 2**30:.1f} GiB free; "

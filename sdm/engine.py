@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sdm import ops  # noqa: F401 - registers the operators
-from sdm.device import choose_device, require_memory
+from sdm.device import choose_device, room_for
 from sdm.errors import MeshError
 from sdm.field import SDM
 from sdm.grid import Grid
@@ -110,9 +110,9 @@ class MeshIndex:
 
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
-        require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
-        made = [self._slab(grid, begin, end) for begin, end in slabs_of(grid, LARGEST_SLAB)]
-        values = made[0][0][0] if len(made) == 1 else torch.cat([values[0] for values, _ in made])
+        with room_for(grid.nbytes, self.device, _described(grid)):
+            made = [self._slab(grid, begin, end) for begin, end in slabs_of(grid, LARGEST_SLAB)]
+            values = made[0][0][0] if len(made) == 1 else torch.cat([values[0] for values, _ in made])
         # Of a closed mesh it is known without a look at the device, which would wait for it.
         return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for _, ambiguous in made))
 
@@ -169,8 +169,8 @@ def signed_distance_map(
     if orient == "keep":
         mesh = mesh.to(choose_device(device, mesh.vertices))
         if is_replayable(mesh.vertices, grid):
-            require_memory(grid.nbytes, mesh.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
-            values, ambiguous = map_of(mesh.vertices, mesh.faces, grid)
+            with room_for(grid.nbytes, mesh.device, _described(grid)):
+                values, ambiguous = map_of(mesh.vertices, mesh.faces, grid)
             return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
     return MeshIndex(mesh, device, orient=orient).signed_distance_map(grid)
 
@@ -227,8 +227,12 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
-    require_memory(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps")
-    return batch_maps(batch, shared, grid, None)
+    with room_for(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps"):
+        return batch_maps(batch, shared, grid, None)
+
+
+def _described(grid: Grid) -> str:
+    return f"a map of {' x '.join(map(str, grid.shape))} voxels"
 
 
 def _as_points(points: Any, device: torch.device) -> Tensor:

@@ -1,14 +1,15 @@
 """Whole maps, from vertices and faces to values: queued step by step, or all at once from a recording.
 
 Each call without gradients on a GPU is a function of a few tensors that queues kernels and does nothing else, so that
-`sdm.replay` can record it. What a mesh's faces say by themselves is looked up beforehand, with one exception: faces
-never seen before are taken for those of a closed mesh as soon as such calls are recorded, and what they say is read
-while the map is under way. If that was wrong, the map is thrown away and made anew.
+`sdm.replay` can record it. What a mesh's faces say by themselves is looked up beforehand, with one exception: as soon
+as such calls are recorded, faces never seen before are taken for those of a closed mesh, or of one with as many
+boundary edges as the last open one of as many vertices and faces. What they say is read while the map is under way; if
+the guess was wrong, the map is thrown away and made anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from functools import partial
 
 import torch
@@ -17,7 +18,16 @@ from torch import Tensor
 from sdm import ops, replay
 from sdm.grid import Grid
 from sdm.hierarchy import build, build_known, check_count, surroundings
-from sdm.topology import is_known, leaves_none_over, queue_pairing, remember_closed
+from sdm.recording import Work
+from sdm.topology import (
+    guess,
+    is_known,
+    leaves_none_over,
+    queue_joining,
+    queue_pairing,
+    remember_closed,
+    remember_open,
+)
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
@@ -55,17 +65,29 @@ def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor 
     if is_known(faces, count):
         values, ambiguous = _maps(vertices[None], faces, grid, None)
         return values[0], ambiguous
-    kind = "closed", count, faces.shape[0], grid, ops.DENSE_METHOD
+    kind, work = _guessed(faces, count, grid)
     found = replay.replayed(kind, (vertices, faces))
     if found is not None:
-        remember_closed(faces, count, found[1])
-        return found[0][0], None
-    if not leaves_none_over(faces, count):
+        if work is _closed_map:
+            remember_closed(faces, count, found[1])
+            return found[0][0], None
+        return found[0][0], found[1]
+    around = surroundings(vertices, faces)
+    remember_open(faces, count, around[1])
+    kind, work = _guessed(faces, count, grid)
+    if work is _closed_map and not leaves_none_over(faces, count):
         values, ambiguous = _maps(vertices[None], faces, grid, None)
         return values[0], ambiguous
-    values = _known_maps(grid, replay.unheard, vertices[None], faces, *surroundings(vertices, faces))[0]
-    replay.note(kind, partial(_closed_map, grid), (vertices, faces))
-    return values[0], None
+    made = _known_maps(grid, replay.unheard, vertices[None], faces, *around)
+    replay.note(kind, partial(work, grid), (vertices, faces))
+    return made[0][0], made[1] if len(made) > 1 else None
+
+
+def _guessed(faces: Tensor, count: int, grid: Grid) -> tuple[Hashable, Work]:
+    """What kind of call a map is if the guess about its faces is right, and the work that is recorded for it."""
+    numbers = guess(faces, count)
+    kind = "closed" if numbers is None else "open", count, faces.shape[0], numbers, grid, ops.DENSE_METHOD
+    return kind, _closed_map if numbers is None else partial(_open_map, numbers)
 
 
 def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
@@ -110,3 +132,21 @@ def _closed_map(grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor) ->
     faces = faces.clamp(0, vertices.shape[0] - 1)
     none = faces.new_empty((0, 2))
     return _known_maps(grid, say, vertices[None], faces, shared, none, none)[0], shared
+
+
+def _open_map(
+    numbers: tuple[int, int], grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The map (1,nx,ny,nz), and how many voxels are ambiguous (1,), of an open mesh.
+
+    If the remarks are zero: so many edges are left over, and so many bound it, as `numbers` say.
+    """
+    found, left_over, shared = queue_pairing(faces, vertices.shape[0])
+    remarks, bounds, around = queue_joining(left_over, found, vertices[None], *numbers)
+    say(remarks)
+    # As above.
+    last = vertices.shape[0] - 1
+    values, ambiguous = _known_maps(
+        grid, say, vertices[None], faces.clamp(0, last), shared, bounds.clamp(0, last), around
+    )
+    return values, ambiguous

@@ -70,7 +70,9 @@ class TriangleMesh:
         return low.cpu().double().numpy(), high.cpu().double().numpy()
 
     def to(self, device: torch.device | str) -> TriangleMesh:
-        """The same mesh on another device."""
+        """The same mesh on another device: itself where it is there already."""
+        if self.vertices.device == torch.device(device):
+            return self
         return TriangleMesh(self.vertices.to(device), self.faces.to(device), self.name, check=False)
 
     def flipped(self) -> TriangleMesh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
+from sdm.kernels import seams
 from sdm.kernels.edges import REMARKS, gather_ends, pair_edges
 from sdm.kernels.launch import launch
 from sdm.memory import as_warp, on_current_stream, scratch_on
@@ -23,10 +25,15 @@ from sdm.seams import join_on_device, join_on_host, loops_on_host
 MOST_ON_HOST = 1 << 12
 MOST_ON_HOST_IN_ALL = 1 << 19
 
+# More edges left over are not compared with each other on the device; kinds of meshes that guesses are kept for.
+MOST_GUESSED, MOST_KINDS = 1 << 10, 64
+
 # What is known of tensors seen before: a stream asks about the same faces for every batch.
 _seen: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _seen_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _seen_host: WeakIdKeyDictionary = WeakIdKeyDictionary()
+# By numbers of faces and vertices.
+_last_open: OrderedDict[tuple[int, int], tuple[int, int]] = OrderedDict()
 
 
 @dataclass
@@ -166,6 +173,54 @@ def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
             scratch_on(faces.device),
         )
     return remarks, left_over, shared
+
+
+def queue_joining(
+    left_over: Tensor, found: Tensor, vertices: Tensor, rows: int, edges: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What `sdm.kernels.seams` makes of `queue_pairing`'s result, if so many edges are left over and bound the mesh.
+
+    Returns:
+        Remarks, zeros if that was right; else nothing is right. The boundary edges (E,2), and their loops' names (E,).
+    """
+    device = vertices.device
+    remarks, flat = torch.zeros(seams.REMARKS + 2 * edges, dtype=torch.int32, device=device).split(
+        [seams.REMARKS, 2 * edges]
+    )
+    around = torch.empty(edges, dtype=torch.int32, device=device)
+    bounds = flat.view(edges, 2)
+    with on_current_stream(vertices, vertices):
+        seams.join_edges(
+            as_warp(left_over[:rows], wp.int32),
+            as_warp(found, wp.int32),
+            as_warp(vertices, wp.vec3),
+            as_warp(bounds, wp.int32),
+            as_warp(around, wp.int32),
+            as_warp(remarks, wp.int32),
+            launch,
+            scratch_on(device),
+        )
+    return remarks, bounds, around
+
+
+def guess(faces: Tensor, count: int) -> tuple[int, int] | None:
+    """How many edges were left over, and how many bounded the mesh, of the last open one with as many of everything.
+
+    None if there was none, or the kernels of `queue_joining` are not made for so many.
+    """
+    return _last_open.get((faces.shape[0], count))
+
+
+def remember_open(faces: Tensor, count: int, edges: Tensor) -> None:
+    """Remember how many boundary `edges` faces had, if any, for the next `guess`."""
+    rows = _paired(faces, count).left_over.shape[0]
+    kind = faces.shape[0], count
+    _last_open.pop(kind, None)
+    # Loops that meet are not followed on the device.
+    if 0 < rows <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(_on_host(edges)[:, 0])):
+        _last_open[kind] = rows, edges.shape[0]
+        while len(_last_open) > MOST_KINDS:
+            _last_open.popitem(last=False)
 
 
 def _join_on_host(left_over: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:

@@ -180,7 +180,8 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
         assert (ambiguous is None) == index.closed
         assert (0 if ambiguous is None else int(ambiguous)) == expected.ambiguous_voxels
     assert torch.equal(maps.batch_maps(mesh.vertices[None], faces, grid, None)[0], expected.values)
-    assert [kind[0] for kind, _, _ in noted] == ["closed" if name == "torus-500" else "known", "known", "known"]
+    first = {"torus-500": "closed", "open hemisphere": "open"}.get(name, "known")
+    assert [kind[0] for kind, _, _ in noted] == [first, "known", "known"]
     for _, work, inputs in noted:
         said = []
         assert torch.equal(work(said.append, *inputs)[0][0], expected.values)
@@ -194,6 +195,30 @@ def test_a_wrong_guess_is_told():
         said = []
         maps._closed_map(grid, said.append, vertices, wrong.int())
         assert said[0].any()
+
+
+def test_a_wrong_guess_of_an_open_mesh_is_told():
+    vertices, faces = (torch.tensor(array) for array in sphere(6))
+    count, grid = vertices.shape[0], sdm.Grid([-1] * 3, [0.5] * 3, [4] * 3)
+    torn = faces[1:].contiguous()
+    edges = topology.boundary_edges(vertices, torn)
+    topology.remember_open(torn, count, edges)
+    numbers = topology.guess(torn.clone(), count)
+    assert numbers == (3, 3)
+    assert topology.guess(faces, count) is None
+    said = []
+    maps._open_map(numbers, grid, said.append, vertices, torn)
+    assert not said[0].any()
+    twice, flipped = torn.clone(), torn.clone()
+    twice[3] = twice[5]
+    flipped[4] = flipped[4].flip(0)
+    for wrong in (twice, flipped, torch.where(torn == 3, 10_000, torn), torch.where(torn == 3, -5, torn)):
+        said = []
+        maps._open_map(numbers, grid, said.append, vertices, wrong.int().contiguous())
+        assert said[0].any()
+    # A closed one of as many faces.
+    topology.remember_open(torn, count, edges[:0])
+    assert topology.guess(torn, count) is None
 
 
 def test_closed_faces_are_remembered():

@@ -62,9 +62,31 @@ def _both(vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
         for other in (by_torch, torch.from_numpy(by_numpy)):
             assert other.dtype == torch.int32
             assert torch.equal(other, found)
+        _by_kernels(batch, index, len(left_over), found)
     else:
         assert len(found) == 0
     return found
+
+
+def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: torch.Tensor) -> None:
+    """The same by kernels that are told how many there are, and their remarks if that is wrong."""
+    remarks, left_over, _ = sdm.topology.queue_pairing(index, batch.shape[1])
+
+    def joined(rows: int, edges: int) -> tuple[list[int], torch.Tensor, torch.Tensor]:
+        said, bounds, around = sdm.topology.queue_joining(left_over, remarks, batch, rows, edges)
+        return said.tolist(), bounds, around
+
+    count = len(expected)
+    said, bounds, around = joined(rows, count)
+    assert torch.equal(bounds, expected)
+    simple = len(set(expected[:, 0].tolist())) == count
+    assert said == [0, 0, 0, int(not simple)]
+    if simple and count:
+        wanted = loops(expected)
+        assert torch.equal(around[:, None] == around, wanted[:, None] == wanted)
+    for other in ((rows + 1, count), (rows - 1, count), (rows, count + 1), (rows, max(count - 1, 0))):
+        if other != (rows, count) and 0 < other[0] <= len(left_over):
+            assert any(joined(*other)[0])
 
 
 def _loose(mesh: strategies.Arrays, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
