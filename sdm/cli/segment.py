@@ -40,12 +40,15 @@ def segment(
     """
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
+    from sdm.errors import SDMError
     from sdm.grid import Grid
     from sdm.segmentation import load_model, predict, write_prediction
     from sdm.segmentation.checks import check_spacing
     from sdm.segmentation.folder import read_images
 
     trained = load_model(model, choose_device(device))
+    if mirrors and not trained.settings.mirrors:
+        raise SDMError(f"{model} has seen no mirror images in its training: leave out --mirrors")
     cases = read_images(images)
     for case in cases:
         check_spacing(case, trained.spacing)
