@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--last-dropout", type=float, default=0.0)
     parser.add_argument("--window", type=int, nargs=3, default=None, help="of the prediction; default a patch")
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
-    parser.add_argument("--mirrors", action=argparse.BooleanOptionalAction, default=True, help="train on, average over")
+    parser.add_argument("--mirrors", default="xyz", help="axes: mirror images to train on and to average over")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")

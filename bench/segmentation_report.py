@@ -65,7 +65,11 @@ def protocol(logs: list[dict[str, Any]]) -> str:
     machines = sorted({log["machine"]["device"] for log in logs})
     seconds = statistics.median(log["training_s"] for log in logs)
     patch = "x".join(map(str, settings["patch"]))
-    mirrors = ", prediction averaged over mirror images" if logs[0]["job"].get("mirrors") else ""
+    # Logs of before there was a choice have True.
+    axes = logs[0]["job"].get("mirrors")
+    mirrors = (
+        f", mirrored along {'xyz' if axes is True else axes}, prediction the mean over mirror images" if axes else ""
+    )
     return (
         f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "

@@ -35,7 +35,8 @@ def segment(
         out: Folder for the results; made if it is not there.
         stride: Voxels between the windows in which the network sees the image.
         all_parts: Keep every connected part, not only the largest.
-        mirrors: Average over the eight mirror images: a little more accurate, eight times the work.
+        mirrors: Average over the mirror images of the training, eight times the work if there are those of all axes: a
+            little more accurate.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.meter import Meter
@@ -64,7 +65,7 @@ def segment(
                 trained.settings.patch,
                 stride=stride,
                 largest=not all_parts,
-                mirrors=mirrors,
+                mirrors=trained.settings.mirrors if mirrors else "",
             )
             label, distances = write_prediction(case, found.label, out)
             print(label if distances is None else f"{label} {distances}", flush=True)

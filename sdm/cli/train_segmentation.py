@@ -22,7 +22,7 @@ def segmentation(
     schedule: Literal["cosine", "constant"] = "cosine",
     average: float = 0.0,
     augment: Literal["none", "published", "affine", "strong", "scanner"] = "affine",
-    mirrors: bool = True,
+    mirrors: str = "xyz",
     targets: Literal["case", "patch"] = "case",
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
@@ -57,7 +57,7 @@ def segmentation(
         average: Share of the training, up to its end, over which the weights are averaged; 0: the last ones.
         augment: Random changes of patches: none; quarter turns and mirror images as published; affine; strong, which
             also changes contrast, shading and sharpness; scanner, affine with these and noise.
-        mirrors: Whether patches are mirrored at random; sdm segment --mirrors needs it.
+        mirrors: Axes along which patches are mirrored at random: xyz, any of them, or "".
         targets: Distance maps of whole cases, or of each patch by itself, as in Ma's public code.
         filters: Channels of the finest level.
         dropout: Probability with which channels of the coarsest level are dropped.

@@ -59,7 +59,7 @@ class Draw:
     blur: float = 0.0
 
 
-def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: bool = True) -> Draw:
+def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: str = "xyz") -> Draw:
     """The random numbers of one patch.
 
     Args:
@@ -72,7 +72,7 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: 
             images, and noise, gain and shift of the intensities. "strong": more of all these, and of what sets scanners
             apart: the contrast's exponent, smooth shading as of a coil, and blur. "scanner": turned and scaled as
             "affine", intensities about as "strong", and noise of any strength up to 0.4, coarser than the voxels.
-        mirrors: Whether "affine", "strong" and "scanner" mirror.
+        mirrors: The axes along which "affine", "strong" and "scanner" mirror, each with a chance of a half.
 
     Returns:
         `place` (3,) in 0..1, `turn` (3,3), a rotation or reflection, and `seed`, of the patch's noise.
@@ -92,8 +92,8 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: 
         return Draw(case, uniform[1:4], turn, 1.0, 1.0, 0.0, own)
     ranges = RANGES[kind]
     turn = rotation((2 * uniform[4:7] - 1) * math.radians(ranges.degrees))
-    if mirrors:
-        turn = turn @ torch.diag(torch.where(uniform[7:10] < 0.5, -1.0, 1.0).double())
+    allowed = torch.tensor([axis in mirrors for axis in "xyz"])
+    turn = turn @ torch.diag(torch.where(allowed & (uniform[7:10] < 0.5), -1.0, 1.0).double())
     scale = ranges.scale ** (2 * float(uniform[10]) - 1)
     gain, shift = (ranges.brightness * (2 * torch.rand(2, generator=random, dtype=torch.float64) - 1)).tolist()
     drawn = Draw(case, uniform[1:4], turn, scale, 1 + gain, shift, own)

@@ -43,7 +43,7 @@ class Patches:
         size: Voxels of a patch along each axis. Smaller cases are padded by background.
         device: Where the cases are kept and the batches are made.
         per_patch: See above.
-        mirrors: Whether patches may be mirror images: see `augment.draw`.
+        mirrors: Along which axes patches may be mirrored: see `augment.draw`.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Patches:
         device: torch.device | str,
         *,
         per_patch: bool = False,
-        mirrors: bool = True,
+        mirrors: str = "xyz",
     ) -> None:
         self.kind: Map | None = kind
         self.size, self.device, self.per_patch = size, torch.device(device), per_patch

@@ -30,7 +30,8 @@ class Settings:
         average: Share of the training, up to its end, over which the weights are averaged: see `Average`; 0: the last
             ones.
         augment: "none", "published", "affine", "strong" or "scanner": see `augment.draw`.
-        mirrors: Whether patches are mirrored at random.
+        mirrors: Along which of the axes "xyz" patches are mirrored at random. Mirror images are more to learn from, but
+            hide on which side a neighbouring organ lies.
         targets: Distance maps of the whole "case", or of the "patch" as published.
         filters: Of the network's finest level; None: the paper's.
         dropout: Of the coarsest level; None: the paper's.
@@ -49,7 +50,7 @@ class Settings:
     weight_decay: float = 1e-4
     average: float = 0.0
     augment: Augment = "affine"
-    mirrors: bool = True
+    mirrors: str = "xyz"
     targets: Literal["case", "patch"] = "case"
     filters: int | None = None
     dropout: float | None = None
@@ -70,6 +71,8 @@ class Settings:
             raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
         if not self.learning_rate > 0:
             raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
+        if not set(self.mirrors) <= set("xyz"):
+            raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
         if not 0 <= self.average <= 1:
             raise SDMError(f"weights are averaged over a share of the training from 0 to 1, not {self.average}")
 

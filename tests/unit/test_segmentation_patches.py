@@ -70,13 +70,13 @@ def test_distances_of_scaled_and_turned_patches_are_true():
         assert (batch.map - again)[inner].mean().abs() < 0.25
 
 
-def test_patches_that_are_not_mirrored():
+def test_patches_are_mirrored_along_some_axes_alone():
     def hands(mirrors):
         return {round(float(draw(0, s, 0, 2, "affine", mirrors=mirrors).turn.det())) for s in range(30)}
 
-    assert hands(True) == {-1, 1}
-    assert hands(False) == {1}
-    one, other = (Patches([case(0)], None, SIZE, "cpu", mirrors=m) for m in (True, False))
+    assert hands("xyz") == hands("y") == {-1, 1}
+    assert hands("") == {1}
+    one, other = (Patches([case(0)], None, SIZE, "cpu", mirrors=m) for m in ("xyz", ""))
     assert any(
         not torch.equal(one.batch(1, seed=0, step=s).label, other.batch(1, seed=0, step=s).label) for s in (0, 1)
     )

@@ -167,6 +167,7 @@ def test_the_learning_rate_rises_and_falls_to_zero():
         {"batch": 0},
         {"learning_rate": 0.0},
         {"average": 1.5},
+        {"mirrors": "lr"},
         {"architecture": "resnet"},
     ],
 )
@@ -209,8 +210,8 @@ def test_mirror_images_are_predicted_alike():
     model = train(patches("baseline"), settings(steps=4)).model
     # One window: several would not be placed alike from the other side.
     image = case(5).image[:16, :16, :16]
-    found = predict(model, image, SIZE, mirrors=True).field
+    found = predict(model, image, SIZE, mirrors="xyz").field
     for axis in range(3):
-        turned = predict(model, image.flip(axis), SIZE, mirrors=True).field.flip(axis)
+        turned = predict(model, image.flip(axis), SIZE, mirrors="xyz").field.flip(axis)
         torch.testing.assert_close(turned, found, atol=1e-5, rtol=1e-4)
     assert not torch.allclose(predict(model, image, SIZE).field, found, atol=1e-3)
