@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 
 class Average:
@@ -29,12 +30,13 @@ class Average:
     def update(self, model: nn.Module, step: int) -> None:
         """Take in the weights after `step` steps, 1 or more."""
         newest = min(1.0, 1.0 / (self.share * step))
-        torch._foreach_lerp_(self.values, list(_tensors(model)), newest)
+        get_ema_multi_avg_fn(1.0 - newest)(self.values, list(_tensors(model)), None)
 
     @torch.no_grad()
     def give(self, model: nn.Module) -> None:
         """Put the means into the network."""
-        torch._foreach_copy_(list(_tensors(model)), self.values)
+        for value, mean in zip(_tensors(model), self.values, strict=True):
+            value.copy_(mean)
 
 
 def _tensors(model: nn.Module) -> Iterator[Tensor]:
