@@ -85,12 +85,16 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
     parser.add_argument("--learning-rate", type=float, default=1e-3)
-    parser.add_argument("--augment", choices=("none", "published", "affine", "strong"), default="affine")
+    parser.add_argument("--schedule", choices=("cosine", "constant"), default="cosine")
+    parser.add_argument("--average", type=float, default=0.0, help="of the weights, over this share of the training")
+    parser.add_argument("--augment", choices=("none", "published", "affine", "strong", "scanner"), default="affine")
     parser.add_argument("--targets", choices=("case", "patch"), default="case")
     parser.add_argument("--filters", type=int, default=None)
     parser.add_argument("--dropout", type=float, default=None)
+    parser.add_argument("--last-dropout", type=float, default=0.0)
+    parser.add_argument("--window", type=int, nargs=3, default=None, help="of the prediction; default a patch")
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
-    parser.add_argument("--mirrors", action=argparse.BooleanOptionalAction, default=True, help="average over them")
+    parser.add_argument("--mirrors", default="xyz", help="axes: mirror images to train on and to average over")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
@@ -109,10 +113,14 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                 steps=options.steps,
                 optimizer=options.optimizer,
                 learning_rate=options.learning_rate,
+                schedule=options.schedule,
+                average=options.average,
                 augment=options.augment,
+                mirrors=options.mirrors,
                 targets=options.targets,
                 filters=options.filters,
                 dropout=options.dropout,
+                last_dropout=options.last_dropout,
                 seed=seed,
             )
             found.append(
@@ -121,6 +129,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                     "settings": settings.record(),
                     "data": str(options.data),
                     "cases": options.cases,
+                    "window": options.window,
                     "stride": options.stride,
                     "mirrors": options.mirrors,
                     "compile": options.compile,
@@ -162,7 +171,12 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
         torch.cuda.reset_peak_memory_stats(device)
     checkpoint = unfinished / f"{job['name']}.pt"
     patches = Patches(
-        kept["train"], METHODS[settings.method].map, settings.patch, device, per_patch=settings.targets == "patch"
+        kept["train"],
+        METHODS[settings.method].map,
+        settings.patch,
+        device,
+        per_patch=settings.targets == "patch",
+        mirrors=settings.mirrors,
     )
     training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
     if training.step < settings.steps:
@@ -170,7 +184,13 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
     begin = time.monotonic()
     with torch.no_grad():
         scores = list(
-            validate(training.model, kept["val"], settings.patch, stride=job["stride"], mirrors=job["mirrors"])
+            validate(
+                training.model,
+                kept["val"],
+                job["window"] or settings.patch,
+                stride=job["stride"],
+                mirrors=job["mirrors"],
+            )
         )
     log = {
         "training_s": training.seconds,

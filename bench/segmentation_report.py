@@ -5,7 +5,7 @@
 A method is compared with the baseline case by case, each case being the mean over the seeds that both have: mean
 difference with its 95 % confidence interval (Student's t over the cases), and Wilcoxon's signed-rank test. With the 8
 validation cases only differences that nearly all cases share can be told from chance. "Hard" is the half of the cases
-in which the baseline has the lower Dice.
+in which the baseline has the lower Dice. Trainings by other protocols (`--trials`) follow in tables of their own.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ from scipy import stats
 from bench import segmentation_juhl, segmentation_ma
 from bench._record import put
 from bench._segmentation_jobs import read_logs
+from bench._segmentation_trials import designs_and_others, effects_table, most_moved, trials_table
 from sdm.segmentation import METHODS
 
 OUT = Path(__file__).parent / "results" / "segmentation.md"
+TRIALS = Path(__file__).parent / "results" / "segmentation_ma_trials"
 Values = dict[str, dict[str, float]]
 
 
@@ -32,15 +34,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ma", type=Path, default=segmentation_ma.LOGS)
     parser.add_argument("--juhl", type=Path, default=segmentation_juhl.LOGS)
+    parser.add_argument("--trials", type=Path, default=TRIALS)
     parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT.name}")
     options = parser.parse_args()
-    text = page(options.ma, options.juhl)
+    text = page(options.ma, options.juhl, options.trials)
     print(text)
     if options.out is not None:
         put(options.out, text + "\n")
 
 
-def page(ma: Path, juhl: Path) -> str:
+def page(ma: Path, juhl: Path, trials: Path) -> str:
     """The page in Markdown."""
     logs, shape_logs = read_logs(ma), read_logs(juhl)
     parts = ["# Segmentation guided by distance maps", ""]
@@ -51,6 +54,7 @@ def page(ma: Path, juhl: Path) -> str:
         parts += [segmentation_ma.table_of(ma, "largest"), "", "As predicted, all components:", ""]
         parts += [segmentation_ma.table_of(ma, "plain"), ""]
         parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
+        parts += other_protocols(logs, trials)
     parts += ["## Simple shapes (Juhl et al.)", ""]
     if shape_logs:
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
@@ -59,13 +63,35 @@ def page(ma: Path, juhl: Path) -> str:
     return "\n".join(parts).rstrip()
 
 
+def other_protocols(logs: list[dict[str, Any]], trials: Path) -> list[str]:
+    """Trainings that are not of the table."""
+    designs, others = designs_and_others(trials)
+    if not others:
+        return []
+    parts = [f"### Other protocols (largest component; logs in {trials.name})", "", trials_table(logs, others), ""]
+    for name, design in designs.items():
+        title = f"Effects of settings in the {len(design)} trainings of {name}, the mean of one half less the other's:"
+        parts += [title, "", effects_table(design, most_moved([*logs, *design])), ""]
+    for name, own in others.items():
+        seeds = {log["job"]["settings"]["seed"] for log in own}
+        methods = {log["job"]["settings"]["method"] for log in own}
+        if len(seeds) > 1 and len(methods) > 1 and len(own) == len(seeds) * len(methods):
+            title = f"Against the baseline, case by case, means of {len(seeds)} seeds of {name}:"
+            parts += [title, "", against_baseline(own), ""]
+    return parts
+
+
 def protocol(logs: list[dict[str, Any]]) -> str:
     """What all logs have in common, in a sentence."""
     settings = logs[0]["job"]["settings"]
     machines = sorted({log["machine"]["device"] for log in logs})
     seconds = statistics.median(log["training_s"] for log in logs)
     patch = "x".join(map(str, settings["patch"]))
-    mirrors = ", prediction averaged over mirror images" if logs[0]["job"].get("mirrors") else ""
+    # Logs of before there was a choice have True.
+    axes = logs[0]["job"].get("mirrors")
+    mirrors = (
+        f", mirrored along {'xyz' if axes is True else axes}, prediction the mean over mirror images" if axes else ""
+    )
     return (
         f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "

@@ -22,6 +22,8 @@ from sdm.kernels.lanes import GPU_LANES
 
 # Lines are few and long: small blocks spread them over all of a GPU.
 BLOCK_DIM = 64
+# Threads for a line on a GPU whose voxels ask their neighbours alone.
+PIECES = 8
 
 
 def transform(
@@ -57,15 +59,34 @@ def transform(
     rows, lines = meshes * nx * ny, meshes * nx * nz
     sides = 2 if signed else 1
     lanes = GPU_LANES if device.is_cuda else 1
+    # Never more threads than voxels, which are counted in 32 bits.
+    in_x, in_y = (min(PIECES, n) if device.is_cuda else 1 for n in (nx, ny))
     along_y = _marks(far[:lines], weights[1], half)
     along_x = _marks(far[lines:], weights[0], half)
     none = _marks(far[:1], math.inf, half)
     row = [mask, nz, lanes, weights[2], half, int(signed), along_y, ny, out]
     launch(nearest_in_row, rows * lanes, row, device)
-    line = [out, ny, nz, weights[1], half, sides, 0.0, missing, along_y, along_x, nx, stack, between]
-    launch(nearest_on_line, lines, line, device, BLOCK_DIM)
-    line = [between, nx, ny * nz, weights[0], half, sides, unit, missing, along_x, none, 1, stack, out]
-    launch(nearest_on_line, meshes * ny * nz, line, device, BLOCK_DIM)
+    line = [lines, in_y, out, ny, nz, weights[1], half, sides, 0.0, missing, along_y, along_x, nx, stack, between]
+    launch(nearest_on_line, lines * in_y, line, device, BLOCK_DIM)
+    lines = meshes * ny * nz
+    line = [
+        lines,
+        in_x,
+        between,
+        nx,
+        ny * nz,
+        weights[0],
+        half,
+        sides,
+        unit,
+        missing,
+        along_x,
+        none,
+        1,
+        stack,
+        out,
+    ]
+    launch(nearest_on_line, lines * in_x, line, device, BLOCK_DIM)
 
 
 def _marks(far: wp.array, weight: float, half: float) -> Any:

@@ -3,7 +3,8 @@
 The scan of Meijster, Roerdink and Hesselink (2000): a stack of the voxels that are closest somewhere on the line, each
 with the first place where it is. One thread does one line, so neighbouring threads read neighbouring addresses.
 
-Lines without a voxel far from the other class are left to `edt_near`.
+Lines without a voxel far from the other class are left to `edt_near`, whose voxels do not depend on each other: there
+several threads share a line.
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ def finished(squared: float, scale: float, missing: float):
 @wp.kernel
 def nearest_on_line(
     begin: int,
+    lines: int,
+    pieces: int,
     heights: wp.array(dtype=wp.float32),
     length: int,
     stride: int,
@@ -77,21 +80,23 @@ def nearest_on_line(
 
     A height below zero belongs to a voxel inside: seen from outside it is zero, and the other way round. With a
     `scale` above zero the result is no longer squared. The lines of the next pass, `across` of which this one's voxels
-    are the first, second, ... voxels, are marked in `following`.
+    are the first, second, ... voxels, are marked in `following`. There are `pieces` threads a line.
     """
-    line = begin + wp.tid()
+    thread = begin + wp.tid()
+    piece = thread / lines
+    line = thread - piece * lines
     outer = line / stride
     base = outer * stride * length + (line - outer * stride)
     # The line of the next pass through x = 0; they are a stride apart.
     crossing = outer / across * stride * length + (line - outer * stride)
     if marks.far[line] == 0:
-        # A variable, or the compiler would write the loop out.
-        steps = int(length)
-        for x in range(steps):
+        for x in range(piece * length / pieces, (piece + 1) * length / pieces):
             near = from_neighbours(heights, base, stride, length, x, weight, half)
             mark(following, crossing + x * stride, near)
             side_of = wp.where(near < 0.0, -1.0, 1.0)
             out[base + x * stride] = side_of * finished(wp.abs(near), scale, missing)
+        return
+    if piece > 0:
         return
     inside = int(0)
     for turn in range(sides):

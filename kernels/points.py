@@ -22,7 +22,7 @@ from sdm.kernels.curve import POINT_BITS, curve_code
 from sdm.kernels.descent import SCRATCH
 from sdm.kernels.geometry import closest_point
 from sdm.kernels.groups import COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
-from sdm.kernels.lanes import GPU_LANES, GPU_WORKERS
+from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
 from sdm.kernels.nearest_points import find_nearest
 from sdm.kernels.parts import Parts
@@ -222,7 +222,7 @@ def query_points(
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
-    workers = min(GPU_WORKERS if device.is_cuda else 16 * threads(), groups.count)
+    workers = min(gpu_workers(GPU_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
     scratch = empty(workers * SCRATCH, wp.int32)
     counts = empty(3, wp.int32)
     counts.zero_()

@@ -35,17 +35,21 @@ def segment(
         out: Folder for the results; made if it is not there.
         stride: Voxels between the windows in which the network sees the image.
         all_parts: Keep every connected part, not only the largest.
-        mirrors: Average over the eight mirror images: a little more accurate, eight times the work.
+        mirrors: Average over the mirror images of the training, eight times the work if there are those of all axes: a
+            little more accurate.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
+    from sdm.errors import SDMError
     from sdm.grid import Grid
     from sdm.segmentation import load_model, predict, write_prediction
     from sdm.segmentation.checks import check_spacing
     from sdm.segmentation.folder import read_images
 
     trained = load_model(model, choose_device(device))
+    if mirrors and not trained.settings.mirrors:
+        raise SDMError(f"{model} has seen no mirror images in its training: leave out --mirrors")
     cases = read_images(images)
     for case in cases:
         check_spacing(case, trained.spacing)
@@ -61,7 +65,7 @@ def segment(
                 trained.settings.patch,
                 stride=stride,
                 largest=not all_parts,
-                mirrors=mirrors,
+                mirrors=trained.settings.mirrors if mirrors else "",
             )
             label, distances = write_prediction(case, found.label, out)
             print(label if distances is None else f"{label} {distances}", flush=True)

@@ -19,10 +19,14 @@ def segmentation(
     steps: int = 2000,
     optimizer: Literal["adam", "sgd"] = "adam",
     learning_rate: float = 1e-3,
-    augment: Literal["none", "published", "affine", "strong"] = "affine",
+    schedule: Literal["cosine", "constant"] = "cosine",
+    average: float = 0.0,
+    augment: Literal["none", "published", "affine", "strong", "scanner"] = "affine",
+    mirrors: str = "xyz",
     targets: Literal["case", "patch"] = "case",
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
+    last_dropout: float = 0.0,
     spacing: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: as most cases)")
     ] = None,
@@ -47,13 +51,17 @@ def segmentation(
         patch: Voxels of a patch along each axis, multiples of 16 (vnet) or 8 (unet).
         batch: Patches a step.
         steps: Steps of the optimiser.
-        optimizer: adam or sgd, its learning rate rising for a moment and then falling to zero.
-        learning_rate: The highest learning rate.
+        optimizer: adam or sgd.
+        learning_rate: The highest learning rate, to which it rises in a moment.
+        schedule: It falls to zero along a cosine, or stays constant.
+        average: Share of the training, up to its end, over which the weights are averaged; 0: the last ones.
         augment: Random changes of patches: none; quarter turns and mirror images as published; affine; strong, which
-            also changes contrast, shading and sharpness.
+            also changes contrast, shading and sharpness; scanner, affine with these and noise.
+        mirrors: Axes along which patches are mirrored at random: xyz, any of them, or "".
         targets: Distance maps of whole cases, or of each patch by itself, as in Ma's public code.
         filters: Channels of the finest level.
         dropout: Probability with which channels of the coarsest level are dropped.
+        last_dropout: The same of the last level; 0.5 in Ma's public code.
         spacing: Voxel size in mm that every case must have, within 5 percent.
         seed: Whole number that everything random depends on.
         budget_s: Seconds of training at most; what is unfinished then goes on with --resume.
@@ -87,10 +95,14 @@ def segmentation(
         steps=steps,
         optimizer=optimizer,
         learning_rate=learning_rate,
+        schedule=schedule,
+        average=average,
         augment=augment,
+        mirrors=mirrors,
         targets=targets,
         filters=filters,
         dropout=dropout,
+        last_dropout=last_dropout,
         seed=seed,
     )
     where = choose_device(device)
@@ -104,7 +116,7 @@ def segmentation(
     checkpoint = out / "checkpoint.pt"
     if not resume:
         checkpoint.unlink(missing_ok=True)
-    patches = Patches(cases, METHODS[method].map, patch, where, per_patch=targets == "patch")
+    patches = Patches(cases, METHODS[method].map, patch, where, per_patch=targets == "patch", mirrors=mirrors)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:
         training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=compile, progress=meter)

@@ -9,16 +9,37 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-Augment = Literal["none", "published", "affine", "strong"]
+Augment = Literal["none", "published", "affine", "strong", "scanner"]
 
-# Largest angle, scale, gain and shift of "affine" and of "strong".
-LARGEST_ANGLE = {"affine": math.radians(15.0), "strong": math.radians(30.0)}
-LARGEST_SCALE = {"affine": 1.15, "strong": 1.35}
-GAIN = {"affine": 0.2, "strong": 0.3}
-SHIFT = {"affine": 0.2, "strong": 0.3}
-NOISE = 0.1
-# Of "strong" alone: exponent of the intensities, logarithm of the coil's shading, share of blurred patches.
-LARGEST_GAMMA, SHADING, BLURRED = 1.6, 0.3, 0.3
+
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """How much an augmentation changes.
+
+    Args:
+        degrees: Largest turn about each axis.
+        scale: Largest scale.
+        brightness: Largest gain less 1, and largest shift; images have a standard deviation of 1.
+        noise: Least and largest standard deviation.
+        gamma: Largest exponent of the intensities.
+        shading: Largest deviation of the logarithm of a coil's shading.
+        blurred: Share of blurred patches.
+    """
+
+    degrees: float
+    scale: float
+    brightness: float
+    noise: tuple[float, float] = (0.1, 0.1)
+    gamma: float = 1.0
+    shading: float = 0.0
+    blurred: float = 0.0
+
+
+RANGES = {
+    "affine": Ranges(degrees=15.0, scale=1.15, brightness=0.2),
+    "strong": Ranges(degrees=30.0, scale=1.35, brightness=0.3, gamma=1.6, shading=0.3, blurred=0.3),
+    "scanner": Ranges(degrees=15.0, scale=1.15, brightness=0.3, noise=(0.0, 0.4), gamma=1.3, shading=0.3, blurred=0.3),
+}
 
 
 @dataclass(frozen=True)
@@ -31,13 +52,14 @@ class Draw:
     scale: float
     gain: float
     shift: float
-    noise: int
+    seed: int
+    noise: float = 0.1
     gamma: float = 1.0
     shading: float = 0.0
     blur: float = 0.0
 
 
-def draw(seed: int, step: int, row: int, cases: int, kind: Augment) -> Draw:
+def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: str = "xyz") -> Draw:
     """The random numbers of one patch.
 
     Args:
@@ -48,39 +70,43 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment) -> Draw:
         kind: "none": only the case and the place. "published": also a quarter turn about z and a mirror image, as in
             Ma's code. "affine": also turns of up to 15 degrees about every axis, scales of 1/1.15 to 1.15, mirror
             images, and noise, gain and shift of the intensities. "strong": more of all these, and of what sets scanners
-            apart: the contrast's exponent, smooth shading as of a coil, and blur.
+            apart: the contrast's exponent, smooth shading as of a coil, and blur. "scanner": turned and scaled as
+            "affine", intensities about as "strong", and noise of any strength up to 0.4, coarser than the voxels.
+        mirrors: The axes along which "affine", "strong" and "scanner" mirror, each with a chance of a half.
 
     Returns:
-        `place` (3,) in 0..1 and `turn` (3,3), a rotation or reflection.
+        `place` (3,) in 0..1, `turn` (3,3), a rotation or reflection, and `seed`, of the patch's noise.
     """
     random = torch.Generator().manual_seed(((seed * 1_000_003 + step) * 4099 + row) & (2**63 - 1))
     uniform = torch.rand(12, generator=random, dtype=torch.float64)
     case = min(int(uniform[0] * cases), cases - 1)
-    noise = int(torch.randint(2**62, (1,), generator=random))
+    own = int(torch.randint(2**62, (1,), generator=random))
     if kind == "none":
-        return Draw(case, uniform[1:4], torch.eye(3, dtype=torch.float64), 1.0, 1.0, 0.0, noise)
+        return Draw(case, uniform[1:4], torch.eye(3, dtype=torch.float64), 1.0, 1.0, 0.0, own)
     if kind == "published":
         turn = torch.eye(3, dtype=torch.float64)
         for _ in range(int(uniform[4] * 4)):
             turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64) @ turn
         axis = int(uniform[5] * 2)
         turn[axis] *= -1 if uniform[6] < 0.5 else 1
-        return Draw(case, uniform[1:4], turn, 1.0, 1.0, 0.0, noise)
-    angles = (2 * uniform[4:7] - 1) * LARGEST_ANGLE[kind]
-    mirror = torch.diag(torch.where(uniform[7:10] < 0.5, -1.0, 1.0).double())
-    scale = LARGEST_SCALE[kind] ** (2 * float(uniform[10]) - 1)
-    gain, shift = (2 * torch.rand(2, generator=random, dtype=torch.float64) - 1).tolist()
-    drawn = Draw(
-        case, uniform[1:4], rotation(angles) @ mirror, scale, 1 + GAIN[kind] * gain, SHIFT[kind] * shift, noise
-    )
+        return Draw(case, uniform[1:4], turn, 1.0, 1.0, 0.0, own)
+    ranges = RANGES[kind]
+    turn = rotation((2 * uniform[4:7] - 1) * math.radians(ranges.degrees))
+    allowed = torch.tensor([axis in mirrors for axis in "xyz"])
+    turn = turn @ torch.diag(torch.where(allowed & (uniform[7:10] < 0.5), -1.0, 1.0).double())
+    scale = ranges.scale ** (2 * float(uniform[10]) - 1)
+    gain, shift = (ranges.brightness * (2 * torch.rand(2, generator=random, dtype=torch.float64) - 1)).tolist()
+    drawn = Draw(case, uniform[1:4], turn, scale, 1 + gain, shift, own)
     if kind == "affine":
         return drawn
-    gamma, shading, blurred, blur = torch.rand(4, generator=random, dtype=torch.float64).tolist()
+    gamma, shading, blurred, blur, noise = torch.rand(5, generator=random, dtype=torch.float64).tolist()
+    least, most = ranges.noise
     return replace(
         drawn,
-        gamma=LARGEST_GAMMA ** (2 * gamma - 1),
-        shading=SHADING * shading,
-        blur=blur if blurred < BLURRED else 0.0,
+        noise=least + (most - least) * noise,
+        gamma=ranges.gamma ** (2 * gamma - 1),
+        shading=ranges.shading * shading,
+        blur=blur if blurred < ranges.blurred else 0.0,
     )
 
 

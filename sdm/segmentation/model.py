@@ -27,6 +27,7 @@ class SegmentationModel(nn.Module):
         architecture: "vnet" or "unet".
         filters: Channels of the finest level; the paper's if not given (16 and 64).
         dropout: Of the coarsest level; the paper's if not given (0.5 and 0.05).
+        last_dropout: Of what the main output, and a head's, is made of.
     """
 
     def __init__(
@@ -36,13 +37,14 @@ class SegmentationModel(nn.Module):
         *,
         filters: int | None = None,
         dropout: float | None = None,
+        last_dropout: float = 0.0,
     ) -> None:
         super().__init__()
         encoder, decoder, self.multiple = NETWORKS[architecture]
         width = {} if filters is None else {"filters": filters}
         self.method = method
         self.encoder = encoder(**width, **({} if dropout is None else {"dropout": dropout}))
-        self.decoder = decoder(**width)
+        self.decoder = decoder(**width, dropout=last_dropout)
         self.branch = decoder(**width, skips=False) if method.auxiliary == "branch" else None
         self.main = nn.Conv3d(self.decoder.channels, 1, 1)
         self.auxiliary = nn.Conv3d(self.decoder.channels, 1, 1) if method.auxiliary else None

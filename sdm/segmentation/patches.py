@@ -11,12 +11,15 @@ from torch.nn import functional
 
 from sdm.errors import SDMError
 from sdm.losses import clipped_sdf
-from sdm.segmentation.augment import NOISE, Augment, Draw, draw
+from sdm.segmentation.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.case import Case, standardized
 from sdm.segmentation.methods import Map
 from sdm.segmentation.targets import CLIP_VOXELS, distance_map
 
 Triple = tuple[int, int, int]
+
+# Standard deviation of noise that is enlarged twice: along each axis a mean with weights 3/4 and 1/4.
+GRAIN = (0.75**2 + 0.25**2) ** 1.5
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class Patches:
         size: Voxels of a patch along each axis. Smaller cases are padded by background.
         device: Where the cases are kept and the batches are made.
         per_patch: See above.
+        mirrors: Along which axes patches may be mirrored: see `augment.draw`.
     """
 
     def __init__(
@@ -50,9 +54,11 @@ class Patches:
         device: torch.device | str,
         *,
         per_patch: bool = False,
+        mirrors: str = "xyz",
     ) -> None:
         self.kind: Map | None = kind
         self.size, self.device, self.per_patch = size, torch.device(device), per_patch
+        self.mirrors = mirrors
         self.spacing = cases[0].spacing
         self._cases = [self._stack(case) for case in cases]
 
@@ -77,11 +83,12 @@ class Patches:
 
     def batch(self, count: int, *, seed: int, step: int, augment: Augment = "affine") -> Patch:
         """A batch of `count` patches: a pure function of (seed, step), whatever came before."""
-        draws = [draw(seed, step, row, len(self), augment) for row in range(count)]
-        volumes = torch.cat([self._cut(d) for d in draws])
+        draws = [draw(seed, step, row, len(self), augment, mirrors=self.mirrors) for row in range(count)]
+        frames = self._there(torch.stack([self._frame(d) for d in draws]))
+        volumes = torch.cat([self._cut(d, frame) for d, frame in zip(draws, frames, strict=True)])
         image, label = volumes[:, :1], volumes[:, 1:2] > 0.5
-        if augment in ("affine", "strong"):
-            image = self._intensities(image, draws, scanner=augment == "strong")
+        if augment in RANGES:
+            image = self._intensities(image, draws, augment)
         return Patch(image, label, self._map(volumes, label, draws))
 
     def _map(self, volumes: Tensor, label: Tensor, draws: Sequence[Draw]) -> Tensor | None:
@@ -92,12 +99,16 @@ class Patches:
         values = volumes[:, 2:3]
         if self.kind in ("signed", "clipped"):
             # One voxel of the patch is `scale` voxels of the case.
-            values = values / values.new_tensor([d.scale for d in draws]).view(-1, 1, 1, 1, 1)
+            values = values / self._there(torch.tensor([d.scale for d in draws])).view(-1, 1, 1, 1, 1)
         return clipped_sdf(values, CLIP_VOXELS * max(self.spacing)) if self.kind == "clipped" else values
 
-    def _cut(self, d: Draw) -> Tensor:
-        volume = self._cases[d.case]
-        shape = torch.tensor(volume.shape[1:], dtype=torch.float64)
+    def _there(self, values: Tensor) -> Tensor:
+        """Small numbers of the host on the device, without waiting for what is under way there."""
+        return values.to(torch.float32).to(self.device, non_blocking=True)
+
+    def _frame(self, d: Draw) -> Tensor:
+        """(3,4): where in the case the patch is, in the terms of `affine_grid`."""
+        shape = torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64)
         size = torch.tensor(self.size, dtype=torch.float64)
         # Whole voxels, so that a patch that is not turned is a copy.
         corner = torch.floor(d.place * (shape - size + 1))
@@ -108,20 +119,33 @@ class Patches:
         normal = (2 / (shape - 1).clamp(min=1))[:, None] * matrix * ((size - 1) / 2)[None]
         offset = 2 * centre / (shape - 1).clamp(min=1) - 1
         # affine_grid counts the axes from the last.
-        theta = torch.cat([normal.flip(0, 1), offset.flip(0)[:, None]], 1).to(self.device, torch.float32)
-        points = functional.affine_grid(theta[None], [1, 1, *self.size], align_corners=True)
-        return functional.grid_sample(volume[None], points, padding_mode="border", align_corners=True)
+        return torch.cat([normal.flip(0, 1), offset.flip(0)[:, None]], 1)
 
-    def _intensities(self, image: Tensor, draws: Sequence[Draw], *, scanner: bool) -> Tensor:
-        random = torch.Generator(self.device).manual_seed(draws[0].noise)
-        noise = torch.randn(image.shape, generator=random, device=self.device)
+    def _cut(self, d: Draw, frame: Tensor) -> Tensor:
+        points = functional.affine_grid(frame[None], [1, 1, *self.size], align_corners=True)
+        return functional.grid_sample(self._cases[d.case][None], points, padding_mode="border", align_corners=True)
+
+    def _intensities(self, image: Tensor, draws: Sequence[Draw], augment: Augment) -> Tensor:
+        random = torch.Generator(self.device).manual_seed(draws[0].seed)
         # One transfer for all numbers, (B,1,1,1,1) each.
-        drawn = image.new_tensor([[d.gain, d.shift, d.gamma, d.shading, d.blur] for d in draws])
-        gain, shift, gamma, shading, blur = drawn.T.reshape(5, -1, 1, 1, 1, 1)
-        if scanner:
+        drawn = self._there(torch.tensor([[d.gain, d.shift, d.noise, d.gamma, d.shading, d.blur] for d in draws]))
+        gain, shift, deviation, gamma, shading, blur = drawn.T.reshape(6, -1, 1, 1, 1, 1)
+        noise = _noise(image, random, coarse=augment == "scanner")
+        if augment != "affine":
             shade = torch.randn((len(draws), 1, 4, 4, 4), generator=random, device=self.device)
             image = _as_if_by_another_scanner(image, gamma, (shading * shade).exp(), blur)
-        return image * gain + shift + NOISE * noise
+        return image * gain + shift + deviation * noise
+
+
+def _noise(image: Tensor, random: torch.Generator, *, coarse: bool) -> Tensor:
+    """Noise of standard deviation 1, from voxel to voxel or, as in enlarged scans, over two."""
+    if not coarse:
+        return torch.randn(image.shape, generator=random, device=image.device)
+    half = [(n + 1) // 2 for n in image.shape[2:]]
+    grain = torch.randn((*image.shape[:2], *half), generator=random, device=image.device)
+    fine = functional.interpolate(grain, [2 * n for n in half], mode="trilinear", align_corners=False)
+    x, y, z = image.shape[2:]
+    return fine[..., :x, :y, :z] / GRAIN
 
 
 def _as_if_by_another_scanner(image: Tensor, gamma: Tensor, shade: Tensor, blur: Tensor) -> Tensor:

@@ -16,9 +16,6 @@ from sdm.segmentation.case import standardized
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.sliding import sliding_window
 
-# The axes of (B,1,x,y,z) that each mirror image turns round.
-MIRRORS = [axes for count in range(4) for axes in itertools.combinations((2, 3, 4), count)]
-
 
 @dataclass(frozen=True)
 class Prediction:
@@ -35,7 +32,7 @@ def predict(
     *,
     stride: Sequence[int] | None = None,
     largest: bool = True,
-    mirrors: bool = False,
+    mirrors: str = "",
     batch: int = 4,
 ) -> Prediction:
     """Segment an image by windows, where the network is.
@@ -46,24 +43,31 @@ def predict(
         window: Voxels of a window, those of the training's patches.
         stride: See `sliding_window`.
         largest: Keep only the largest connected component (by faces, edges and corners): for single organs.
-        mirrors: Average over the eight mirror images of every window: eight times the work. For networks that were
-            trained on mirror images.
+        mirrors: Average over the mirror images of every window along these of the axes "xyz": twice the work for each.
+            For networks that were trained on such images.
         batch: Windows at a time.
     """
     model.eval()
     device = next(model.parameters()).device
+    images = _mirror_images(mirrors)
 
     def field(windows: Tensor) -> Tensor:
         if windows.is_cuda:
             windows = windows.to(memory_format=torch.channels_last_3d)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            seen = [model.field(windows.flip(axes)).flip(axes) for axes in (MIRRORS if mirrors else [()])]
+            seen = [model.field(windows.flip(axes)).flip(axes) for axes in images]
         return torch.stack(seen).mean(0)
 
     with torch.inference_mode():
         values = sliding_window(field, standardized(image.to(device)), window, stride=stride, batch=batch)
     label = values < 0
     return Prediction(largest_component(label) if largest else label, values)
+
+
+def _mirror_images(axes: str) -> list[tuple[int, ...]]:
+    """The dimensions of (B,1,x,y,z) that each mirror image turns round, none for the first."""
+    turned = [2 + "xyz".index(axis) for axis in sorted(set(axes))]
+    return [chosen for count in range(len(turned) + 1) for chosen in itertools.combinations(turned, count)]
 
 
 def largest_component(label: Tensor) -> Tensor:

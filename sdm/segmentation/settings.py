@@ -23,13 +23,19 @@ class Settings:
         batch: Patches a step.
         steps: Steps of the optimiser.
         optimizer: "adam" (AdamW) or "sgd" (Nesterov momentum 0.9). Its learning rate rises over the first 5 % of the
-            steps and falls to zero along a cosine.
+            steps.
         learning_rate: Highest.
+        schedule: The learning rate after that falls to zero along a "cosine", or stays ("constant").
         weight_decay: Decoupled with adam, L2 with sgd.
-        augment: "none", "published", "affine" or "strong": see `augment.draw`.
+        average: Share of the training, up to its end, over which the weights are averaged: see `Average`; 0: the last
+            ones.
+        augment: "none", "published", "affine", "strong" or "scanner": see `augment.draw`.
+        mirrors: Along which of the axes "xyz" patches are mirrored at random. Mirror images are more to learn from, but
+            hide on which side a neighbouring organ lies.
         targets: Distance maps of the whole "case", or of the "patch" as published.
         filters: Of the network's finest level; None: the paper's.
         dropout: Of the coarsest level; None: the paper's.
+        last_dropout: Of what the main output is made of: 0.5 in Ma's public code.
         seed: Of weights, patches and dropout.
     """
 
@@ -40,11 +46,15 @@ class Settings:
     steps: int = 2000
     optimizer: Literal["adam", "sgd"] = "adam"
     learning_rate: float = 1e-3
+    schedule: Literal["cosine", "constant"] = "cosine"
     weight_decay: float = 1e-4
+    average: float = 0.0
     augment: Augment = "affine"
+    mirrors: str = "xyz"
     targets: Literal["case", "patch"] = "case"
     filters: int | None = None
     dropout: float | None = None
+    last_dropout: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -61,12 +71,18 @@ class Settings:
             raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
         if not self.learning_rate > 0:
             raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
+        if not set(self.mirrors) <= set("xyz"):
+            raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
+        if not 0 <= self.average <= 1:
+            raise SDMError(f"weights are averaged over a share of the training from 0 to 1, not {self.average}")
 
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step."""
         warm = max(1, self.steps // 20)
         if step < warm:
             return self.learning_rate * (step + 1) / warm
+        if self.schedule == "constant":
+            return self.learning_rate
         return self.learning_rate * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
 
     def record(self) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from torch import nn
 
 from sdm.errors import FormatError, SDMError
 from sdm.segmentation.augment import Augment
+from sdm.segmentation.average import Average
 from sdm.segmentation.methods import METHODS
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.objective import Step, objective
@@ -44,16 +45,18 @@ class Training:
     """A training, finished or not.
 
     Args:
-        model: The network.
+        model: The network; once the training is finished with its averaged weights, if the settings say so.
         step: Steps done.
         seconds: Spent in them, over all sessions.
         losses: (step, loss) now and then.
+        average: Of the weights so far.
     """
 
     model: SegmentationModel
     step: int = 0
     seconds: float = 0.0
     losses: list[tuple[int, float]] = field(default_factory=list)
+    average: Average | None = None
 
 
 def train(
@@ -87,13 +90,17 @@ def train(
     method = METHODS[settings.method]
     with _own_random_numbers(device):
         torch.manual_seed(settings.seed)
-        model = SegmentationModel(method, settings.architecture, filters=settings.filters, dropout=settings.dropout).to(
-            device
-        )
+        model = SegmentationModel(
+            method,
+            settings.architecture,
+            filters=settings.filters,
+            dropout=settings.dropout,
+            last_dropout=settings.last_dropout,
+        ).to(device)
         if device.type == "cuda":
             model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)
-        training = Training(model)
+        training = Training(model, average=Average(model, settings.average) if settings.average else None)
         if checkpoint is not None and checkpoint.is_file():
             _restore(checkpoint, training, optimizer, settings, device)
         model.train()
@@ -112,6 +119,8 @@ def train(
         training.seconds = before + time.monotonic() - begin
         if checkpoint is not None and training.step < settings.steps:
             _save(checkpoint, training, optimizer, settings, device)
+    if training.average is not None and training.step == settings.steps:
+        training.average.give(model)
     model.eval()
     return training
 
@@ -134,6 +143,8 @@ def _step(training: Training, optimizer: torch.optim.Optimizer, patches: Source,
     nn.utils.clip_grad_norm_(training.model.parameters(), LARGEST_GRADIENT)
     optimizer.step()
     training.step += 1
+    if training.average is not None:
+        training.average.update(training.model, training.step)
     if training.step % max(1, settings.steps // POINTS) == 0 or training.step == settings.steps:
         value = float(loss.detach())
         if value != value or abs(value) == float("inf"):
@@ -176,6 +187,7 @@ def _save(
         "losses": [list(point) for point in training.losses],
         "model": training.model.state_dict(),
         "optimizer": optimizer.state_dict(),
+        "average": None if training.average is None else training.average.values,
         "random": torch.get_rng_state(),
         "random_device": torch.cuda.get_rng_state(device) if device.type == "cuda" else None,
     }
@@ -196,6 +208,9 @@ def _restore(
         raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")
     training.model.load_state_dict(state["model"])
     optimizer.load_state_dict(state["optimizer"])
+    if training.average is not None:
+        for mean, value in zip(training.average.values, state["average"], strict=True):
+            mean.copy_(value)
     training.step, training.seconds = state["step"], state["seconds"]
     training.losses = [(int(a), float(b)) for a, b in state["losses"]]
     torch.set_rng_state(state["random"])

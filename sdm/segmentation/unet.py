@@ -50,9 +50,10 @@ class UNetDecoder(nn.Module):
     Args:
         filters: As of the encoder.
         skips: Whether the encoder's features are concatenated at each level.
+        dropout: Probability with which a channel of the result is dropped in training.
     """
 
-    def __init__(self, filters: int = 64, *, skips: bool = True) -> None:
+    def __init__(self, filters: int = 64, *, skips: bool = True, dropout: float = 0.0) -> None:
         super().__init__()
         channels = [filters * 2**level for level in range(LEVELS)][::-1]
         self.skips = skips
@@ -61,6 +62,7 @@ class UNetDecoder(nn.Module):
         self.levels = nn.ModuleList(
             convolutions([before + after if skips else before, after, after]) for before, after in pairwise(channels)
         )
+        self.dropout = nn.Dropout3d(dropout)
 
     def forward(self, features: list[Tensor]) -> Tensor:
         """Features of the finest level."""
@@ -68,4 +70,4 @@ class UNetDecoder(nn.Module):
         for up, level, skip in zip(self.ups, self.levels, features[-2::-1], strict=True):
             value = up(value)
             value = level(torch.cat([skip, value], 1) if self.skips else value)
-        return value
+        return self.dropout(value)

@@ -16,7 +16,7 @@ def validate(
     window: Sequence[int],
     *,
     stride: Sequence[int] | None = None,
-    mirrors: bool = False,
+    mirrors: str = "",
     batch: int = 4,
 ) -> Iterator[tuple[str, dict[str, float | bool], dict[str, float | bool]]]:
     """For each case its name, its scores as predicted, and those of the largest connected component alone.

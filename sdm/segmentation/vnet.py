@@ -50,9 +50,10 @@ class VNetDecoder(nn.Module):
         filters: As of the encoder.
         skips: Whether the encoder's features are added at each level. Without, all that comes out has gone through
             the coarsest level.
+        dropout: Probability with which a channel of the result is dropped in training.
     """
 
-    def __init__(self, filters: int = 16, *, skips: bool = True) -> None:
+    def __init__(self, filters: int = 16, *, skips: bool = True, dropout: float = 0.0) -> None:
         super().__init__()
         channels = [filters * 2**level for level in range(len(DEPTHS))][::-1]
         self.skips = skips
@@ -60,6 +61,7 @@ class VNetDecoder(nn.Module):
         self.ups = nn.ModuleList(double(a, b) for a, b in pairwise(channels))
         depths = DEPTHS[-2::-1]
         self.levels = nn.ModuleList(convolutions([c] * (d + 1)) for c, d in zip(channels[1:], depths, strict=True))
+        self.dropout = nn.Dropout3d(dropout)
 
     def forward(self, features: list[Tensor]) -> Tensor:
         """Features of the finest level."""
@@ -67,4 +69,4 @@ class VNetDecoder(nn.Module):
         for up, level, skip in zip(self.ups, self.levels, features[-2::-1], strict=True):
             value = up(value)
             value = level(torch.add(value, skip) if self.skips else value)
-        return value
+        return self.dropout(value)

@@ -36,6 +36,17 @@ def test_it_learns():
     assert scores_of(found.label.cpu(), truth.label, truth.spacing)["dice"] > 0.7
 
 
+@pytest.mark.parametrize("augment", ["none", "published", "affine", "strong", "scanner"])
+def test_batches_wait_for_nothing(augment):
+    patches = Patches([case(0), case(1)], "signed", SIZE, "cuda")
+    patches.batch(2, seed=0, step=0, augment=augment)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        patches.batch(2, seed=0, step=1, augment=augment)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
 def test_batches_are_those_of_the_cpu():
     there, here = (
         Patches([case(0), case(1)], "signed", SIZE, device).batch(3, seed=1, step=2, augment="published")

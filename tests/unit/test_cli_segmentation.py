@@ -122,3 +122,13 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "| case0 | 0.00 |" in said
     assert "failed, for one of the two labels is empty: case0" in said
+
+
+def test_mirror_images_are_those_of_the_training(trained, tmp_path, capsys):
+    data, images = str(trained / "data"), str(trained / "data" / "imagesTs")
+    words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    assert main([*words, "--mirrors", "", "--average", "0.5", "--schedule", "constant", "--last-dropout", "0.1"]) == 0
+    capsys.readouterr()
+    segment = ["segment", images, "--out", str(tmp_path / "out"), "--mirrors", "--model"]
+    assert "leave out --mirrors" in refused([*segment, str(tmp_path / "model.pt")], capsys)
+    assert main([*segment, str(trained / "net" / "model.pt")]) == 0

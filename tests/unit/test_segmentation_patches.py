@@ -8,7 +8,7 @@ import torch
 from sdm.segmentation import METHODS, Patches, distance_map
 from sdm.segmentation.augment import draw
 from sdm.segmentation.case import standardized
-from sdm.segmentation.patches import _as_if_by_another_scanner
+from sdm.segmentation.patches import _as_if_by_another_scanner, _noise
 from tests.segmentation_cases import case
 
 SIZE = (16, 8, 12)
@@ -32,7 +32,7 @@ def test_a_patch_that_is_not_turned_is_a_copy():
         torch.testing.assert_close(batch.map[row, 0], whole[box], atol=1e-3, rtol=1e-4)
 
 
-@pytest.mark.parametrize("augment", ["none", "published", "affine", "strong"])
+@pytest.mark.parametrize("augment", ["none", "published", "affine", "strong", "scanner"])
 def test_a_batch_depends_on_seed_and_step_alone(augment):
     first, second = (Patches([case(0), case(1)], "signed", SIZE, "cpu") for _ in range(2))
     first.batch(2, seed=3, step=0, augment=augment)
@@ -68,6 +68,27 @@ def test_distances_of_scaled_and_turned_patches_are_true():
         inner = (slice(None), slice(None), *[slice(8, -8)] * 3)
         assert (batch.map - again)[inner].abs().max() < 1.2
         assert (batch.map - again)[inner].mean().abs() < 0.25
+
+
+def test_patches_are_mirrored_along_some_axes_alone():
+    def hands(mirrors):
+        return {round(float(draw(0, s, 0, 2, "affine", mirrors=mirrors).turn.det())) for s in range(30)}
+
+    assert hands("xyz") == hands("y") == {-1, 1}
+    assert hands("") == {1}
+    one, other = (Patches([case(0)], None, SIZE, "cpu", mirrors=m) for m in ("xyz", ""))
+    assert any(
+        not torch.equal(one.batch(1, seed=0, step=s).label, other.batch(1, seed=0, step=s).label) for s in (0, 1)
+    )
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_noise_has_the_deviation_that_was_drawn(coarse):
+    noise = _noise(torch.empty(2, 1, 41, 40, 39), torch.Generator().manual_seed(0), coarse=coarse)
+    assert noise.shape == (2, 1, 41, 40, 39)
+    assert noise.std() == pytest.approx(1.0, abs=0.05)
+    neighbours = (noise[..., 1:] * noise[..., :-1]).mean()
+    assert neighbours == pytest.approx(0.75 if coarse else 0.0, abs=0.05)
 
 
 def test_small_cases_are_padded_by_background():

@@ -14,6 +14,7 @@ from bench import segmentation_juhl, segmentation_ma, segmentation_report
 from bench._juhl_shapes import ShapeBatches, _at_coarse, shapes
 from bench._segmentation_fit import fitted_steps
 from bench._segmentation_jobs import read_logs, run_jobs, write_log
+from bench._segmentation_trials import differs
 from bench.segmentation_pack import pack, unpack
 from sdm.segmentation import MA_ROWS, METHODS
 from tests.segmentation_cases import volume, write_hdf5
@@ -163,8 +164,8 @@ def test_work_is_told_the_deadline(tmp_path):
     assert 0 < seen[0] - time.monotonic() <= 5.0
 
 
-def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float]) -> None:
-    job = {"settings": segmentation_ma.Settings(method=method, seed=seed).record()}
+def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float], **changes) -> None:
+    job = {"settings": segmentation_ma.Settings(method=method, seed=seed, **changes).record()}
     cases = {
         name: {
             "dice": value,
@@ -185,10 +186,34 @@ def test_the_report_compares_case_by_case(tmp_path):
         ma_log(tmp_path, "baseline", seed, {"a": 0.8, "b": 0.82, "c": 0.9, "d": 0.92})
         ma_log(tmp_path, "pwr", seed, {"a": 0.84, "b": 0.85, "c": 0.92, "d": 0.93})
     ma_log(tmp_path, "boundary", 7, {"a": 0.5})
-    text = segmentation_report.page(tmp_path, tmp_path / "none")
+    text = segmentation_report.page(tmp_path, tmp_path / "none", tmp_path / "none")
     (row,) = [line for line in text.splitlines() if line.startswith("| pwr | +")]
     assert row.startswith("| pwr | +2.50 [+0.45, +4.55] | 0.125 | +3.50 | +1.50 | -0.25 [")
     # No seed in common: no comparison, but a row in the table.
     assert "| boundary |" not in text
     assert "| boundary (1) |" in text
     assert "on abacus." in text
+
+
+def test_the_report_tells_what_other_protocols_changed(tmp_path):
+    """Two halves with one setting each; 95HD is 10 (1 - Dice) here, and case b moves most."""
+    ma_log(tmp_path / "ma", "baseline", 0, {"a": 0.9, "b": 0.9})
+    trials = tmp_path / "trials"
+    for seed, (mirrors, low) in enumerate([("", 0.8), ("xyz", 0.5), ("", 0.8), ("xyz", 0.5)]):
+        ma_log(trials / "half", "baseline", seed, {"a": 0.9, "b": low}, mirrors=mirrors)
+    ma_log(trials / "short", "pwr", 1, {"a": 0.8, "b": 0.6}, steps=100, mirrors="x", optimizer="sgd")
+    text = segmentation_report.page(tmp_path / "ma", tmp_path / "none", trials)
+    assert "| short | 100 steps, sgd, mirrored along x | pwr (1) | 70.00 | 3.00 | 70.0, 3.0 | 80.00, 2.00 |" in text
+    assert "| short (1) | 2.0 | 4.0 |" in text
+    assert "| mirrored along xyz | not mirrored | +15.00 | -1.50 | +0.00, +0.00 |" in text
+    assert "4 trainings of half" in text
+
+
+def test_logs_of_before_a_choice_have_its_default(tmp_path):
+    ma_log(tmp_path, "baseline", 0, {"a": 0.9})
+    (log,) = read_logs(tmp_path)
+    settings = log["job"]["settings"]
+    del settings["mirrors"], settings["average"]
+    assert differs(log, log) == "as in the table"
+    other = {"job": {"settings": {**settings, "mirrors": "", "average": 0.1}}}
+    assert differs(other, log) == "weights averaged over 0.1, not mirrored"

@@ -10,7 +10,18 @@ import torch
 from torch._dynamo.utils import counters
 
 from sdm.errors import FormatError, SDMError
-from sdm.segmentation import METHODS, Patches, Settings, TrainedModel, load_model, predict, save_model, train
+from sdm.segmentation import (
+    METHODS,
+    Patches,
+    SegmentationModel,
+    Settings,
+    TrainedModel,
+    load_model,
+    predict,
+    save_model,
+    train,
+)
+from sdm.segmentation.average import Average
 from sdm.segmentation.scores import scores_of
 from tests.segmentation_cases import case
 
@@ -51,11 +62,11 @@ def test_methods_share_what_is_compiled(monkeypatch):
     assert graphs["unique_graphs"] == 1
 
 
-@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
+@pytest.mark.parametrize("changes", [{"optimizer": "sgd"}, {"average": 0.3, "schedule": "constant"}])
 @pytest.mark.parametrize("method", ["hausdorff", "branch-sdf-l1"])
-def test_a_training_cut_short_goes_on_to_the_bit(tmp_path, method, optimizer):
+def test_a_training_cut_short_goes_on_to_the_bit(tmp_path, method, changes):
     """With dropout, whose random numbers have to be continued too."""
-    chosen = settings(method=method, optimizer=optimizer, dropout=0.5)
+    chosen = settings(method=method, dropout=0.5, last_dropout=0.2, **changes)
     whole = train(patches(method), chosen)
     stops = iter([3, 6])
     checkpoint = tmp_path / "checkpoint.pt"
@@ -80,6 +91,37 @@ def _until(source, chosen, checkpoint, count, state):
             return state["now"] == 0.0
 
     return train(source, chosen, checkpoint=checkpoint, deadline=Deadline(0), progress=count)
+
+
+def test_weights_are_averaged():
+    """Over all steps it is their mean; over a share of them, weights of step s of t count as s^(1 / share - 1)."""
+    net = torch.nn.BatchNorm1d(1)
+    whole, late = Average(net, 1.0), Average(net, 0.1)
+    for step in range(1, 401):
+        for name in ("weight", "running_var"):
+            torch.nn.init.constant_(net.state_dict()[name], step)
+        whole.update(net, step)
+        late.update(net, step)
+    for average, expected in ((late, 400 * 10 / 11), (whole, 200.5)):
+        average.give(net)
+        found = net.state_dict()
+        assert found["weight"].item() == found["running_var"].item() == pytest.approx(expected, rel=0.01)
+        assert found["num_batches_tracked"] == 0
+
+
+def test_a_finished_training_has_the_average():
+    last = train(patches("baseline"), settings())
+    mean = train(patches("baseline"), settings(average=0.5))
+    assert mean.losses == last.losses
+    a, b = (t.model.state_dict() for t in (last, mean))
+    assert not torch.equal(a["main.weight"], b["main.weight"])
+    assert torch.equal(a["encoder.levels.0.1.num_batches_tracked"], b["encoder.levels.0.1.num_batches_tracked"])
+
+
+def test_the_last_dropout_is_of_the_main_decoder_alone():
+    model = SegmentationModel(METHODS["branch-sdf-l1"], "vnet", filters=2, last_dropout=0.5)
+    assert model.branch is not None
+    assert (model.decoder.dropout.p, model.branch.dropout.p) == (0.5, 0.0)
 
 
 def test_the_deadline_leaves_a_checkpoint(tmp_path):
@@ -113,6 +155,8 @@ def test_the_learning_rate_rises_and_falls_to_zero():
     assert rates[0] == pytest.approx(1e-2 / 5)
     assert rates[100] == pytest.approx(0.0)
     assert rates[5:] == sorted(rates[5:], reverse=True)
+    constant = settings(steps=100, schedule="constant")
+    assert [constant.learning_rate_at(step) for step in (0, 50, 99)] == [rates[0], 1e-2, 1e-2]
 
 
 @pytest.mark.parametrize(
@@ -123,6 +167,8 @@ def test_the_learning_rate_rises_and_falls_to_zero():
         {"patch": (20, 16, 16)},
         {"batch": 0},
         {"learning_rate": 0.0},
+        {"average": 1.5},
+        {"mirrors": "lr"},
         {"architecture": "resnet"},
     ],
 )
@@ -165,8 +211,8 @@ def test_mirror_images_are_predicted_alike():
     model = train(patches("baseline"), settings(steps=4)).model
     # One window: several would not be placed alike from the other side.
     image = case(5).image[:16, :16, :16]
-    found = predict(model, image, SIZE, mirrors=True).field
+    found = predict(model, image, SIZE, mirrors="xyz").field
     for axis in range(3):
-        turned = predict(model, image.flip(axis), SIZE, mirrors=True).field.flip(axis)
+        turned = predict(model, image.flip(axis), SIZE, mirrors="xyz").field.flip(axis)
         torch.testing.assert_close(turned, found, atol=1e-5, rtol=1e-4)
     assert not torch.allclose(predict(model, image, SIZE).field, found, atol=1e-3)
