@@ -14,7 +14,7 @@ import warp as wp
 from torch import Tensor
 
 from bench.peers._warp import on_torch_stream
-from sdm.kernels.curve import curve_code
+from sdm.kernels.curve import CURVE_BITS, curve_code
 from sdm.kernels.launch import launch
 from sdm.kernels.tree import box_distance2
 
@@ -33,7 +33,7 @@ WaitingDistances = wp.types.vector(length=32, dtype=wp.float32)
 @wp.kernel(enable_backward=False)
 def _code(begin: int, points: wp.array[wp.vec3], low: wp.vec3, high: wp.vec3, codes: wp.array[wp.int64]):
     i = begin + wp.tid()
-    codes[i] = wp.int64(curve_code(points[i], low, high))
+    codes[i] = curve_code(points[i], low, high, CURVE_BITS)
 
 
 @wp.kernel(enable_backward=False)
