@@ -6,17 +6,20 @@ import math
 from collections.abc import Sequence
 
 import torch
+import warp as wp
 from torch import Tensor
 
 from sdm.device import choose_device
 from sdm.engine import MeshIndex
 from sdm.errors import MeshError
+from sdm.kernels.launch import launch
+from sdm.kernels.samples import Law, Scene, draw
+from sdm.memory import as_warp, on_current_stream
 from sdm.mesh import TriangleMesh
 from sdm.sampling.distribution import SampleDistribution
 from sdm.sampling.samples import Samples
-from sdm.sampling.surface_points import in_triangle, triangle_areas
+from sdm.sampling.surface_points import triangle_areas
 from sdm.sampling.unit_sphere import UnitSphere
-from sdm.shapes.sampling import uniform
 
 # Samples reach to REACH along each axis, and are at most sqrt(3) REACH + 1 from their own shape. With this step between
 # the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.
@@ -73,12 +76,13 @@ class ShapeSet:
         self._index = MeshIndex(scene, self.device)
         if not self._index.closed:
             raise MeshError(f"{self._first_open()} is not closed, so its inside is not defined; close its holes first")
-        self._corners = scene.vertices[scene.faces.long()]
-        areas = triangle_areas(self._corners).cumsum(0)
+        corners = scene.vertices[scene.faces.long()]
+        self._corners = corners.reshape(-1, 3)
+        areas = triangle_areas(corners).cumsum(0)
         ends = torch.tensor(self._first_face, device=self.device)
         bounds = torch.cat([areas.new_zeros(1), areas])[ends]
         self._last_face = ends[1:] - 1
-        self._areas, self._area_low, self._area_size = areas, bounds[:-1], bounds.diff()
+        self._areas, self._area_before, self._area_size = areas, bounds[:-1].contiguous(), bounds.diff()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -103,19 +107,36 @@ class ShapeSet:
             Points (B,points,3) and values (B,points): a pure function of (seed, step, shape), whatever the batch.
             Surface points are stratified: one in each of equal parts of the area, in the order of the faces.
         """
-        number = (step * len(self) + shapes)[:, None] * points + torch.arange(points, device=self.device)
-        random = uniform(seed, number.reshape(-1), 8).reshape(len(shapes), points, 8)
-        near = self.distribution.near_count(points)
-        along = (torch.arange(near, device=self.device) + random[:, :near, 0].double()) / max(near, 1)
-        place = self._area_low[shapes, None] + along * self._area_size[shapes, None]
-        face = torch.minimum(torch.searchsorted(self._areas, place, right=True), self._last_face[shapes, None])
-        at = in_triangle(self._corners[face], random[:, :near, 1:3])
-        at = at + self.distribution.offsets(random[:, :near, 3:7])
-        centre = self._places[shapes, None]
-        far = self.distribution.anywhere(random[:, near:, :3]) + centre
-        # Tails of the normal distribution reach out of the box: back into it, where only own triangles are nearest.
-        scene = torch.cat([(at - centre).clamp(-REACH, REACH) + centre, far], 1)
-        return Samples(scene - centre, self._index.signed_distance(scene))
+        law = Law()
+        law.near = self.distribution.near_count(points)
+        law.wide, law.tight = map(math.sqrt, self.distribution.variances)
+        law.box, law.reach = self.distribution.box, REACH
+        in_scene = torch.empty(len(shapes), points, 3, dtype=torch.float32, device=self.device)
+        own = torch.empty_like(in_scene)
+        chosen = shapes.to(torch.int64).contiguous()
+        with on_current_stream(in_scene, chosen):
+            draw(
+                self._scene(),
+                law,
+                seed & (2**64 - 1),
+                step * len(self),
+                as_warp(chosen, wp.int64),
+                points,
+                *(as_warp(t.view(-1, 3), wp.vec3) for t in (in_scene, own)),
+                launch,
+            )
+        return Samples(own, self._index.signed_distance(in_scene))
+
+    def _scene(self) -> Scene:
+        """The kernels' view of the shapes."""
+        scene = Scene()
+        scene.places = as_warp(self._places, wp.vec3)
+        scene.corners = as_warp(self._corners, wp.vec3)
+        scene.areas = as_warp(self._areas, wp.float64)
+        scene.area_before = as_warp(self._area_before, wp.float64)
+        scene.area_size = as_warp(self._area_size, wp.float64)
+        scene.last_face = as_warp(self._last_face, wp.int64)
+        return scene
 
     def signed_distance(self, shapes: Tensor, points: Tensor) -> Tensor:
         """Exact signed distances (B,N) of points (B,N,3) of [-1.5,1.5]^3 from shapes (B,), in unit-sphere radii.

@@ -9,6 +9,7 @@ import trimesh
 from sdm import MeshError, TriangleMesh, signed_distance
 from sdm.sampling import SampleDistribution, ShapeSet, UnitSphere, surface_points
 from sdm.shapes import Cochlea
+from sdm.shapes.sampling import uniform
 
 
 def cochleas(count: int, device: str = "cpu") -> ShapeSet:
@@ -64,6 +65,31 @@ def test_a_sample_depends_on_seed_step_and_shape_alone() -> None:
     for seed, step in ((8, 3), (7, 4)):
         assert not torch.equal(shapes.sample(torch.tensor([2]), 100, seed=seed, step=step).points, alone.points)
     assert not torch.equal(together.points[0], together.points[1])
+
+
+def test_samples_are_where_their_numbers_say() -> None:
+    """The same samples from the same numbers in [0,1), drawn with torch."""
+    shapes, count, seed, step = cochleas(3), 400, 2**40 + 9, 5
+    chosen = torch.tensor([2, 0])
+    near = round(0.94 * count)
+    points = shapes.sample(chosen, count, seed=seed, step=step).points
+    for row, shape in enumerate(chosen.tolist()):
+        number = (step * len(shapes) + shape) * count + torch.arange(count)
+        u = uniform(seed, number, 8).double()
+        mesh = shapes.mesh(shape)
+        corners = mesh.vertices[mesh.faces.long()].double()
+        areas = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1).cumsum(0)
+        place = (torch.arange(near) + u[:near, 0]) / near * areas[-1]
+        # Where the place is within rounding of a face's end either face will do.
+        clear = (areas[None] - place[:, None]).abs().amin(1) > 1e-9 * areas[-1]
+        a, b, c = corners[torch.searchsorted(areas, place, right=True).clamp(max=len(areas) - 1)].unbind(1)
+        root, share = u[:near, 1, None].sqrt(), u[:near, 2, None]
+        at = (1 - root) * a + root * (1 - share) * b + root * share * c
+        length, angle = (-2 * (1 - u[:near, 3:7:2]).log()).sqrt(), 2 * torch.pi * u[:near, 4:7:2]
+        normal = torch.cat([length * angle.cos(), (length * angle.sin())[:, :1]], 1)
+        at = (at + normal * torch.tensor([0.005**0.5, 0.0005**0.5]).repeat(near // 2)[:, None]).clamp(-1.5, 1.5)
+        assert (points[row, :near] - at)[clear].abs().max() < 1e-5
+        assert (points[row, near:] - (2 * u[near:, :3] - 1)).abs().max() < 1e-5
 
 
 def test_shares_and_variances_are_those_of_the_paper() -> None:
