@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 import warp as wp
@@ -122,12 +123,13 @@ class ShapeSet:
                 step * len(self),
                 as_warp(chosen, wp.int64),
                 points,
-                *(as_warp(t.view(-1, 3), wp.vec3) for t in (in_scene, own)),
+                as_warp(in_scene.view(-1, 3), wp.vec3),
+                as_warp(own.view(-1, 3), wp.vec3),
                 launch,
             )
         return Samples(own, self._index.signed_distance(in_scene))
 
-    def _scene(self) -> Scene:
+    def _scene(self) -> Any:
         """The kernels' view of the shapes."""
         scene = Scene()
         scene.places = as_warp(self._places, wp.vec3)
