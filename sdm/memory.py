@@ -91,3 +91,11 @@ def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
         return array_at(address, (length,), dtype, device)
 
     return empty
+
+
+def to_device(host: Tensor, device: torch.device) -> Tensor:
+    """A small tensor of the host on a device, without waiting for it."""
+    if device.type == "cpu":
+        return host
+    # Memory that is not pinned would make the copy wait for the host's side of it.
+    return host.pin_memory().to(device, non_blocking=True)

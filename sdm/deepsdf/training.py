@@ -21,6 +21,7 @@ from sdm.deepsdf.progress import code_weight, rate_factor, share_done
 from sdm.deepsdf.settings import Settings
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
+from sdm.memory import to_device
 from sdm.sampling import SampleSource, UnitSphere
 
 CHECKPOINT = "checkpoint"
@@ -173,7 +174,7 @@ class Trainer:
 
     def draw(self, step: int) -> tuple[Tensor, Tensor, Tensor]:
         """Shapes (B,), points (B,N,3) and values (B,N) of a step."""
-        shapes = self.batches[step].to(self.device)
+        shapes = to_device(self.batches[step], self.device)
         points, values = self.source.sample(shapes, self.settings.points, seed=self.settings.seed, step=step)
         return shapes, points, values
 

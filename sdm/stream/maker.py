@@ -13,6 +13,7 @@ from sdm.device import choose_device, require_memory
 from sdm.engine import batch_maps
 from sdm.errors import DeviceError, SDMError
 from sdm.grid import Grid
+from sdm.memory import to_device
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.samplers import Sampler, as_sampler
@@ -144,11 +145,3 @@ def grid_record(grid: Grid) -> dict[str, Any]:
     """A grid ready for JSON, which keeps every digit: `Grid(**record)` makes it again."""
     lists = {key: list(getattr(grid, key)) for key in ("origin", "spacing", "shape")}
     return {**lists, "direction": [list(row) for row in grid.direction]}
-
-
-def to_device(host: Tensor, device: torch.device) -> Tensor:
-    """A small tensor of the host on a device, without waiting for it."""
-    if device.type == "cpu":
-        return host
-    # Memory that is not pinned would make the copy wait for the host's side of it.
-    return host.pin_memory().to(device, non_blocking=True)

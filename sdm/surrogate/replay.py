@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from sdm.errors import SDMError
+from sdm.memory import to_device
 from sdm.stream import SDMStream
-from sdm.stream.maker import to_device
 from sdm.surrogate.box import GRID
 
 
