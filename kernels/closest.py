@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.geometry import nearest_part, part_distance2
+from sdm.kernels.geometry import closest_point, nearest_part, part_distance2
 from sdm.kernels.tree import Tree, first_triangle, load_corners, node_distance2
 
 wp.set_module_options({"enable_backward": False})
@@ -34,6 +34,17 @@ def exact_distance2(tree: Tree, slot: int, part: int, p: wp.vec3):
     return part_distance2(
         part,
         wp.vec3d(p),
+        wp.vec3d(tree.corners[4 * slot]),
+        wp.vec3d(tree.corners[4 * slot + 1]),
+        wp.vec3d(tree.corners[4 * slot + 2]),
+    )
+
+
+@wp.func
+def exact_hit(tree: Tree, slot: int, p: wp.vec3d):
+    """`closest_point` for the triangle in a slot."""
+    return closest_point(
+        p,
         wp.vec3d(tree.corners[4 * slot]),
         wp.vec3d(tree.corners[4 * slot + 1]),
         wp.vec3d(tree.corners[4 * slot + 2]),

@@ -76,6 +76,25 @@ def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
     )
 
 
+@wp.func
+def crossing_on_ray(tree: Tree, slot: int, q: wp.vec2i, x: wp.float64, back: bool):
+    """+1 or -1 if the ray at q from x (scaled) along +x, or at x and along -x, meets the triangle in a slot, else 0."""
+    sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
+    if sign != 0:
+        if (crossing_x(tree, slot, q) > x) == back:
+            return 0
+    return sign
+
+
+@wp.func
+def lattice_box(tree: Tree, slot: int):
+    """The lowest and the highest (y,z) on the lattice of the triangle in a slot."""
+    a = tree.lattice[3 * slot]
+    b = tree.lattice[3 * slot + 1]
+    c = tree.lattice[3 * slot + 2]
+    return wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c))
+
+
 @wp.struct
 class Ray:
     """A ray along x, with room for the lattice and for rounding across it: it may seem to meet more than it does."""
@@ -133,10 +152,7 @@ def count_on_ray(tree: Tree, mesh: int, p: wp.vec3d, back: bool):
             end = first_triangle(tree, leaf + 1)
             for t in range(first_triangle(tree, leaf), end):
                 slot = mesh * tree.count + t
-                sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
-                if sign != 0:
-                    if (crossing_x(tree, slot, q) > p[0]) != back:
-                        total = total + sign
+                total = total + crossing_on_ray(tree, slot, q, p[0], back)
             node = int(0)
         else:
             left = 2 * node

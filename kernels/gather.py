@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cones import Cones
-from sdm.kernels.crossings import Ray, meets_ray
+from sdm.kernels.crossings import Ray, lattice_box, meets_ray
 from sdm.kernels.cull import Cell, Witness
 from sdm.kernels.descent import FOUND, LEAVES, MOST, keep_children, next_nodes, start_descent
 from sdm.kernels.lanes import wait_for_lanes
@@ -74,12 +74,8 @@ def gather_near(
 @wp.func
 def triangle_meets(tree: Tree, slot: int, ray: Ray, low: wp.vec2i, high: wp.vec2i):
     """Whether a triangle may be met by a ray along x from a box whose (y,z) on the lattice are from `low` to `high`."""
-    a = tree.lattice[3 * slot]
-    b = tree.lattice[3 * slot + 1]
-    c = tree.lattice[3 * slot + 2]
-    if wp.min(a[0], wp.min(b[0], c[0])) > high[0] or wp.max(a[0], wp.max(b[0], c[0])) < low[0]:
-        return False
-    if wp.min(a[1], wp.min(b[1], c[1])) > high[1] or wp.max(a[1], wp.max(b[1], c[1])) < low[1]:
+    least, most = lattice_box(tree, slot)
+    if least[0] > high[0] or most[0] < low[0] or least[1] > high[1] or most[1] < low[1]:
         return False
     ax = tree.corners[4 * slot][0]
     bx = tree.corners[4 * slot + 1][0]

@@ -12,9 +12,9 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.caps import is_far, may_cover, view_caps
+from sdm.kernels.closest import exact_hit
 from sdm.kernels.cull import Cell, no_witness
 from sdm.kernels.descent import SCRATCH
-from sdm.kernels.geometry import closest_point
 from sdm.kernels.lanes import fetch_add_once, least_of_lanes, load4, write4
 from sdm.kernels.together import nearest_together
 from sdm.kernels.tree import SCALE, Tree
@@ -28,11 +28,14 @@ GROUP = 32
 # What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
 # may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
 FAR, COVERED, APART = wp.constant(1), wp.constant(2), wp.constant(4)
+# Places of the shared counts.
+NEXT_BOX, NEXT_LIST, NEXT_SIDE, COUNTS = range(4)
 # Room for rounding in the distance from a box's centre and its radius.
 ROOM = wp.constant(1.0e-5)
 
 _GROUP, _SCRATCH = wp.constant(GROUP), wp.constant(SCRATCH)
 _SCALE = wp.constant(SCALE)
+_NEXT_BOX = wp.constant(NEXT_BOX)
 _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
 
 
@@ -45,6 +48,7 @@ class Groups:
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
     count: wp.int32
+    counts: wp.array(dtype=wp.int32)  # (COUNTS) which group each stage takes next, zero at the start
 
 
 @wp.func
@@ -64,6 +68,19 @@ def numbered(order: wp.array(dtype=wp.int32), at: int):
 def group_end(group: int, points: int):
     """One past the last of a group's places in the order."""
     return wp.min(_GROUP * (group + 1), points)
+
+
+@wp.func
+def point_or_middle(
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, cell: Cell
+):
+    """The point at a place before `end`, scaled; without one, or if it is not finite, the middle of its group's box."""
+    p = wp.vec3d(cell.centre)
+    if at < end:
+        point = points[numbered(order, at)]
+        if is_finite(point):
+            p = tree.frame[_SCALE] * wp.vec3d(point)
+    return p
 
 
 @wp.func
@@ -116,12 +133,11 @@ def _look_around(
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     groups: Groups,
-    next_group: wp.array(dtype=wp.int32),
     scratch: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    group = fetch_add_once(next_group, 0, 1, lane)
+    group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
     while group < groups.count:
         cell = box_around(tree, points, order, group, lane, lanes)
         slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * _SCRATCH, lane, lanes)
@@ -130,12 +146,7 @@ def _look_around(
         if winding.kind == _CLOSED:
             hint = FAR
         if cell.half2 < float(wp.inf):
-            hit = closest_point(
-                wp.vec3d(cell.centre),
-                wp.vec3d(tree.corners[4 * slot]),
-                wp.vec3d(tree.corners[4 * slot + 1]),
-                wp.vec3d(tree.corners[4 * slot + 2]),
-            )
+            hit = exact_hit(tree, slot, wp.vec3d(cell.centre))
             known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
             known.distance2 = float(hit.distance2)
             if winding.kind != _CLOSED and winding.kind != _SOUP:
@@ -150,7 +161,7 @@ def _look_around(
             write_witness(groups.witnesses, group, known)
             groups.nearest[group] = slot
             groups.hints[group] = hint
-        group = fetch_add_once(next_group, 0, 1, lane)
+        group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
 
 
 def look_around(
@@ -159,7 +170,6 @@ def look_around(
     points: wp.array,
     order: wp.array,
     groups: Groups,
-    next_group: wp.array,
     scratch: wp.array,
     workers: int,
     lanes: int,
@@ -167,7 +177,7 @@ def look_around(
 ) -> None:
     """Fill `groups` for points (N,) in their order, or as they come if `order` is empty.
 
-    `workers` groups of lanes are at work; `next_group` (1,) must be zero; `scratch` has room for workers * SCRATCH.
+    `workers` groups of lanes are at work; `groups.counts` must be zero; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, winding, points, order, groups, next_group, scratch]
+    inputs = [lanes, tree, winding, points, order, groups, scratch]
     launch(_look_around, workers * lanes, inputs, points.device, smallest=1)

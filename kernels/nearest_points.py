@@ -14,10 +14,10 @@ from sdm.kernels.closest import exact_distance2
 from sdm.kernels.cones import Cones
 from sdm.kernels.descent import SCRATCH, TIES
 from sdm.kernels.gather import gather_near
-from sdm.kernels.groups import GROUP, Groups, group_end, is_finite, numbered, read_box
+from sdm.kernels.groups import GROUP, NEXT_LIST, Groups, group_end, point_or_middle, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
 from sdm.kernels.shortlist import keep_nearest
-from sdm.kernels.tree import SCALE, Tree
+from sdm.kernels.tree import Tree
 from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.witness import read_witness
 
@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False})
 
 _GROUP = wp.constant(GROUP)
 _SCRATCH, _TIES = wp.constant(SCRATCH), wp.constant(TIES)
-_SCALE = wp.constant(SCALE)
+_NEXT_LIST = wp.constant(NEXT_LIST)
 
 
 @wp.func
@@ -58,15 +58,13 @@ def _find_nearest(
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     groups: Groups,
-    next_group: wp.array(dtype=wp.int32),
     scratch: wp.array(dtype=wp.int32),
     slots: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
     room = (thread / lanes) * _SCRATCH
-    scale = float(tree.frame[_SCALE])
-    group = fetch_add_once(next_group, 0, 1, lane)
+    group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
     while group < groups.count:
         cell = read_box(groups, group)
         known = read_witness(groups.witnesses, group)
@@ -78,11 +76,7 @@ def _find_nearest(
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
-            p = cell.centre
-            if at < end:
-                point = points[numbered(order, at)]
-                if is_finite(point):
-                    p = scale * point
+            p = wp.vec3(point_or_middle(tree, points, order, at, end, cell))
             left = int(0)
             if found > 0:
                 left = keep_nearest(tree, balls, p, scratch, room, found, lane, lanes)
@@ -91,7 +85,7 @@ def _find_nearest(
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(next_group, 0, 1, lane)
+        group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
 
 
 def find_nearest(
@@ -101,7 +95,6 @@ def find_nearest(
     points: wp.array,
     order: wp.array,
     groups: Groups,
-    next_group: wp.array,
     scratch: wp.array,
     slots: wp.array,
     workers: int,
@@ -110,7 +103,7 @@ def find_nearest(
 ) -> None:
     """Fill `slots` (N,), in their order, with the triangle nearest to each of points (N,), or -1 for one to search for.
 
-    `workers` groups of lanes are at work; `next_group` (1,) must be zero; `scratch` has room for workers * SCRATCH.
+    `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, balls, cones, points, order, groups, next_group, scratch, slots]
+    inputs = [lanes, tree, balls, cones, points, order, groups, scratch, slots]
     launch(_find_nearest, workers * lanes, inputs, points.device, smallest=1)

@@ -12,14 +12,14 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.caps import count_caps
-from sdm.kernels.crossings import count_on_ray, covers, crossing_x, ray_from
+from sdm.kernels.crossings import count_on_ray, crossing_on_ray, ray_from
 from sdm.kernels.cull import Cell
 from sdm.kernels.descent import OWN_ROOM, SCRATCH
 from sdm.kernels.gather import gather_on_rays
-from sdm.kernels.groups import APART, COVERED, FAR, GROUP, Groups, group_end, is_finite, numbered, read_box
+from sdm.kernels.groups import APART, COVERED, FAR, GROUP, NEXT_SIDE, Groups, group_end, point_or_middle, read_box
 from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
 from sdm.kernels.shortlist import keep_covering, own
-from sdm.kernels.tree import SCALE, Tree, node_box, to_lattice
+from sdm.kernels.tree import Tree, node_box, to_lattice
 from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.winding import Winding
 
@@ -30,7 +30,7 @@ UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
 _UNKNOWN, _OUTSIDE, _INSIDE = wp.constant(UNKNOWN), wp.constant(OUTSIDE), wp.constant(INSIDE)
 _GROUP = wp.constant(GROUP)
 _SCRATCH, _OWN_ROOM = wp.constant(SCRATCH), wp.constant(OWN_ROOM)
-_SCALE = wp.constant(SCALE)
+_NEXT_SIDE = wp.constant(NEXT_SIDE)
 
 
 @wp.func
@@ -83,10 +83,7 @@ def crossings_in_list(
     total = int(0)
     for k in range(kept):
         slot = scratch[own(room, k, lane, lanes)]
-        sign = covers(tree.lattice[3 * slot], tree.lattice[3 * slot + 1], tree.lattice[3 * slot + 2], q)
-        if sign != 0:
-            if (crossing_x(tree, slot, q) > p[0]) != back:
-                total = total + sign
+        total = total + crossing_on_ray(tree, slot, q, p[0], back)
     return wp.where(back, -total, total)
 
 
@@ -99,16 +96,14 @@ def _find_sides(
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
     groups: Groups,
-    next_group: wp.array(dtype=wp.int32),
     scratch: wp.array(dtype=wp.int32),
     sides: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
     room = (thread / lanes) * _SCRATCH
-    scale = tree.frame[_SCALE]
     low, high = node_box(tree, 1)
-    group = fetch_add_once(next_group, 0, 1, lane)
+    group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
     while group < groups.count:
         cell = read_box(groups, group)
         hint = groups.hints[group]
@@ -125,10 +120,8 @@ def _find_sides(
         while first < end:
             at = first + lane
             p = wp.vec3d(cell.centre)
-            if at < end and not apart:
-                point = points[numbered(order, at)]
-                if is_finite(point):
-                    p = scale * wp.vec3d(point)
+            if not apart:
+                p = point_or_middle(tree, points, order, at, end, cell)
             side = _UNKNOWN
             if found >= 0:
                 total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
@@ -140,7 +133,7 @@ def _find_sides(
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(next_group, 0, 1, lane)
+        group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
 
 
 def find_sides(
@@ -149,7 +142,6 @@ def find_sides(
     points: wp.array,
     order: wp.array,
     groups: Groups,
-    next_group: wp.array,
     scratch: wp.array,
     sides: wp.array,
     workers: int,
@@ -158,7 +150,7 @@ def find_sides(
 ) -> None:
     """Fill `sides` (N,), in their order, with INSIDE, OUTSIDE or UNKNOWN for each of points (N,).
 
-    `workers` groups of lanes are at work; `next_group` (1,) must be zero; `scratch` has room for workers * SCRATCH.
+    `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, winding, points, order, groups, next_group, scratch, sides]
+    inputs = [lanes, tree, winding, points, order, groups, scratch, sides]
     launch(_find_sides, workers * lanes, inputs, points.device, smallest=1)

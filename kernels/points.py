@@ -16,12 +16,11 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.closest import nearest_slot
+from sdm.kernels.closest import exact_hit, nearest_slot
 from sdm.kernels.cones import Cones
 from sdm.kernels.curve import POINT_BITS, curve_code
 from sdm.kernels.descent import SCRATCH
-from sdm.kernels.geometry import closest_point
-from sdm.kernels.groups import COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
+from sdm.kernels.groups import COUNTS, COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
 from sdm.kernels.nearest_points import find_nearest
@@ -79,12 +78,7 @@ def answer(
 ):
     """Write what is asked of point i, whose nearest triangle is in a slot."""
     unscale = tree.frame[_UNSCALE]
-    hit = closest_point(
-        tree.frame[_SCALE] * wp.vec3d(point),
-        wp.vec3d(tree.corners[4 * slot]),
-        wp.vec3d(tree.corners[4 * slot + 1]),
-        wp.vec3d(tree.corners[4 * slot + 2]),
-    )
+    hit = exact_hit(tree, slot, tree.frame[_SCALE] * wp.vec3d(point))
     distance = float(wp.sqrt(hit.distance2) * unscale)
     values[i] = wp.where(inside, -distance, distance)
     if hits.wanted != 0:
@@ -224,18 +218,17 @@ def query_points(
     groups.hints = empty(groups.count, wp.int32)
     workers = min(gpu_workers(GPU_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
     scratch = empty(workers * SCRATCH, wp.int32)
-    counts = empty(3, wp.int32)
-    counts.zero_()
-    look_around(tree, winding, points, order, groups, counts[:1], scratch, workers, lanes, launch)
+    groups.counts = empty(COUNTS, wp.int32)
+    groups.counts.zero_()
+    look_around(tree, winding, points, order, groups, scratch, workers, lanes, launch)
     slots = empty(count if lists else 0, wp.int32)
     sides = empty(count if lists else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
     if lists:
-        of_all = tree, parts.balls, cones, points, order, groups
-        find_nearest(*of_all, counts[1:2], scratch, slots, workers, lanes, launch)
-        find_sides(tree, winding, points, order, groups, counts[2:], scratch, sides, workers, lanes, launch)
+        find_nearest(tree, parts.balls, cones, points, order, groups, scratch, slots, workers, lanes, launch)
+        find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes, launch)
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
     length = 1 if device.is_cuda else CPU_RUN
     inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]

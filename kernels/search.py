@@ -6,8 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.closest import nearest_slot
-from sdm.kernels.geometry import closest_point
+from sdm.kernels.closest import exact_hit, nearest_slot
 from sdm.kernels.grid import Output, Slab, index_of, unravel, voxel, write_distance
 from sdm.kernels.lanes import fetch_add
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
@@ -29,12 +28,7 @@ def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
     """Distance of a point from a mesh, and the slot of the triangle nearest to it."""
     scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
     slot = nearest_slot(tree, mesh, float(scale) * point, guess)
-    hit = closest_point(
-        scale * wp.vec3d(point),
-        wp.vec3d(tree.corners[4 * slot]),
-        wp.vec3d(tree.corners[4 * slot + 1]),
-        wp.vec3d(tree.corners[4 * slot + 2]),
-    )
+    hit = exact_hit(tree, slot, scale * wp.vec3d(point))
     return float(wp.sqrt(hit.distance2) * tree.frame[mesh * _FRAME_SIZE + _UNSCALE]), slot
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import moved_square, room_at, slot_part
+from sdm.kernels.crossings import lattice_box
 from sdm.kernels.descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
 from sdm.kernels.lanes import from_lane, int_from_lane, load4
 from sdm.kernels.tree import Tree
@@ -168,11 +169,7 @@ def keep_covering(
         high = wp.vec2i(0, 0)
         if first + lane < found:
             slot = scratch[at + _FOUND + first + lane]
-            a = tree.lattice[3 * slot]
-            b = tree.lattice[3 * slot + 1]
-            c = tree.lattice[3 * slot + 2]
-            low = wp.min(a, wp.min(b, c))
-            high = wp.max(a, wp.max(b, c))
+            low, high = lattice_box(tree, slot)
         for k in range(wp.min(lanes, found - first)):
             # Each of these for all lanes: an `and` would leave some of them out.
             low_y = int_from_lane(low[0], k)
