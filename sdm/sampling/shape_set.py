@@ -84,6 +84,7 @@ class ShapeSet:
         bounds = torch.cat([areas.new_zeros(1), areas])[ends]
         self._last_face = ends[1:] - 1
         self._areas, self._area_before, self._area_size = areas, bounds[:-1].contiguous(), bounds.diff()
+        self._scene = self._as_scene()
 
     def __len__(self) -> int:
         return len(self.names)
@@ -117,7 +118,7 @@ class ShapeSet:
         chosen = shapes.to(torch.int64).contiguous()
         with on_current_stream(in_scene, chosen):
             draw(
-                self._scene(),
+                self._scene,
                 law,
                 seed & (2**64 - 1),
                 step * len(self),
@@ -129,8 +130,8 @@ class ShapeSet:
             )
         return Samples(own, self._index.signed_distance(in_scene))
 
-    def _scene(self) -> Any:
-        """The kernels' view of the shapes."""
+    def _as_scene(self) -> Any:
+        """The kernels' view of the shapes, whose memory stays this object's."""
         scene = Scene()
         scene.places = as_warp(self._places, wp.vec3)
         scene.corners = as_warp(self._corners, wp.vec3)

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from sdm.errors import SDMError
 from sdm.losses import clipped_sdf
+from sdm.memory import to_device
 from sdm.segmentation.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.case import Case, standardized
 from sdm.segmentation.methods import Map
@@ -104,7 +105,7 @@ class Patches:
 
     def _there(self, values: Tensor) -> Tensor:
         """Small numbers of the host on the device, without waiting for what is under way there."""
-        return values.to(torch.float32).to(self.device, non_blocking=True)
+        return to_device(values.to(torch.float32), self.device)
 
     def _frame(self, d: Draw) -> Tensor:
         """(3,4): where in the case the patch is, in the terms of `affine_grid`."""
