@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False})
 # 64 of one batch; leaves, of which at most 7 wait for the 64 of one batch; the triangles found, at most MOST and the 32
 # of one batch; of these each lane's own, and of its own those that tie, with their squared distances (`shortlist`).
 LEAVES, FOUND = 1024, 1152
-MOST, OWN_ROOM, TIES_ROOM = 6144, 256, 32
+MOST, OWN_ROOM, TIES_ROOM = 6144, 128, 32
 OWN = FOUND + MOST + 128
 TIES = OWN + OWN_ROOM * GPU_LANES
 SQUARES = TIES + TIES_ROOM * GPU_LANES

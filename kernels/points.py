@@ -11,7 +11,7 @@ wide that their lists are too long, and with those near an open mesh's holes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import warp as wp
@@ -54,15 +54,20 @@ def _point_keys(
     begin: int,
     points: wp.array(dtype=wp.vec3),
     tree: Tree,
+    corner: wp.vec3,
+    edge: float,
     keys: wp.array(dtype=wp.int64),
     order: wp.array(dtype=wp.int32),
 ):
     i = begin + wp.tid()
-    p = float(tree.frame[_SCALE]) * points[i]
-    # Twice the mesh's box: most points that people ask for are inside it.
-    low, high = node_box(tree, 1)
-    middle = 0.5 * (low + high)
-    keys[i] = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
+    if edge > 0.0:
+        keys[i] = curve_code(points[i], corner, corner + wp.vec3(edge, edge, edge), POINT_BITS)
+    else:
+        p = float(tree.frame[_SCALE]) * points[i]
+        # Twice the mesh's box: most points that people ask for are inside it.
+        low, high = node_box(tree, 1)
+        middle = 0.5 * (low + high)
+        keys[i] = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
     order[i] = i
 
 
@@ -162,8 +167,10 @@ def _winding(
         values[i] = winding_at(tree, winding, 0, tree.frame[_SCALE] * wp.vec3d(points[i]))
 
 
-def sort_points(points: wp.array, tree: Tree, keys: wp.array, order: wp.array, launch: Any) -> None:
-    """Fill `order` with the points' order along a curve through the tree's box.
+def sort_points(
+    points: wp.array, tree: Tree, keys: wp.array, order: wp.array, launch: Any, cube: Sequence[float] | None = None
+) -> None:
+    """Fill `order` with the points' order along a curve through the tree's box, or through a cube.
 
     Args:
         points: (N,) vec3.
@@ -171,9 +178,11 @@ def sort_points(points: wp.array, tree: Tree, keys: wp.array, order: wp.array, l
         keys: (2N,) int64, scratch.
         order: (2N,) int32, filled: the first N are the order.
         launch: `sdm.kernels.launch.launch`.
+        cube: The least x, y and z, and the edge. The curve takes each eighth of it as a whole, each eighth of that, ...
     """
     count = points.shape[0]
-    launch(_point_keys, count, [points, tree, keys, order], points.device)
+    *corner, edge = cube or (0.0, 0.0, 0.0, 0.0)
+    launch(_point_keys, count, [points, tree, wp.vec3(*corner), edge, keys, order], points.device)
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=3 * POINT_BITS)
 
 

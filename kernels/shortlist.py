@@ -11,7 +11,7 @@ import warp as wp
 from sdm.kernels.closest import moved_square, room_at, slot_part
 from sdm.kernels.crossings import lattice_box
 from sdm.kernels.descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
-from sdm.kernels.lanes import from_lane, int_from_lane, load4
+from sdm.kernels.lanes import ballot, from_lane, int_from_lane, load4
 from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -56,40 +56,44 @@ def nearest_middle(
     return scratch[at + _FOUND + place]
 
 
+@wp.struct
+class Ties:
+    """A lane's triangles that float32 cannot tell from the nearest one so far."""
+
+    count: wp.int32  # TIES_ROOM of them are kept
+    best2: float  # squared distance of the nearest
+    out2: float  # beyond which a triangle cannot be the nearest
+
+
 @wp.func
-def keep_near(
-    balls: wp.array(dtype=wp.float32),
+def measure_kept(
+    tree: Tree,
     p: wp.vec3,
-    bound: float,
+    room: float,
+    ties: Ties,
     scratch: wp.array(dtype=wp.int32),
     at: int,
-    found: int,
+    kept: int,
     lane: int,
     lanes: int,
 ):
-    """Keep for the lane those triangles found for its group whose balls are within `bound` of its point p (scaled).
-
-    Returns how many there are; OWN_ROOM of them are kept.
-    """
-    kept = int(0)
-    first = int(0)
-    while first < found:
-        ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        slot = int(0)
-        if first + lane < found:
-            slot = scratch[at + _FOUND + first + lane]
-            ball = load4(balls, slot)
-        for k in range(wp.min(lanes, found - first)):
-            d = p - wp.vec3(from_lane(ball[0], k), from_lane(ball[1], k), from_lane(ball[2], k))
-            reach = bound + from_lane(ball[3], k)
-            other = int_from_lane(slot, k)
-            # Not the opposite test: what is no number is kept.
-            if not wp.dot(d, d) > reach * reach:
-                if kept < _OWN_ROOM:
-                    scratch[own(at, kept, lane, lanes)] = other
-                kept = kept + 1
-        first = first + lanes
-    return kept
+    """Measure the lane's own `kept` triangles from its point p (scaled), and add those that tie."""
+    for k in range(kept):
+        slot = scratch[own(at, k, lane, lanes)]
+        d2, part = slot_part(tree, slot, p)
+        if d2 <= ties.out2:
+            if d2 < ties.best2:
+                ties.out2 = moved_square(d2, room)
+                if ties.best2 > ties.out2:
+                    # All those before are out.
+                    ties.count = 0
+                ties.best2 = d2
+            if ties.count < _TIES_ROOM:
+                place = at + _TIES + ties.count * lanes + lane
+                scratch[place] = 4 * slot + part
+                scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
+            ties.count = ties.count + 1
+    return ties
 
 
 @wp.func
@@ -109,39 +113,40 @@ def keep_nearest(
     there was no room for all.
     """
     room = room_at(p)
-    best2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
+    ties = Ties()
+    d2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
+    ties.best2 = d2
+    ties.out2 = moved_square(d2, room)
     # Its distance bounds that of the nearest from above.
-    count = keep_near(balls, p, wp.sqrt(best2) + 4.0 * room, scratch, at, found, lane, lanes)
-    first = own(at, 0, lane, lanes)
-    step = int(lanes)
-    if count > _OWN_ROOM:
-        # All of the group's then.
-        first = at + _FOUND
-        step = 1
-        count = found
-    out2 = moved_square(best2, room)
-    ties = int(0)
-    for k in range(count):
-        slot = scratch[first + k * step]
-        d2, part = slot_part(tree, slot, p)
-        if d2 <= out2:
-            if d2 < best2:
-                out2 = moved_square(d2, room)
-                if best2 > out2:
-                    # All those before are out.
-                    ties = 0
-                best2 = d2
-            if ties < _TIES_ROOM:
-                place = at + _TIES + ties * lanes + lane
-                scratch[place] = 4 * slot + part
-                scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
-            ties = ties + 1
-    if ties > _TIES_ROOM:
+    bound = wp.sqrt(ties.best2) + 4.0 * room
+    kept = int(0)
+    first = int(0)
+    while first < found:
+        ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        slot = int(0)
+        if first + lane < found:
+            slot = scratch[at + _FOUND + first + lane]
+            ball = load4(balls, slot)
+        for k in range(wp.min(lanes, found - first)):
+            d = p - wp.vec3(from_lane(ball[0], k), from_lane(ball[1], k), from_lane(ball[2], k))
+            reach = bound + from_lane(ball[3], k)
+            other = int_from_lane(slot, k)
+            # Not the opposite test: what is no number is kept.
+            if not wp.dot(d, d) > reach * reach:
+                scratch[own(at, kept, lane, lanes)] = other
+                kept = kept + 1
+        first = first + lanes
+        # Before any lane's column is full, and at the end.
+        if ballot(kept > _OWN_ROOM - lanes) != wp.uint32(0) or first >= found:
+            ties = measure_kept(tree, p, room, ties, scratch, at, kept, lane, lanes)
+            bound = wp.sqrt(ties.best2) + 4.0 * room
+            kept = 0
+    if ties.count > _TIES_ROOM:
         return 0
     left = int(0)
-    for k in range(ties):
+    for k in range(ties.count):
         place = at + _TIES + k * lanes + lane
-        if wp.cast(scratch[place + _TO_SQUARE], wp.float32) <= out2:
+        if wp.cast(scratch[place + _TO_SQUARE], wp.float32) <= ties.out2:
             scratch[at + _TIES + left * lanes + lane] = scratch[place]
             left = left + 1
     return left

@@ -36,7 +36,15 @@ SMALLEST_SORT = 1 << 12
 BACKWARD_CHUNK = 1 << 22
 
 
-def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], kind: int, hits: bool) -> list[Tensor]:
+def _query(
+    vertices: Tensor,
+    faces: Tensor,
+    at: Tensor,
+    tensors: list[Tensor],
+    kind: int,
+    hits: bool,
+    cube: Sequence[float] | None = None,
+) -> list[Tensor]:
     if not tensors:
         tensors, kind = build(vertices[None], faces)
     count = at.shape[0]
@@ -52,7 +60,7 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
-            sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch)
+            sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch, cube)
         room = None
         if hits:
             room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
@@ -73,13 +81,30 @@ def _query(vertices: Tensor, faces: Tensor, at: Tensor, tensors: list[Tensor], k
 
 
 @torch.library.custom_op("sdm::distance", mutates_args=())
-def distance(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
-    """Signed distance (N,) of points (N,3) from a mesh; no gradients (see `closest`)."""
-    return _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=False)[0]
+def distance(
+    vertices: Tensor,
+    faces: Tensor,
+    points: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    cube: Sequence[float] | None = None,
+) -> Tensor:
+    """Signed distance (N,) of points (N,3) from a mesh; no gradients (see `closest`).
+
+    The points are gone through along a curve in a `cube` (least x, y and z, edge), by default twice the mesh's box.
+    """
+    return _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=False, cube=cube)[0]
 
 
 @distance.register_fake
-def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+def _(
+    vertices: Tensor,
+    faces: Tensor,
+    points: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    cube: Sequence[float] | None = None,
+) -> Tensor:
     return points.new_empty(points.shape[0])
 
 

@@ -62,7 +62,8 @@ class ShapeSet:
         self.distribution = distribution or SampleDistribution()
         self.names = tuple(m.name for m in meshes)
         self.spheres = tuple(UnitSphere.of(m) for m in meshes) if spheres is None else tuple(spheres)
-        self._places = _places(len(meshes)).to(self.device)
+        places = _places(len(meshes))
+        self._places, self._cube = places.to(self.device), _cube_around(places)
         vertices, faces, count = [], [], 0
         for mesh, sphere, place in zip(meshes, self.spheres, self._places, strict=True):
             unit = sphere.to_unit(mesh.vertices.detach().to(self.device))
@@ -128,7 +129,8 @@ class ShapeSet:
                 as_warp(own.view(-1, 3), wp.vec3),
                 launch,
             )
-        return Samples(own, self._index.signed_distance(in_scene))
+        values = self._index.distances_in(self._cube, in_scene.view(-1, 3))
+        return Samples(own, values.view(own.shape[:2]))
 
     def _as_scene(self) -> Any:
         """The kernels' view of the shapes, whose memory stays this object's."""
@@ -167,3 +169,14 @@ def _places(count: int) -> Tensor:
     z = column * STEP + layer // 2 % 2 * (STEP / 2)
     middle = math.floor(side / 2) * STEP
     return torch.stack([layer * STEP, y, z], 1).float() - middle
+
+
+def _cube_around(places: Tensor) -> list[float]:
+    """The least x, y and z and the edge of a cube around all samples.
+
+    Halved again and again it has one shape's samples in each part: centres are half a STEP apart or more along each
+    axis that tells them apart, and samples reach no further than half of that.
+    """
+    low = places.amin(0) - REACH
+    cells = (float((places.amax(0) + REACH - low).max())) / (STEP / 2)
+    return [*low.tolist(), STEP / 2 * 2.0 ** max(0, math.ceil(math.log2(cells)))]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 import trimesh
 
 from sdm import MeshError, TriangleMesh, signed_distance
 from sdm.sampling import SampleDistribution, ShapeSet, UnitSphere, surface_points
+from sdm.sampling.shape_set import REACH, STEP, _cube_around, _places
 from sdm.shapes import Cochlea
 from sdm.shapes.sampling import uniform
 
@@ -28,7 +31,7 @@ def test_values_are_the_engines_for_every_shape_of_a_large_set(device: str) -> N
     every = torch.arange(len(shapes), device=device)
     points, values = shapes.sample(every, 200)
     for shape in range(0, 65, 4):
-        alone = signed_distance(shapes.mesh(shape), points[shape])
+        alone = signed_distance(shapes.mesh(shape), points[shape], device=device)
         assert torch.allclose(values[shape], alone, atol=1e-7, rtol=2e-7)
 
 
@@ -38,7 +41,20 @@ def test_points_at_the_reach_are_measured_to_their_own_shape() -> None:
     every = torch.arange(len(shapes))
     values = shapes.signed_distance(every, corners.expand(len(shapes), 8, 3))
     for shape in range(len(shapes)):
-        assert torch.allclose(values[shape], signed_distance(shapes.mesh(shape), corners), atol=1e-5)
+        assert torch.allclose(values[shape], signed_distance(shapes.mesh(shape), corners, device="cpu"), atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 65, 500])
+def test_each_shape_is_alone_in_its_part_of_the_cube(count: int) -> None:
+    places = _places(count)
+    *low, edge = _cube_around(places)
+    parts = edge / (STEP / 2)
+    assert parts == 2 ** round(math.log2(parts))
+    corners = places[:, None] + 0.999 * REACH * torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3)
+    part = ((corners - torch.tensor(low)) / (STEP / 2)).floor()
+    assert (part == part[:, :1]).all()
+    assert part.min() >= 0 and part.max() < parts
+    assert len({tuple(each) for each in part[:, 0].tolist()}) == count
 
 
 def test_points_that_another_shape_could_be_nearer_to_have_no_value() -> None:
