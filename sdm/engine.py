@@ -102,7 +102,7 @@ class MeshIndex:
         Args:
             cube: Its least x, y and z, and its edge. Points are gone through in groups of neighbours: those of one
                 eighth of the cube (of one eighth of that, ...) follow each other. For points in clusters that a
-                division by eights keeps apart, this is faster than groups in the mesh's box, which may hold two of them.
+                division by eights keeps apart, this is faster than in the mesh's box: no group has points of two.
             points: Anywhere; the values are those of `signed_distance` wherever they are.
         """
         mesh = self.mesh

@@ -53,7 +53,8 @@ def test_each_shape_is_alone_in_its_part_of_the_cube(count: int) -> None:
     corners = places[:, None] + 0.999 * REACH * torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3)
     part = ((corners - torch.tensor(low)) / (STEP / 2)).floor()
     assert (part == part[:, :1]).all()
-    assert part.min() >= 0 and part.max() < parts
+    assert part.min() >= 0
+    assert part.max() < parts
     assert len({tuple(each) for each in part[:, 0].tolist()}) == count
 
 
