@@ -101,6 +101,7 @@ class ShapeBatches:
     def __init__(self, source: list[Shape], target: str | None) -> None:
         self.device = source[0].image.device
         self.spacing = (1.0, 1.0, 1.0)
+        self.position = False
         self._images = torch.stack([s.image for s in source])
         self._labels = torch.stack([s.label for s in source])
         self._maps = None if target is None else clipped_sdf(torch.stack([s.targets[target] for s in source]))

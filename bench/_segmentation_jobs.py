@@ -102,7 +102,7 @@ def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float
 
 def write_log(path: Path, log: dict[str, Any]) -> None:
     """Small JSON: numbers of five digits, infinities as words, whole or not at all."""
-    put(path, json.dumps(_short(log), indent=1, allow_nan=False) + "\n")
+    put(path, json.dumps(short(log), indent=1, allow_nan=False) + "\n")
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
@@ -114,11 +114,12 @@ def _log(logs: Path, job: Job) -> Path:
     return logs / f"{job['name']}.json"
 
 
-def _short(value: Any) -> Any:
+def short(value: Any) -> Any:
+    """As a log holds it."""
     if isinstance(value, dict):
-        return {key: _short(item) for key, item in value.items()}
+        return {key: short(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_short(item) for item in value]
+        return [short(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.5g}") if math.isfinite(value) else str(value)
     return value

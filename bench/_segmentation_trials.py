@@ -48,6 +48,8 @@ def differs(log: Mapping[str, Any], main: Mapping[str, Any]) -> str:
 def words(key: str, value: Any) -> str:
     if key == "mirrors" and not value:
         return "not mirrored"
+    if key == "position":
+        return "told positions" if value else "not told positions"
     return WORDS.get(key, "{}").format(value)
 
 

@@ -28,7 +28,8 @@ import torch
 
 from bench._machine import describe
 from bench._segmentation_fit import fitted_steps, known_steps, shared
-from bench._segmentation_jobs import Job, devices, read_logs, run_jobs
+from bench._segmentation_jobs import Job, devices, read_logs, run_jobs, short
+from bench._segmentation_trials import settings_of
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
     MA_ROWS,
@@ -63,7 +64,9 @@ def main() -> None:
         euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
     if options.fit:
         options.steps = known_steps(options.logs) or fit(options, on)
-    run_jobs(jobs(options), work, options.logs, options.work, budget_s=options.budget_s, on=on)
+    listed = jobs(options)
+    refuse_others(listed, options.logs)
+    run_jobs(listed, work, options.logs, options.work, budget_s=options.budget_s, on=on)
     print(table_of(options.logs, options.parts))
 
 
@@ -79,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
     parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--steps", type=int, default=1600)
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
     parser.add_argument("--batch", type=int, default=4)
@@ -95,6 +98,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--window", type=int, nargs=3, default=None, help="of the prediction; default a patch")
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
     parser.add_argument("--mirrors", default="xyz", help="axes: mirror images to train on and to average over")
+    parser.add_argument("--position", action="store_true", help="tell the network where voxels are in their volume")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
@@ -121,6 +125,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                 filters=options.filters,
                 dropout=options.dropout,
                 last_dropout=options.last_dropout,
+                position=options.position,
                 seed=seed,
             )
             found.append(
@@ -138,12 +143,23 @@ def jobs(options: argparse.Namespace) -> list[Job]:
     return found
 
 
+def refuse_others(listed: list[Job], logs: Path) -> None:
+    """A log of another protocol must not pass for a training of this one."""
+    known = {log["job"]["name"]: settings_of(log) for log in read_logs(logs)} if logs.is_dir() else {}
+    for job in listed:
+        own = short(job["settings"])
+        if known.get(job["name"], own) != own:
+            raise SystemExit(
+                f"{logs / job['name']}.json is of a training with other settings: choose another folder with --logs"
+            )
+
+
 def fit(options: argparse.Namespace, on: list[str]) -> int:
     """Steps that let all jobs end within the budget, from a measurement on the first device."""
     cases = read_cases(options.data, "train")[:4]
     begin = time.monotonic()
     settings = Settings.of_record(jobs(options)[0]["settings"])
-    patches = Patches(cases, "normalized", settings.patch, on[0])
+    patches = Patches(cases, "normalized", settings.patch, on[0], position=settings.position)
     torch.backends.cudnn.benchmark = True
 
     def measure(steps: int) -> float:
@@ -177,6 +193,7 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
         device,
         per_patch=settings.targets == "patch",
         mirrors=settings.mirrors,
+        position=settings.position,
     )
     training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
     if training.step < settings.steps:

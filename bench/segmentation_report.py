@@ -92,10 +92,11 @@ def protocol(logs: list[dict[str, Any]]) -> str:
     mirrors = (
         f", mirrored along {'xyz' if axes is True else axes}, prediction the mean over mirror images" if axes else ""
     )
+    told = ", told positions" if settings.get("position") else ""
     return (
         f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
-        f"{settings['targets']}{mirrors}; median training {seconds:.0f} s on {', '.join(machines)}."
+        f"{settings['targets']}{told}{mirrors}; median training {seconds:.0f} s on {', '.join(machines)}."
     )
 
 

@@ -27,6 +27,7 @@ def segmentation(
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
     last_dropout: float = 0.0,
+    position: bool = False,
     spacing: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: as most cases)")
     ] = None,
@@ -62,6 +63,7 @@ def segmentation(
         filters: Channels of the finest level.
         dropout: Probability with which channels of the coarsest level are dropped.
         last_dropout: The same of the last level; 0.5 in Ma's public code.
+        position: Tell the network where each voxel is in its volume. For volumes that show the same part of the body.
         spacing: Voxel size in mm that every case must have, within 5 percent.
         seed: Whole number that everything random depends on.
         budget_s: Seconds of training at most; what is unfinished then goes on with --resume.
@@ -103,6 +105,7 @@ def segmentation(
         filters=filters,
         dropout=dropout,
         last_dropout=last_dropout,
+        position=position,
         seed=seed,
     )
     where = choose_device(device)
@@ -116,7 +119,15 @@ def segmentation(
     checkpoint = out / "checkpoint.pt"
     if not resume:
         checkpoint.unlink(missing_ok=True)
-    patches = Patches(cases, METHODS[method].map, patch, where, per_patch=targets == "patch", mirrors=mirrors)
+    patches = Patches(
+        cases,
+        METHODS[method].map,
+        patch,
+        where,
+        per_patch=targets == "patch",
+        mirrors=mirrors,
+        position=position,
+    )
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:
         training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=compile, progress=meter)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from sdm.losses import probability_from_sdf
 from sdm.segmentation.methods import Method
+from sdm.segmentation.position import CHANNELS
 from sdm.segmentation.unet import UNetDecoder, UNetEncoder
 from sdm.segmentation.vnet import VNetDecoder, VNetEncoder
 
@@ -17,7 +18,7 @@ NETWORKS = {"vnet": (VNetEncoder, VNetDecoder, 16), "unet": (UNetEncoder, UNetDe
 
 
 class SegmentationModel(nn.Module):
-    """From images (B,1,x,y,z) to the main output and, for some methods, a distance map.
+    """From images (B,1,x,y,z), with positions (B,4,x,y,z), to the main output and, for some methods, a distance map.
 
     The reconstruction branch is a decoder of its own from the coarsest level, without skips, so that the map has to
     be found in the code that both share. In Ma's published code the branch shares the decoder, which is a head.
@@ -28,6 +29,7 @@ class SegmentationModel(nn.Module):
         filters: Channels of the finest level; the paper's if not given (16 and 64).
         dropout: Of the coarsest level; the paper's if not given (0.5 and 0.05).
         last_dropout: Of what the main output, and a head's, is made of.
+        position: Whether three more channels say where each voxel is in its volume: see `positions`.
     """
 
     def __init__(
@@ -38,12 +40,14 @@ class SegmentationModel(nn.Module):
         filters: int | None = None,
         dropout: float | None = None,
         last_dropout: float = 0.0,
+        position: bool = False,
     ) -> None:
         super().__init__()
         encoder, decoder, self.multiple = NETWORKS[architecture]
         width = {} if filters is None else {"filters": filters}
-        self.method = method
-        self.encoder = encoder(**width, **({} if dropout is None else {"dropout": dropout}))
+        self.method, self.position = method, position
+        inputs = 1 + CHANNELS if position else 1
+        self.encoder = encoder(**width, **({} if dropout is None else {"dropout": dropout}), inputs=inputs)
         self.decoder = decoder(**width, dropout=last_dropout)
         self.branch = decoder(**width, skips=False) if method.auxiliary == "branch" else None
         self.main = nn.Conv3d(self.decoder.channels, 1, 1)

@@ -15,6 +15,7 @@ from sdm.memory import to_device
 from sdm.segmentation.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.case import Case, standardized
 from sdm.segmentation.methods import Map
+from sdm.segmentation.position import position_frame, positions
 from sdm.segmentation.targets import CLIP_VOXELS, distance_map
 
 Triple = tuple[int, int, int]
@@ -25,7 +26,7 @@ GRAIN = (0.75**2 + 0.25**2) ** 1.5
 
 @dataclass(frozen=True)
 class Patch:
-    """A batch on the device: image and map (B,1,x,y,z) float32, label (B,1,x,y,z) bool."""
+    """A batch on the device: image (B,1,x,y,z), with positions (B,4,x,y,z), and map (B,1,x,y,z) float32, label bool."""
 
     image: Tensor
     label: Tensor
@@ -45,6 +46,7 @@ class Patches:
         device: Where the cases are kept and the batches are made.
         per_patch: See above.
         mirrors: Along which axes patches may be mirrored: see `augment.draw`.
+        position: Give the image three more channels: where in its case each voxel comes from, see `positions`.
     """
 
     def __init__(
@@ -56,12 +58,14 @@ class Patches:
         *,
         per_patch: bool = False,
         mirrors: str = "xyz",
+        position: bool = False,
     ) -> None:
         self.kind: Map | None = kind
         self.size, self.device, self.per_patch = size, torch.device(device), per_patch
-        self.mirrors = mirrors
+        self.mirrors, self.position = mirrors, position
         self.spacing = cases[0].spacing
         self._cases = [self._stack(case) for case in cases]
+        self._shapes = [case.image.shape for case in cases]
 
     def _stack(self, case: Case) -> Tensor:
         if case.label is None:
@@ -85,11 +89,14 @@ class Patches:
     def batch(self, count: int, *, seed: int, step: int, augment: Augment = "affine") -> Patch:
         """A batch of `count` patches: a pure function of (seed, step), whatever came before."""
         draws = [draw(seed, step, row, len(self), augment, mirrors=self.mirrors) for row in range(count)]
-        frames = self._there(torch.stack([self._frame(d) for d in draws]))
+        places = [self._place(d) for d in draws]
+        frames = self._there(torch.stack([self._frame(d, *place) for d, place in zip(draws, places, strict=True)]))
         volumes = torch.cat([self._cut(d, frame) for d, frame in zip(draws, frames, strict=True)])
         image, label = volumes[:, :1], volumes[:, 1:2] > 0.5
         if augment in RANGES:
             image = self._intensities(image, draws, augment)
+        if self.position:
+            image = torch.cat([image, self._positions(draws, places)], 1)
         return Patch(image, label, self._map(volumes, label, draws))
 
     def _map(self, volumes: Tensor, label: Tensor, draws: Sequence[Draw]) -> Tensor | None:
@@ -107,20 +114,33 @@ class Patches:
         """Small numbers of the host on the device, without waiting for what is under way there."""
         return to_device(values.to(torch.float32), self.device)
 
-    def _frame(self, d: Draw) -> Tensor:
-        """(3,4): where in the case the patch is, in the terms of `affine_grid`."""
+    def _place(self, d: Draw) -> tuple[Tensor, Tensor]:
+        """Where in the padded case it is: (3,3) from offsets in its voxels to those of the case, and the centre."""
         shape = torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64)
         size = torch.tensor(self.size, dtype=torch.float64)
         # Whole voxels, so that a patch that is not turned is a copy.
-        corner = torch.floor(d.place * (shape - size + 1))
-        centre = corner + (size - 1) / 2
+        centre = torch.floor(d.place * (shape - size + 1)) + (size - 1) / 2
         spacing = torch.tensor(self.spacing, dtype=torch.float64)
-        # From offsets in voxels of the patch to those of the case; turns are rigid in mm, not in voxels.
-        matrix = d.scale * d.turn * spacing[None] / spacing[:, None]
-        normal = (2 / (shape - 1).clamp(min=1))[:, None] * matrix * ((size - 1) / 2)[None]
-        offset = 2 * centre / (shape - 1).clamp(min=1) - 1
+        # Turns are rigid in mm, not in voxels.
+        return d.scale * d.turn * spacing[None] / spacing[:, None], centre
+
+    def _frame(self, d: Draw, matrix: Tensor, centre: Tensor) -> Tensor:
+        """(3,4): the place in the terms of `affine_grid`."""
+        last = (torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64) - 1).clamp(min=1)
+        size = torch.tensor(self.size, dtype=torch.float64)
+        normal = (2 / last)[:, None] * matrix * ((size - 1) / 2)[None]
+        offset = 2 * centre / last - 1
         # affine_grid counts the axes from the last.
         return torch.cat([normal.flip(0, 1), offset.flip(0)[:, None]], 1)
+
+    def _positions(self, draws: Sequence[Draw], places: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+        """(B,3,x,y,z)."""
+        frames = []
+        for d, (matrix, centre) in zip(draws, places, strict=True):
+            shape = self._shapes[d.case]
+            pad = [(n - m) // 2 for n, m in zip(self._cases[d.case].shape[1:], shape, strict=True)]
+            frames.append(position_frame(matrix, centre - torch.tensor(pad), self.size, shape))
+        return positions(self._there(torch.stack(frames)), self.size)
 
     def _cut(self, d: Draw, frame: Tensor) -> Tensor:
         points = functional.affine_grid(frame[None], [1, 1, *self.size], align_corners=True)

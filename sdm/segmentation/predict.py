@@ -59,13 +59,15 @@ def predict(
         return torch.stack(seen).mean(0)
 
     with torch.inference_mode():
-        values = sliding_window(field, standardized(image.to(device)), window, stride=stride, batch=batch)
+        values = sliding_window(
+            field, standardized(image.to(device)), window, stride=stride, batch=batch, position=model.position
+        )
     label = values < 0
     return Prediction(largest_component(label) if largest else label, values)
 
 
 def _mirror_images(axes: str) -> list[tuple[int, ...]]:
-    """The dimensions of (B,1,x,y,z) that each mirror image turns round, none for the first."""
+    """The dimensions of (B,C,x,y,z) that each mirror image turns round, none for the first."""
     turned = [2 + "xyz".index(axis) for axis in sorted(set(axes))]
     return [chosen for count in range(len(turned) + 1) for chosen in itertools.combinations(turned, count)]
 

@@ -36,6 +36,8 @@ class Settings:
         filters: Of the network's finest level; None: the paper's.
         dropout: Of the coarsest level; None: the paper's.
         last_dropout: Of what the main output is made of: 0.5 in Ma's public code.
+        position: Whether the network is told where each voxel is in its volume: see `positions`. It relies on volumes
+            that show about the same part of the body.
         seed: Of weights, patches and dropout.
     """
 
@@ -55,6 +57,7 @@ class Settings:
     filters: int | None = None
     dropout: float | None = None
     last_dropout: float = 0.0
+    position: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -91,5 +94,5 @@ class Settings:
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Settings:
-        """The settings that `record` wrote."""
+        """The settings that `record` wrote; of what was no choice then, the default."""
         return cls(**{**record, "patch": tuple(record["patch"])})

@@ -10,6 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from sdm.errors import SDMError
+from sdm.memory import to_device
+from sdm.segmentation.position import position_frame, positions
 
 # Width of the weight of a window's voxels, as a share of the window.
 WIDTH = 0.25
@@ -22,6 +24,7 @@ def sliding_window(
     *,
     stride: Sequence[int] | None = None,
     batch: int = 4,
+    position: bool = False,
 ) -> Tensor:
     """The weighted mean of a network's output over overlapping windows.
 
@@ -29,11 +32,12 @@ def sliding_window(
     last window of an axis ends where the volume does. A volume smaller than the window is padded by its least value.
 
     Args:
-        field: From (B,1,*window) to (B,1,*window).
+        field: From (B,1,*window), with positions (B,4,*window), to (B,1,*window).
         image: (x,y,z), on the network's device.
         window: Voxels of a window along each axis.
         stride: Voxels between windows; half a window if not given. Ma's code: 18, 18, 4.
         batch: Windows at a time.
+        position: Give `field` three more channels: where each voxel is in the image.
 
     Returns:
         (x,y,z) float32.
@@ -52,14 +56,28 @@ def sliding_window(
     total = torch.zeros(padded.shape, device=image.device)
     weights = torch.zeros_like(total)
     places = list(itertools.product(*(_starts(n, w, s) for n, w, s in zip(padded.shape, window, step, strict=True))))
+    frames = to_device(_frames(places, window, shape, room), image.device) if position else None
     for first in range(0, len(places), batch):
         boxes = [tuple(slice(b, b + w) for b, w in zip(place, window, strict=True)) for place in places[first:][:batch]]
-        values = field(torch.stack([padded[box] for box in boxes])[:, None])[:, 0].float()
+        windows = torch.stack([padded[box] for box in boxes])[:, None]
+        if frames is not None:
+            windows = torch.cat([windows, positions(frames[first:][:batch], window)], 1)
+        values = field(windows)[:, 0].float()
         for box, value in zip(boxes, values, strict=True):
             total[box] += value * weight
             weights[box] += weight
     inner = tuple(slice(r // 2, r // 2 + n) for r, n in zip(room, shape, strict=True))
     return (total / weights)[inner]
+
+
+def _frames(
+    places: Sequence[Sequence[int]], window: Sequence[int], shape: Sequence[int], room: Sequence[int]
+) -> Tensor:
+    """(P,3,4): how positions run through each window."""
+    matrix = torch.eye(3, dtype=torch.float64)
+    middle = torch.tensor([(w - 1) / 2 - r // 2 for w, r in zip(window, room, strict=True)], dtype=torch.float64)
+    frames = [position_frame(matrix, torch.tensor(place) + middle, window, shape) for place in places]
+    return torch.stack(frames).to(torch.float32)
 
 
 def _starts(length: int, window: int, stride: int) -> list[int]:

@@ -54,7 +54,9 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
     if kind != FORMAT:
         raise FormatError(f"{path} is a file of the kind {kind!r}, not {FORMAT!r}")
     settings = Settings.of_record(state["settings"])
-    model = SegmentationModel(METHODS[settings.method], settings.architecture, filters=settings.filters)
+    model = SegmentationModel(
+        METHODS[settings.method], settings.architecture, filters=settings.filters, position=settings.position
+    )
     model.load_state_dict(state["weights"])
     x, y, z = state["spacing"]
     return TrainedModel(model.to(device).eval(), settings, (x, y, z))

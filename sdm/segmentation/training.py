@@ -34,6 +34,8 @@ class Source(Protocol):
 
     device: torch.device
     spacing: tuple[float, float, float]
+    # Whether images come with the positions of their voxels.
+    position: bool
 
     def batch(self, count: int, *, seed: int, step: int, augment: Augment) -> Patch:
         """A batch: a pure function of its arguments."""
@@ -71,7 +73,7 @@ def train(
     """Train a network, on the patches' device; bfloat16 on a GPU.
 
     Args:
-        patches: Of the training cases, with the map of the settings' method.
+        patches: Of the training cases, with the map of the settings' method, and positions if the settings say so.
         settings: What to do.
         checkpoint: File that keeps an unfinished training; if it is there, and of the same settings, it is continued.
             It is removed by none but the caller.
@@ -84,8 +86,12 @@ def train(
 
     Raises:
         FormatError: The checkpoint is of another training.
-        SDMError: The loss is not finite any more.
+        SDMError: The loss is not finite any more, or only one of patches and settings has positions.
     """
+    if patches.position != settings.position:
+        raise SDMError(
+            f"the settings have position={settings.position}, the patches {patches.position}: give both the same"
+        )
     device = patches.device
     method = METHODS[settings.method]
     with _own_random_numbers(device):
@@ -96,6 +102,7 @@ def train(
             filters=settings.filters,
             dropout=settings.dropout,
             last_dropout=settings.last_dropout,
+            position=settings.position,
         ).to(device)
         if device.type == "cuda":
             model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
@@ -201,10 +208,10 @@ def _restore(
 ) -> None:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        known = state["settings"]
+        known = Settings.of_record(state["settings"])
     except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise FormatError(f"{path} is not a checkpoint of a training: remove it to begin anew") from error
-    if known != settings.record():
+    if known != settings:
         raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")
     training.model.load_state_dict(state["model"])
     optimizer.load_state_dict(state["optimizer"])

@@ -27,6 +27,12 @@ def test_a_few_steps(method, architecture, tmp_path):
     assert found.field.isfinite().all()
 
 
+def test_positions_are_told():
+    settings = Settings(architecture="unet", patch=SIZE, batch=2, steps=4, filters=4, position=True)
+    training = train(Patches([case(0), case(1)], None, SIZE, "cuda", position=True), settings)
+    assert predict(training.model, case(2).image, SIZE, mirrors="x").field.isfinite().all()
+
+
 def test_it_learns():
     settings = Settings(method="baseline", architecture="unet", patch=SIZE, batch=4, steps=80, filters=8)
     training = train(Patches([case(0), case(1)], None, SIZE, "cuda"), settings)
@@ -38,7 +44,7 @@ def test_it_learns():
 
 @pytest.mark.parametrize("augment", ["none", "published", "affine", "strong", "scanner"])
 def test_batches_wait_for_nothing(augment):
-    patches = Patches([case(0), case(1)], "signed", SIZE, "cuda")
+    patches = Patches([case(0), case(1)], "signed", SIZE, "cuda", position=True)
     patches.batch(2, seed=0, step=0, augment=augment)
     torch.cuda.set_sync_debug_mode("error")
     try:
@@ -49,7 +55,7 @@ def test_batches_wait_for_nothing(augment):
 
 def test_batches_are_those_of_the_cpu():
     there, here = (
-        Patches([case(0), case(1)], "signed", SIZE, device).batch(3, seed=1, step=2, augment="published")
+        Patches([case(0), case(1)], "signed", SIZE, device, position=True).batch(3, seed=1, step=2, augment="published")
         for device in ("cuda", "cpu")
     )
     torch.testing.assert_close(there.image.cpu(), here.image, atol=1e-3, rtol=1e-3)

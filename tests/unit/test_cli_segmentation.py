@@ -124,6 +124,18 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert "failed, for one of the two labels is empty: case0" in said
 
 
+def test_networks_are_told_positions(trained, tmp_path, capsys):
+    data, images = str(trained / "data"), str(trained / "data" / "imagesTs")
+    words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    assert main([*words, "--position", "--budget-s", "0"]) == 0
+    capsys.readouterr()
+    assert "with other settings: remove it to begin anew" in refused([*words, "--resume"], capsys)
+    assert main([*words, "--position", "--resume"]) == 0
+    segment = ["segment", images, "--out", str(tmp_path / "out"), "--model", str(tmp_path / "model.pt")]
+    assert main([*segment, "--mirrors"]) == 0
+    assert (tmp_path / "out" / "case3.nii.gz").is_file()
+
+
 def test_mirror_images_are_those_of_the_training(trained, tmp_path, capsys):
     data, images = str(trained / "data"), str(trained / "data" / "imagesTs")
     words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]

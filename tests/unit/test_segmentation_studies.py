@@ -65,20 +65,37 @@ def test_rows_of_the_study_of_left_atria():
     assert all(p == protocols[0] for p in protocols)
 
 
-@pytest.mark.parametrize("method", ["baseline", "pwr"])
-def test_a_study_of_left_atria_in_small(tmp_path, method, capsys):
+@pytest.mark.parametrize(("method", "more"), [("baseline", []), ("pwr", ["--position", "--mirrors="])])
+def test_a_study_of_left_atria_in_small(tmp_path, method, more, capsys):
     for part, seed in (("train", 0), ("train", 1), ("val", 2)):
         write_hdf5(tmp_path / "la" / part / f"c{seed}.h5", *volume(seed))
     words = ["run", "--data", str(tmp_path / "la"), "--logs", str(tmp_path / "logs"), "--work", str(tmp_path / "w")]
     words += ["--steps", "2", "--patch", "16", "16", "16", "--batch", "2", "--filters", "2", "--seeds", "0"]
-    options = segmentation_ma.parser().parse_args([*words, "--methods", method])
+    options = segmentation_ma.parser().parse_args([*words, "--methods", method, *more])
     jobs = segmentation_ma.jobs(options)
     run_jobs(jobs, segmentation_ma.work, options.logs, options.work, budget_s=60.0, on=["cpu"])
     (log,) = read_logs(options.logs)
     assert set(log["largest"]) == {"c2"}
     assert f"| {method} (1) |" in segmentation_ma.table_of(options.logs, "largest")
     assert method in METHODS
+    assert log["job"]["settings"]["position"] == ("--position" in more)
     capsys.readouterr()
+
+
+def test_logs_of_another_protocol_do_not_pass_for_done(tmp_path):
+    ma_log(tmp_path, "baseline", 0, {"a": 0.9})
+    parse = segmentation_ma.parser().parse_args
+    words = ["run", "--steps", "2000", "--methods", "baseline", "--seeds"]
+    segmentation_ma.refuse_others(segmentation_ma.jobs(parse([*words, "0", "1"])), tmp_path)
+    segmentation_ma.refuse_others(segmentation_ma.jobs(parse([*words, "1", "--position"])), tmp_path)
+    with pytest.raises(SystemExit, match=r"baseline-0.json is of a training with other settings: choose another"):
+        segmentation_ma.refuse_others(segmentation_ma.jobs(parse([*words, "0", "--position"])), tmp_path)
+
+
+def test_the_page_s_command_goes_on_with_its_table():
+    segmentation_ma.refuse_others(
+        segmentation_ma.jobs(segmentation_ma.parser().parse_args(["run"])), segmentation_ma.LOGS
+    )
 
 
 def test_coarse_centres_lie_between_fine_voxels():
@@ -165,7 +182,10 @@ def test_work_is_told_the_deadline(tmp_path):
 
 
 def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float], **changes) -> None:
-    job = {"settings": segmentation_ma.Settings(method=method, seed=seed, **changes).record()}
+    job = {
+        "name": f"{method}-{seed}",
+        "settings": segmentation_ma.Settings(method=method, seed=seed, **changes).record(),
+    }
     cases = {
         name: {
             "dice": value,
@@ -213,7 +233,8 @@ def test_logs_of_before_a_choice_have_its_default(tmp_path):
     ma_log(tmp_path, "baseline", 0, {"a": 0.9})
     (log,) = read_logs(tmp_path)
     settings = log["job"]["settings"]
-    del settings["mirrors"], settings["average"]
+    del settings["mirrors"], settings["average"], settings["position"]
     assert differs(log, log) == "as in the table"
     other = {"job": {"settings": {**settings, "mirrors": "", "average": 0.1}}}
     assert differs(other, log) == "weights averaged over 0.1, not mirrored"
+    assert differs({"job": {"settings": {**settings, "position": True}}}, log) == "told positions"
