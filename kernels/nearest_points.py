@@ -14,8 +14,8 @@ from sdm.kernels.closest import exact_distance2
 from sdm.kernels.cones import Cones
 from sdm.kernels.descent import SCRATCH, TIES
 from sdm.kernels.gather import gather_near
-from sdm.kernels.groups import GROUP, NEXT_LIST, Groups, group_end, point_or_middle, read_box
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
+from sdm.kernels.groups import GROUP, NEXT_LIST, POINT_BLOCKS, Groups, group_end, point_or_middle, read_box
+from sdm.kernels.lanes import fetch_add_once, wait_for_lanes
 from sdm.kernels.shortlist import keep_nearest
 from sdm.kernels.tree import Tree
 from sdm.kernels.voxels import LARGEST_SQUARE
@@ -48,7 +48,7 @@ def nearest_of_ties(
     return nearest >> 2
 
 
-@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
 def _find_nearest(
     begin: int,
     lanes: int,

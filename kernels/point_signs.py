@@ -16,9 +16,20 @@ from sdm.kernels.crossings import count_on_ray, crossing_on_ray, ray_from
 from sdm.kernels.cull import Cell
 from sdm.kernels.descent import OWN_ROOM, SCRATCH
 from sdm.kernels.gather import gather_on_rays
-from sdm.kernels.groups import APART, COVERED, FAR, GROUP, NEXT_SIDE, Groups, group_end, point_or_middle, read_box
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
-from sdm.kernels.shortlist import keep_covering, own
+from sdm.kernels.groups import (
+    APART,
+    COVERED,
+    FAR,
+    GROUP,
+    NEXT_SIDE,
+    POINT_BLOCKS,
+    Groups,
+    group_end,
+    point_or_middle,
+    read_box,
+)
+from sdm.kernels.lanes import fetch_add_once, wait_for_lanes
+from sdm.kernels.shortlist import keep_covering, own_slot
 from sdm.kernels.tree import Tree, node_box, to_lattice
 from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.winding import Winding
@@ -82,12 +93,12 @@ def crossings_in_list(
         return count_on_ray(tree, 0, p, back)
     total = int(0)
     for k in range(kept):
-        slot = scratch[own(room, k, lane, lanes)]
+        slot = own_slot(scratch, room, k, lane, lanes)
         total = total + crossing_on_ray(tree, slot, q, p[0], back)
     return wp.where(back, -total, total)
 
 
-@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
 def _find_sides(
     begin: int,
     lanes: int,

@@ -20,8 +20,8 @@ from sdm.kernels.closest import exact_hit, nearest_slot
 from sdm.kernels.cones import Cones
 from sdm.kernels.curve import POINT_BITS, curve_code
 from sdm.kernels.descent import SCRATCH
-from sdm.kernels.groups import COUNTS, COVERED, FAR, GROUP, Groups, is_finite, look_around, numbered
-from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
+from sdm.kernels.groups import COUNTS, COVERED, FAR, GROUP, POINT_BLOCKS, Groups, is_finite, look_around, numbered
+from sdm.kernels.lanes import GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
 from sdm.kernels.nearest_points import find_nearest
 from sdm.kernels.parts import Parts
@@ -225,7 +225,7 @@ def query_points(
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
-    workers = min(gpu_workers(GPU_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
+    workers = min(gpu_workers(POINT_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
     scratch = empty(workers * SCRATCH, wp.int32)
     groups.counts = empty(COUNTS, wp.int32)
     groups.counts.zero_()

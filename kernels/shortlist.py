@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.board import board_of_group, nearest_shown, show, show_whole, shown_around, shown_within
 from sdm.kernels.closest import moved_square, room_at, slot_part
 from sdm.kernels.crossings import lattice_box
 from sdm.kernels.descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
-from sdm.kernels.lanes import ballot, from_lane, int_from_lane, load4
+from sdm.kernels.lanes import ballot, first_member, load4
 from sdm.kernels.tree import Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -24,8 +25,14 @@ _TO_SQUARE = wp.constant(SQUARES - TIES)
 
 @wp.func
 def own(at: int, k: int, lane: int, lanes: int):
-    """Where in the scratch the lane's own triangle number k is."""
+    """Where in the scratch the place of the lane's own triangle number k in its group's list is."""
     return at + _OWN + k * lanes + lane
+
+
+@wp.func
+def own_slot(scratch: wp.array(dtype=wp.int32), at: int, k: int, lane: int, lanes: int):
+    """The slot of the lane's own triangle number k."""
+    return scratch[at + _FOUND + scratch[own(at, k, lane, lanes)]]
 
 
 @wp.func
@@ -39,6 +46,7 @@ def nearest_middle(
     lanes: int,
 ):
     """Of the triangles found for a group, the slot of one whose ball's middle is nearest to the lane's point p."""
+    board = board_of_group()
     least2 = float(wp.inf)
     place = int(0)
     first = int(0)
@@ -46,12 +54,11 @@ def nearest_middle(
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if first + lane < found:
             ball = load4(balls, scratch[at + _FOUND + first + lane])
-        for k in range(wp.min(lanes, found - first)):
-            d = p - wp.vec3(from_lane(ball[0], k), from_lane(ball[1], k), from_lane(ball[2], k))
-            d2 = wp.dot(d, d)
-            if d2 < least2:
-                least2 = d2
-                place = first + k
+        show(board, ball, lane)
+        nearest = nearest_shown(board, wp.min(lanes, found - first), p, ball)
+        if nearest[0] < least2:
+            least2 = nearest[0]
+            place = first + int(nearest[1])
         first = first + lanes
     return scratch[at + _FOUND + place]
 
@@ -78,8 +85,14 @@ def measure_kept(
     lanes: int,
 ):
     """Measure the lane's own `kept` triangles from its point p (scaled), and add those that tie."""
+    upcoming = int(0)
+    if kept > 0:
+        upcoming = own_slot(scratch, at, 0, lane, lanes)
     for k in range(kept):
-        slot = scratch[own(at, k, lane, lanes)]
+        # The next one is looked up while this one is measured.
+        slot = upcoming
+        if k + 1 < kept:
+            upcoming = own_slot(scratch, at, k + 1, lane, lanes)
         d2, part = slot_part(tree, slot, p)
         if d2 <= ties.out2:
             if d2 < ties.best2:
@@ -112,6 +125,7 @@ def keep_nearest(
     Returns how many; each is four times its slot, and its nearest part as in `geometry.nearest_part`. None means that
     there was no room for all.
     """
+    board = board_of_group()
     room = room_at(p)
     ties = Ties()
     d2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
@@ -123,18 +137,15 @@ def keep_nearest(
     first = int(0)
     while first < found:
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        slot = int(0)
         if first + lane < found:
-            slot = scratch[at + _FOUND + first + lane]
-            ball = load4(balls, slot)
-        for k in range(wp.min(lanes, found - first)):
-            d = p - wp.vec3(from_lane(ball[0], k), from_lane(ball[1], k), from_lane(ball[2], k))
-            reach = bound + from_lane(ball[3], k)
-            other = int_from_lane(slot, k)
-            # Not the opposite test: what is no number is kept.
-            if not wp.dot(d, d) > reach * reach:
-                scratch[own(at, kept, lane, lanes)] = other
-                kept = kept + 1
+            ball = load4(balls, scratch[at + _FOUND + first + lane])
+        show(board, ball, lane)
+        near = shown_within(board, wp.min(lanes, found - first), p, bound, ball)
+        while near != wp.uint32(0):
+            k = first_member(near)
+            near = near & (near - wp.uint32(1))
+            scratch[own(at, kept, lane, lanes)] = first + k
+            kept = kept + 1
         first = first + lanes
         # Before any lane's column is full, and at the end.
         if ballot(kept > _OWN_ROOM - lanes) != wp.uint32(0) or first >= found:
@@ -166,25 +177,21 @@ def keep_covering(
 
     Returns how many there are; OWN_ROOM of them are kept.
     """
+    board = board_of_group()
     kept = int(0)
     first = int(0)
     while first < found:
-        slot = int(0)
-        low = wp.vec2i(0, 0)
-        high = wp.vec2i(0, 0)
+        box = wp.vec4i(0, 0, 0, 0)
         if first + lane < found:
-            slot = scratch[at + _FOUND + first + lane]
-            low, high = lattice_box(tree, slot)
-        for k in range(wp.min(lanes, found - first)):
-            # Each of these for all lanes: an `and` would leave some of them out.
-            low_y = int_from_lane(low[0], k)
-            high_y = int_from_lane(high[0], k)
-            low_z = int_from_lane(low[1], k)
-            high_z = int_from_lane(high[1], k)
-            other = int_from_lane(slot, k)
-            if q[0] >= low_y and q[0] <= high_y and q[1] >= low_z and q[1] <= high_z:
-                if kept < _OWN_ROOM:
-                    scratch[own(at, kept, lane, lanes)] = other
-                kept = kept + 1
+            low, high = lattice_box(tree, scratch[at + _FOUND + first + lane])
+            box = wp.vec4i(low[0], low[1], high[0], high[1])
+        show_whole(board, box, lane)
+        around = shown_around(board, wp.min(lanes, found - first), q, box)
+        while around != wp.uint32(0):
+            k = first_member(around)
+            around = around & (around - wp.uint32(1))
+            if kept < _OWN_ROOM:
+                scratch[own(at, kept, lane, lanes)] = first + k
+            kept = kept + 1
         first = first + lanes
     return kept
