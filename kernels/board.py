@@ -66,7 +66,7 @@ def show(board: wp.uint64, mine: wp.vec4, lane: int):
 """
 )
 def nearest_shown(board: wp.uint64, count: int, p: wp.vec3, mine: wp.vec4) -> wp.vec2:
-    """Of the first `count` balls (middle, radius) that are shown the least squared distance of a middle from p; whose."""
+    """Of `count` balls (middle, radius) that are shown: the least squared distance from p to a middle, and whose."""
     ...
 
 

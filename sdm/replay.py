@@ -56,10 +56,10 @@ def paused() -> Iterator[None]:
 
 
 def clear() -> None:
-    """Forget all recordings: torch may then use their memory for other tensors, or give it back."""
+    """Forget all recordings and counts: torch may then use their memory for other tensors, or give it back."""
     with _turn:
         for shelf in _shelves.values():
-            shelf.clear()
+            shelf.forget()
 
 
 def serves(tensor: Tensor) -> bool:

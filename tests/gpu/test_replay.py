@@ -20,16 +20,9 @@ GRID = sdm.Grid([-1.2] * 3, [0.08] * 3, [31] * 3)
 CALLS = replay.CALLS
 
 
-def _forget():
-    replay.clear()
-    for shelf in replay._shelves.values():
-        shelf._calls.clear()
-        shelf.needed = CALLS
-
-
 @pytest.fixture(autouse=True)
 def afresh():
-    _forget()
+    replay.clear()
     yield
     replay.clear()
 
@@ -151,7 +144,7 @@ def test_different_grids_and_methods(launches, monkeypatch):
     for method in ("cells", "search"):
         monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
         # Recordings that make room for others after a single use would make these wait for longer.
-        _forget()
+        replay.clear()
         for _ in range(CALLS + 1):
             for grid in grids:
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))

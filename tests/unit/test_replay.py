@@ -11,7 +11,7 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere
 from sdm import maps, replay, topology
-from sdm.shelf import MOST_CALLS, MOST_KINDS, WORTH, Shelf
+from sdm.shelf import MOST_CALLS, MOST_KINDS, WELL_WORTH, WORTH, Shelf
 
 INPUTS = (torch.zeros(1),)
 
@@ -70,12 +70,35 @@ def test_kinds_by_turns_are_not_recorded_again_and_again(shelf):
         for kind in range(20):
             if shelf.find(kind) is None:
                 shelf.note(kind, 1, INPUTS)
-    assert shelf.needed == MOST_CALLS
+    assert shelf.needed >= 16 * replay.CALLS
     # Without a limit it would be one for each three calls.
     assert len(made) < 20 * 10
-    # One that stays is recorded all the same.
+    # One that stays is recorded all the same, and its use makes the next ones be recorded as soon as the first.
     _note(shelf, "stays", times=MOST_CALLS)
-    assert shelf.find("stays") is not None
+    for _ in range(WELL_WORTH):
+        assert shelf.find("stays") is not None
+    assert shelf.needed == replay.CALLS
+
+
+def test_one_kind_after_the_other(shelf):
+    """As in a benchmark: each is used some times and never again, so that none has to wait for longer."""
+    for kind in range(20):
+        _note(shelf, kind, 1)
+        for _ in range(WORTH):
+            assert shelf.find(kind) is not None
+
+
+def test_forgetting(shelf):
+    for kind in range(9):
+        _note(shelf, kind, 1, times=MOST_CALLS)
+    assert shelf.needed > replay.CALLS
+    _note(shelf, "a", times=replay.CALLS - 1)
+    shelf.forget()
+    assert len(shelf) == 0
+    _note(shelf, "a", times=replay.CALLS - 1)
+    assert shelf.find("a") is None
+    _note(shelf, "a", times=1)
+    assert shelf.find("a") is not None
 
 
 def test_too_much_memory_is_given_back(shelf):
