@@ -2,9 +2,10 @@
 
     python -m bench.edt [--device cuda] [--quick] [--out bench/results/edt_DEVICE.json]
 
-Every answer is compared with SciPy's before it is timed. Peers take one volume a call, so they go through a batch one
-by one, and have no signed transform, so they take two. A mask is on the device to begin with, and so is the answer;
-on a GPU SciPy's time has the trip to the host and back, since that is the alternative there.
+Every answer is compared with SciPy's before it is timed; then all but SciPy take turns, once they are warm. Peers take
+one volume a call, so they go through a batch one by one, and have no signed transform, so they take two. A mask is on
+the device to begin with, and so is the answer; on a GPU SciPy's time has the trip to the host and back, since that is
+the alternative there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from bench._machine import describe
 from bench._record import write
-from bench._timing import median, once
+from bench._timing import by_turns, once
 from sdm.distance_transform import euclidean_distance_transform
 
 SHAPES = {"4 x 112x112x80": (4, 112, 112, 80), "1 x 256^3": (1, 256, 256, 256)}
@@ -89,14 +90,14 @@ def compare(
     milliseconds, truth = once(partial(scipy_transform, there, signed), options.device)
     times = {"SciPy": {"median": milliseconds, "spread": 0.0, "runs": 1}}
     errors = {}
-    for name, transform in transforms.items():
-        call = partial(transform, there, signed)
+    calls = {name: partial(transform, there, signed) for name, transform in transforms.items()}
+    for name, call in calls.items():
         # The first call compiles and takes memory; the second is checked.
         once(call, options.device)
         _, answer = once(call, options.device)
         values = torch.as_tensor(answer, device=options.device).cpu().numpy()
         errors[name] = float((np.abs(values - truth) / np.where(truth == 0, 1.0, np.abs(truth))).max())
-        timing = median(call, options.device, options.runs, options.budget)
+    for name, timing in by_turns(calls, options.device, options.runs, options.budget).items():
         times[name] = {"median": timing.ms, "spread": timing.spread, "runs": timing.runs}
     return {"ms": times, "error": errors}
 
