@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench import _deepsdf_fit_picture as fit_picture
 from bench import _deepsdf_study as study
 from bench._deepsdf_tables import pairs, rows_table, text
 from bench._record import put, write
@@ -44,7 +45,7 @@ share of it that is 0.01 radii or further from every point seen. Prepared: what 
 
 
 def report(runs: list[Path], to: Path) -> None:
-    """Write `deepsdf.md`, `deepsdf.json` and, for studies of the recipe, `deepsdf_recipe.png` into a folder."""
+    """Write `deepsdf.md`, `deepsdf.json`, and pictures of the recipe's and the fits' studies into a folder."""
     scores = {run.name: json.loads((run / "scores.json").read_text()) for run in runs if (run / "scores.json").exists()}
     lines = ["# DeepSDF", "", *ABOUT.splitlines()]
     for name, found in scores.items():
@@ -59,6 +60,9 @@ def report(runs: list[Path], to: Path) -> None:
     compared = {name: found for name, found in studies.items() if len(study.trainings(found)) > 1}
     if compared:
         study.picture(compared, to / "deepsdf_recipe.png")
+    fitted = {name: found for name, found in scores.items() if fit_picture.is_fit(found)}
+    if fitted:
+        fit_picture.picture(fitted, to / "deepsdf_fit.png")
     print("\n".join(lines))
 
 

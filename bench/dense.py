@@ -34,7 +34,7 @@ from sdm.device import choose_device
 BUDGETS_S = {
     "table": 120.0,
     "batch": 20.0,
-    "points": 30.0,
+    "points": 45.0,
     "triangles": 45.0,
     "resolution": 30.0,
     "worst": 30.0,
