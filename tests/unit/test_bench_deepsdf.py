@@ -11,7 +11,9 @@ import pytest
 import torch
 import trimesh
 from scipy.spatial import KDTree
+from torch.nn.functional import grid_sample
 
+from bench import _deepsdf_fit_picture as fit_picture
 from bench import _deepsdf_study as study
 from bench import deepsdf, deepsdf_approximate
 from bench._deepsdf_cameras import Cameras, seen_points
@@ -19,9 +21,11 @@ from bench._deepsdf_nearest import VOTES, Nearest
 from bench._deepsdf_scale import in_paper_scale
 from bench.deepsdf_approximate import ApproximateSamples, approximate, prepare
 from bench.deepsdf_evaluate import summary
+from bench.deepsdf_fit import _places_in
 from bench.deepsdf_report import report
 from sdm import FormatError, TriangleMesh
 from sdm.sampling import ShapeSet, UnitSphere, surface_points
+from sdm.surrogate import GRID
 
 FEW = Cameras(views=12, pixels=48)
 
@@ -202,3 +206,23 @@ def test_the_study_runs_goes_on_and_is_reported(tmp_path, monkeypatch, capsys) -
     assert "unseen: approximate less exact, seed 1" in page
     assert (tmp_path / "results" / "deepsdf_recipe.png").stat().st_size > 10_000
     capsys.readouterr()
+
+
+def test_a_surrogates_map_is_read_at_a_labels_voxels() -> None:
+    """A map of x + 2 y + 4 z on the surrogate's grid, at places between its voxels."""
+    places = [GRID.origin[axis] + GRID.spacing[axis] * torch.arange(n) for axis, n in enumerate(GRID.shape)]
+    x, y, z = torch.meshgrid(*places, indexing="ij")
+    at = torch.tensor([0.13, -0.42, 1.01]) + 0.17 * torch.rand(3, 4, 5, 3, generator=torch.Generator().manual_seed(0))
+    found = grid_sample((x + 2 * y + 4 * z)[None, None], _places_in(GRID, at), align_corners=True)
+    assert torch.allclose(found[0, 0], at @ torch.tensor([1.0, 2, 4]), atol=1e-5)
+
+
+def test_the_picture_of_fits(tmp_path) -> None:
+    row = {"seconds": 2.0, "mean_mm": 0.03, "failed": False}
+    fits = {way: {"failed": 0, "rows": [row, {"failed": True, "why": "no surface"}]} for way in fit_picture.WAYS}
+    maps = {f"{way}_ms": 5.0 for way in fit_picture.WAYS}
+    found = {"machine": {"device": "a", "cores": 1}, "maps": maps, "fits": fits}
+    assert fit_picture.is_fit(found)
+    assert not fit_picture.is_fit(found | {"fits": {"mesh": fits["mesh"]}})
+    fit_picture.picture({"run": found}, tmp_path / "fits.png")
+    assert (tmp_path / "fits.png").stat().st_size > 5_000
