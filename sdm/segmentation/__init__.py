@@ -15,7 +15,7 @@ from sdm.segmentation.scores import cell, scores_of, table
 from sdm.segmentation.settings import Settings
 from sdm.segmentation.sliding import sliding_window
 from sdm.segmentation.targets import distance_map
-from sdm.segmentation.trained import TrainedModel, load_model, save_model
+from sdm.segmentation.trained import TrainedModel, load_model, load_settings, save_model
 from sdm.segmentation.training import Training, train
 from sdm.segmentation.validate import validate, validate_ensemble
 from sdm.segmentation.write import write_prediction
@@ -39,6 +39,7 @@ __all__ = [
     "label_distance_map",
     "largest_component",
     "load_model",
+    "load_settings",
     "method_called",
     "predict",
     "predict_ensemble",
