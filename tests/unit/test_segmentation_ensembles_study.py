@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 import pytest
 
-from bench import segmentation_ma
+from bench import segmentation_ma, segmentation_report
 from bench._segmentation_ensembles import ensemble_after, ensemble_jobs
 from bench._segmentation_jobs import read_ensembles, read_logs, short
 from sdm.segmentation import load_model, read_cases, validate, validate_ensemble
@@ -137,3 +138,38 @@ def test_ensembles_want_a_folder(monkeypatch, words):
     monkeypatch.setattr(sys, "argv", ["segmentation_ma", *words])
     with pytest.raises(SystemExit, match="give a folder with --keep"):
         segmentation_ma.main()
+
+
+def ma_log(folder: Path, name: str, dice: float, distance: float | str, **job) -> None:
+    method, seed = name.rsplit("-", 1)
+    settings = segmentation_ma.Settings(method=method, seed=0 if "seeds" in job else int(seed)).record()
+    scores = {"dice": dice, "jaccard": dice, "contour_dice": dice, "hausdorff95_mm": distance}
+    cases = {case: {**scores, "average_surface_distance_mm": 1.0} for case in ("first", "second")}
+    log = {"training_s": 1.0, "machine": {"device": "abacus"}, "largest": cases, "plain": cases}
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.json").write_text(json.dumps({"job": {"name": name, "settings": settings, **job}, **log}))
+
+
+def test_the_report_has_ensembles_apart(tmp_path):
+    main, trials = tmp_path / "ma", tmp_path / "trials"
+    trials.mkdir()
+    for folder in (main, trials / "sgd"):
+        for seed, distance in enumerate((10, 20)):
+            ma_log(folder, f"baseline-{seed}", 0.8, distance)
+            ma_log(folder, f"pwr-{seed}", 0.7, distance)
+    before = segmentation_report.page(main, tmp_path / "none", trials)
+    ma_log(main, "baseline-ensemble", 0.9, 8.0, seeds=[0, 1])
+    ma_log(trials / "sgd", "pwr-ensemble", 0.6, "inf", seeds=[0, 1])
+    ma_log(trials / "sgd", "baseline-ensemble", 0.85, 9.0, seeds=[0, 2])
+    ma_log(trials / "alone", "pwr-ensemble", 0.6, 7.0, seeds=[5, 6])
+    text = segmentation_report.page(main, tmp_path / "none", trials)
+    start, end = text.index("### Ensembles"), text.index("## Simple shapes")
+    assert text[:start] + text[end:] == before
+    lines = text[start:end].splitlines()
+    assert "| the table | baseline (0, 1) | 90.00 | 80.00 | 8.00 | 15.00 |" in lines
+    assert "| sgd | pwr (0, 1) | 60.00 | 70.00 | 80.00 | 15.00 |" in lines
+    # The log of one of its trainings is not there.
+    assert "| sgd | baseline (0, 2) | 85.00 | - | 9.00 | - |" in lines
+    assert "| alone | pwr (5, 6) | 60.00 | - | 7.00 | - |" in lines
+    assert "| the table | baseline (0, 1) | 8.0 (15.0) | 8.0 (15.0) |" in lines
+    assert "| sgd | baseline (0, 2) | 9.0 (-) | 9.0 (-) |" in lines
