@@ -24,7 +24,11 @@ Job = dict[str, Any]
 # From a job, the device, the folder for unfinished work, what the process keeps between jobs, and the deadline
 # (time.monotonic()), to the log; None if the deadline came first.
 Work = Callable[[Job, str, Path, dict[str, Any], float], dict[str, Any] | None]
+# From a job that is done to one that this makes possible, if any.
+Follow = Callable[[Job], Job | None]
 
+# Keys of a job that say where files lie on this machine.
+PLACES = ("data", "networks")
 # The process that fills the list may be slower than those that empty it.
 PATIENCE_S = 2.0
 
@@ -36,7 +40,14 @@ def devices(count: int | None) -> list[str]:
 
 
 def run_jobs(
-    jobs: Sequence[Job], work: Work, logs: Path, unfinished: Path, *, budget_s: float, on: Sequence[str]
+    jobs: Sequence[Job],
+    work: Work,
+    logs: Path,
+    unfinished: Path,
+    *,
+    budget_s: float,
+    on: Sequence[str],
+    follow: Follow | None = None,
 ) -> None:
     """Do the jobs that have no log yet, in order, for at most `budget_s` seconds.
 
@@ -47,6 +58,8 @@ def run_jobs(
         unfinished: Folder of checkpoints.
         budget_s: Seconds from now. A job that the budget cuts short leaves a checkpoint.
         on: Devices; one process each.
+        follow: What a process asks once a job's log is written; it does what it is told at once, whether there is a log
+            or not. A function at a module's top level, or a `partial` of one.
     """
     logs.mkdir(parents=True, exist_ok=True)
     unfinished.mkdir(parents=True, exist_ok=True)
@@ -59,14 +72,14 @@ def run_jobs(
         line: Any = queue.Queue()
         for job in left:
             line.put(job)
-        _worker(line, work, logs, unfinished, deadline, on[0])
+        _worker(line, work, logs, unfinished, deadline, on[0], follow)
         return
     context = multiprocessing.get_context("spawn")
     line = context.Queue()
     for job in left:
         line.put(job)
     processes = [
-        context.Process(target=_worker, args=(line, work, logs, unfinished, deadline, device)) for device in on
+        context.Process(target=_worker, args=(line, work, logs, unfinished, deadline, device, follow)) for device in on
     ]
     for process in processes:
         process.start()
@@ -74,30 +87,38 @@ def run_jobs(
         process.join()
 
 
-def _worker(line: Any, work: Work, logs: Path, unfinished: Path, deadline: float, device: str) -> None:
+def _worker(
+    line: Any, work: Work, logs: Path, unfinished: Path, deadline: float, device: str, follow: Follow | None
+) -> None:
     kept: dict[str, Any] = {}
     if device.startswith("cuda"):
         torch.cuda.set_device(device)
         torch.backends.cudnn.benchmark = True
         torch.set_float32_matmul_precision("high")
-    while time.monotonic() < deadline:
-        try:
-            job = line.get(timeout=0.0 if isinstance(line, queue.Queue) else PATIENCE_S)
-        except queue.Empty:
-            break
+
+    def done(job: Job) -> bool:
         begin = time.monotonic()
         try:
             log = work(job, device, unfinished, kept, deadline)
         except Exception:  # noqa: BLE001 - the other jobs go on; this one has no log and is tried again
             print(f"{job['name']} failed on {device}:\n{traceback.format_exc()}", flush=True)
-            continue
+            return False
         if log is None:
             print(f"{job['name']}: cut short on {device}", flush=True)
-            continue
+            return False
         # Where the data lay is of no use to others.
-        told = {key: value for key, value in job.items() if key != "data"}
+        told = {key: value for key, value in job.items() if key not in PLACES}
         write_log(_log(logs, job), {"job": told, "seconds": round(time.monotonic() - begin, 1), **log})
         print(f"{job['name']}: {time.monotonic() - begin:.1f} s on {device}: {log.get('summary', '')}", flush=True)
+        return True
+
+    while time.monotonic() < deadline:
+        try:
+            job = line.get(timeout=0.0 if isinstance(line, queue.Queue) else PATIENCE_S)
+        except queue.Empty:
+            break
+        if done(job) and follow is not None and time.monotonic() < deadline and (then := follow(job)) is not None:
+            done(then)
 
 
 def write_log(path: Path, log: dict[str, Any]) -> None:
@@ -106,8 +127,21 @@ def write_log(path: Path, log: dict[str, Any]) -> None:
 
 
 def read_logs(folder: Path) -> list[dict[str, Any]]:
-    """The logs of a folder, by name."""
+    """The logs of a folder's trainings, by name."""
+    return [log for log in _logs(folder) if not _of_several(log)]
+
+
+def read_ensembles(folder: Path) -> list[dict[str, Any]]:
+    """The logs of a folder's ensembles, by name: their jobs have `seeds` in place of one."""
+    return [log for log in _logs(folder) if _of_several(log)]
+
+
+def _logs(folder: Path) -> list[dict[str, Any]]:
     return [_long(json.loads(path.read_text())) for path in sorted(folder.glob("*.json"))]
+
+
+def _of_several(log: dict[str, Any]) -> bool:
+    return "seeds" in log["job"]
 
 
 def _log(logs: Path, job: Job) -> Path:

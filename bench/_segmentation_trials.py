@@ -77,7 +77,7 @@ def most_moved(logs: Logs) -> str:
 def designs_and_others(folder: Path) -> tuple[dict[str, Logs], dict[str, Logs]]:
     """By subfolder: logs of more than one protocol, from which effects are read, and those of one."""
     folders = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-    found = {path.name: read_logs(path) for path in folders}
+    found = {path.name: logs for path in folders if (logs := read_logs(path))}
     mixed = {name for name, logs in found.items() if any(protocol_of(log) != protocol_of(logs[0]) for log in logs)}
     return {n: v for n, v in found.items() if n in mixed}, {n: v for n, v in found.items() if n not in mixed}
 

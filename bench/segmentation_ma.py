@@ -2,11 +2,15 @@
 
     python -m bench.segmentation_ma run --data DIR/la --budget-s 400     # goes on where it was; all GPUs
     python -m bench.segmentation_ma table                                # the table from the logs
+    python -m bench.segmentation_ma run --data DIR/la --keep FOLDER --ensemble    # and the mean over each row's seeds
+    python -m bench.segmentation_ma ensemble --data DIR/la --keep FOLDER          # that alone, of networks kept before
 
 J. Ma et al., "How distance transform maps boost segmentation CNNs: an empirical study", MIDL 2020. DIR/la has `train`
 and `val` with HDF5 files (data sets image, label). Every row has the same network, patches, optimiser, schedule and
 number of steps; nothing is chosen by the validation cases but what is said in the log's settings. Distances are in
 voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
+An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble.json. Its
+networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say.
 
 What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
 whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff
@@ -21,14 +25,28 @@ import argparse
 import os
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from bench._machine import describe
+from bench._segmentation_ensembles import (
+    ENSEMBLE_S,
+    as_ensemble,
+    cases_of,
+    ensemble,
+    ensemble_after,
+    ensemble_jobs,
+    ensembles_tables,
+    kept_file,
+    kept_trainings,
+    refuse_other_networks,
+    too_few,
+)
 from bench._segmentation_fit import fitted_steps, known_steps, shared
-from bench._segmentation_jobs import Job, devices, read_logs, run_jobs, short
+from bench._segmentation_jobs import Job, devices, read_ensembles, read_logs, run_jobs, short
 from bench._segmentation_trials import settings_of
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
@@ -36,10 +54,11 @@ from sdm.segmentation import (
     METHODS,
     Patches,
     Settings,
+    TrainedModel,
     Training,
     cell,
-    check_cases,
     read_cases,
+    save_model,
     table,
     train,
     validate,
@@ -50,38 +69,87 @@ COLUMNS = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm", "
 # Seconds until the processes train, and of a job beside its steps: preparing the cases, and prediction.
 STARTING_S = 25.0
 OVERHEAD_S = 8.0
+SEEDS = (0, 1, 2)
 ROWS = (*MA_ROWS, "pwr", "hausdorff-foreground")
 
 
 def main() -> None:
     options = parser().parse_args()
     if options.what == "table":
-        print(table_of(options.logs, options.parts))
+        print(tables(options))
         return
+    if not options.keep and (options.ensemble or options.what == "ensemble"):
+        raise SystemExit("ensembles are made of networks that were kept: give a folder with --keep")
     on = devices(options.gpus) * options.per_gpu
-    # Compiled once, before several processes want it at the same time.
-    for device in on[:1]:
-        euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
+    end = time.monotonic() + options.budget_s
+    if options.what == "ensemble":
+        make_ensembles(kept_trainings(options.keep, job_of(options), options.methods, options.seeds), options, end, on)
+    else:
+        make_trainings(options, end, on)
+    print(tables(options))
+
+
+def make_trainings(options: argparse.Namespace, end: float, on: list[str]) -> None:
+    """All rows and seeds; with --ensemble the mean over a row's seeds as soon as the last of them is trained."""
+    compile_transform(on)
+    if options.ensemble:
+        options.budget_s -= STARTING_S + ENSEMBLE_S * -(-len(options.methods) // len(on))
     if options.fit:
         options.steps = known_steps(options.logs) or fit(options, on)
     listed = jobs(options)
     refuse_others(listed, options.logs)
-    run_jobs(listed, work, options.logs, options.work, budget_s=options.budget_s, on=on)
-    print(table_of(options.logs, options.parts))
+    if options.keep:
+        refuse_other_networks(listed, options.keep)
+        options.keep.mkdir(parents=True, exist_ok=True)
+    follow = None
+    if options.ensemble:
+        refuse_others([as_ensemble([job], options.keep) for job in listed], options.logs)
+        follow = partial(ensemble_after, listed=listed, keep=options.keep, logs=options.logs)
+    task = partial(work, keep=options.keep)
+    run_jobs(listed, task, options.logs, options.work, budget_s=options.budget_s, on=on, follow=follow)
+    if options.ensemble:
+        make_ensembles(listed, options, end, on)
+
+
+def make_ensembles(listed: list[Job], options: argparse.Namespace, end: float, on: list[str]) -> None:
+    """Those of the trainings' networks that are kept and not done yet."""
+    refuse_others(listed, options.logs)
+    todo = ensemble_jobs(listed, options.keep, options.logs)
+    refuse_others(todo, options.logs)
+    if few := too_few(listed, options.keep):
+        print(f"fewer than two networks are kept of {', '.join(few)}: no ensemble", flush=True)
+    if todo and time.monotonic() >= end:
+        print(f"no time is left for {', '.join(job['name'] for job in todo)}", flush=True)
+        return
+    for job in todo:
+        # It may be there, of fewer seeds.
+        (options.logs / f"{job['name']}.json").unlink(missing_ok=True)
+    compile_transform(on)
+    run_jobs(todo, work, options.logs, options.work, budget_s=end - time.monotonic(), on=on[: max(1, len(todo))])
+
+
+def compile_transform(on: list[str]) -> None:
+    """Once, before several processes want it at the same time."""
+    for device in on[:1]:
+        euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("what", choices=("run", "ensemble", "table"))
     data = Path(os.environ.get("SDM_DATA") or "../shared/data") / "la"
     parser.add_argument("--data", type=Path, default=data)
     parser.add_argument("--logs", type=Path, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
+    parser.add_argument("--keep", type=Path, default=None, help="folder for the networks, METHOD-SEED.pt")
+    parser.add_argument(
+        "--ensemble", action="store_true", help="run: the mean over seeds too; some of the budget is left for it"
+    )
     parser.add_argument("--budget-s", type=float, default=3600.0)
     parser.add_argument("--gpus", type=int, default=None, help="default: all")
     parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
     parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=None, help="default 0 1 2; of an ensemble all kept")
     parser.add_argument("--steps", type=int, default=1600)
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
@@ -108,7 +176,7 @@ def parser() -> argparse.ArgumentParser:
 def jobs(options: argparse.Namespace) -> list[Job]:
     """All methods with the first seed, then all with the next."""
     found = []
-    for seed in options.seeds:
+    for seed in options.seeds or SEEDS:
         for method in options.methods:
             settings = Settings(
                 method=method,
@@ -128,26 +196,28 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                 position=options.position,
                 seed=seed,
             )
-            found.append(
-                {
-                    "name": f"{method}-{seed}",
-                    "settings": settings.record(),
-                    "data": str(options.data),
-                    "cases": options.cases,
-                    "window": options.window,
-                    "stride": options.stride,
-                    "mirrors": options.mirrors,
-                    "compile": options.compile,
-                }
-            )
+            found.append({"name": f"{method}-{seed}", "settings": settings.record(), **job_of(options)})
     return found
 
 
+def job_of(options: argparse.Namespace) -> Job:
+    """What all jobs have in common beside their settings."""
+    return {
+        "data": str(options.data),
+        "cases": options.cases,
+        "window": options.window,
+        "stride": options.stride,
+        "mirrors": options.mirrors,
+        "compile": options.compile,
+    }
+
+
 def refuse_others(listed: list[Job], logs: Path) -> None:
-    """A log of another protocol must not pass for a training of this one."""
-    known = {log["job"]["name"]: settings_of(log) for log in read_logs(logs)} if logs.is_dir() else {}
+    """A log of another protocol must not pass for a training, or an ensemble, of this one."""
+    found = [*read_logs(logs), *read_ensembles(logs)] if logs.is_dir() else []
+    known = {log["job"]["name"]: settings_of(log) for log in found}
     for job in listed:
-        own = short(job["settings"])
+        own = short(settings_of({"job": job}))
         if known.get(job["name"], own) != own:
             raise SystemExit(
                 f"{logs / job['name']}.json is of a training with other settings: choose another folder with --logs"
@@ -168,26 +238,26 @@ def fit(options: argparse.Namespace, on: list[str]) -> int:
 
     measure(2)
     left = options.budget_s - (time.monotonic() - begin) - STARTING_S
-    count = len(options.methods) * len(options.seeds)
+    count = len(options.methods) * len(options.seeds or SEEDS)
     steps = fitted_steps(measure, count, len(on), left, weight=1.2 * shared(options.per_gpu), overhead_s=OVERHEAD_S)
     options.budget_s -= time.monotonic() - begin
     torch.cuda.empty_cache()
     return steps
 
 
-def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> dict[str, Any] | None:
-    """One training and its scores."""
+def work(
+    job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float, *, keep: Path | None = None
+) -> dict[str, Any] | None:
+    """One training and its scores, or an ensemble's."""
+    if "seeds" in job:
+        return ensemble(job, device, kept)
     settings = Settings.of_record(job["settings"])
-    if "train" not in kept:
-        for part in ("train", "val"):
-            cases = read_cases(Path(job["data"]), part)[: job["cases"]]
-            check_cases(cases)
-            kept[part] = cases
+    cases, others = cases_of(job, "train", kept), cases_of(job, "val", kept)
     if device.startswith("cuda"):
         torch.cuda.reset_peak_memory_stats(device)
     checkpoint = unfinished / f"{job['name']}.pt"
     patches = Patches(
-        kept["train"],
+        cases,
         METHODS[settings.method].map,
         settings.patch,
         device,
@@ -198,12 +268,14 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
     training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
     if training.step < settings.steps:
         return None
+    if keep is not None:
+        save_model(TrainedModel(training.model, settings, cases[0].spacing), kept_file(keep, job))
     begin = time.monotonic()
     with torch.no_grad():
         scores = list(
             validate(
                 training.model,
-                kept["val"],
+                others,
                 job["window"] or settings.patch,
                 stride=job["stride"],
                 mirrors=job["mirrors"],
@@ -226,6 +298,12 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
 def _summary(cases: list[dict[str, Any]], training: Training) -> str:
     rate = training.step / max(training.seconds, 1e-9)
     return f"Dice {cell(cases, 'dice')}, 95HD {cell(cases, 'hausdorff95_mm')}, {rate:.1f} steps/s"
+
+
+def tables(options: argparse.Namespace) -> str:
+    """Of the trainings and, if there are any, of the ensembles."""
+    found = [table_of(options.logs, options.parts), ensembles_tables({options.logs.name: options.logs})]
+    return "\n\n".join(text for text in found if text)
 
 
 def table_of(logs: Path, parts: str) -> str:

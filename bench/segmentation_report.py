@@ -5,7 +5,8 @@
 A method is compared with the baseline case by case, each case being the mean over the seeds that both have: mean
 difference with its 95 % confidence interval (Student's t over the cases), and Wilcoxon's signed-rank test. With the 8
 validation cases only differences that nearly all cases share can be told from chance. "Hard" is the half of the cases
-in which the baseline has the lower Dice. Trainings by other protocols (`--trials`) follow in tables of their own.
+in which the baseline has the lower Dice. Trainings by other protocols (`--trials`) follow in tables of their own,
+and so do ensembles, the mean over the seeds of a method.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from scipy import stats
 
 from bench import segmentation_juhl, segmentation_ma
 from bench._record import put
+from bench._segmentation_ensembles import ensembles_tables
 from bench._segmentation_jobs import read_logs
 from bench._segmentation_trials import designs_and_others, effects_table, most_moved, trials_table
 from sdm.segmentation import METHODS
@@ -55,6 +57,7 @@ def page(ma: Path, juhl: Path, trials: Path) -> str:
         parts += [segmentation_ma.table_of(ma, "plain"), ""]
         parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
         parts += other_protocols(logs, trials)
+        parts += ensembles(ma, trials)
     parts += ["## Simple shapes (Juhl et al.)", ""]
     if shape_logs:
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
@@ -79,6 +82,14 @@ def other_protocols(logs: list[dict[str, Any]], trials: Path) -> list[str]:
             title = f"Against the baseline, case by case, means of {len(seeds)} seeds of {name}:"
             parts += [title, "", against_baseline(own), ""]
     return parts
+
+
+def ensembles(ma: Path, trials: Path) -> list[str]:
+    """Those of the table's trainings and of other protocols."""
+    folders = sorted(path for path in trials.iterdir() if path.is_dir()) if trials.is_dir() else []
+    found = ensembles_tables({"the table": ma, **{path.name: path for path in folders}})
+    title = "### Ensembles: the mean of what networks say that differ in their seed (largest component)"
+    return [title, "", found, ""] if found else []
 
 
 def protocol(logs: list[dict[str, Any]]) -> str:

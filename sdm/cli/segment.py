@@ -15,7 +15,10 @@ def segment(
     ],
     /,
     *,
-    model: Path,
+    model: Annotated[
+        tyro.conf.UseAppendAction[list[Path]],
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(required; may be repeated)"),
+    ],
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     stride: Annotated[
         tuple[int, int, int] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: half a window)")
@@ -24,18 +27,21 @@ def segment(
     mirrors: bool = False,
     device: str = "auto",
 ) -> int | None:
-    """Segment images by a network of `sdm train segmentation`.
+    """Segment images by one or several networks of `sdm train segmentation`.
 
     Each image gives OUT/NAME.nii.gz, its label, and OUT/NAME_sdm.nii.gz, the exact signed distance map of that label in
     mm, negative inside. Both have the image's geometry.
 
+    With --model given several times, for instance for trainings that differ in their --seed, the networks'
+    probabilities are averaged before the label is cut, or their signed distances of one kind.
+
     Args:
         images: NIfTI or HDF5 files, or folders of them.
-        model: The network: model.pt.
+        model: A network: model.pt.
         out: Folder for the results; made if it is not there.
         stride: Voxels between the windows in which the network sees the image.
         all_parts: Keep every connected part, not only the largest.
-        mirrors: Average over the mirror images of the training, eight times the work if there are those of all axes: a
+        mirrors: Average over the mirror images of each training: eight times the work if there are those of all axes: a
             little more accurate.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
@@ -43,30 +49,29 @@ def segment(
     from sdm.device import choose_device
     from sdm.errors import SDMError
     from sdm.grid import Grid
-    from sdm.segmentation import load_model, predict, write_prediction
+    from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
     from sdm.segmentation.checks import check_spacing
     from sdm.segmentation.folder import read_images
 
-    trained = load_model(model, choose_device(device))
-    if mirrors and not trained.settings.mirrors:
-        raise SDMError(f"{model} has seen no mirror images in its training: leave out --mirrors")
+    if not model:
+        raise SDMError("there is no network: name its model.pt with --model")
+    where = choose_device(device)
+    trained = [load_model(path, where) for path in model]
+    check_ensemble(trained, model)
+    for path, one in zip(model, trained, strict=True):
+        if mirrors and not one.settings.mirrors:
+            raise SDMError(f"{path} has seen no mirror images in its training: leave out --mirrors")
     cases = read_images(images)
     for case in cases:
-        check_spacing(case, trained.spacing)
+        for one in trained:
+            check_spacing(case, one.spacing)
         Grid.from_affine(case.affine, case.image.shape)
     out.mkdir(parents=True, exist_ok=True)
     empty = []
     with Meter("images") as meter:
         for number, case in enumerate(cases):
             meter(number, len(cases))
-            found = predict(
-                trained.model,
-                case.image,
-                trained.settings.patch,
-                stride=stride,
-                largest=not all_parts,
-                mirrors=trained.settings.mirrors if mirrors else "",
-            )
+            found = predict_ensemble(trained, case.image, stride=stride, largest=not all_parts, mirrors=mirrors)
             label, distances = write_prediction(case, found.label, out)
             print(label if distances is None else f"{label} {distances}", flush=True)
             if distances is None:

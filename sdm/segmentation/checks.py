@@ -64,7 +64,16 @@ def check_spacing(case: Case, spacing: Sequence[float]) -> None:
 
 
 def _wrong_spacing(case: Case, spacing: Sequence[float]) -> str | None:
-    if any(abs(s - w) > TOLERANCE * w for s, w in zip(case.spacing, spacing, strict=True)):
-        sizes = [" x ".join(f"{s:.4g}" for s in size) for size in (case.spacing, spacing)]
-        return f"has voxels of {sizes[0]} mm where {sizes[1]} mm are expected"
-    return None
+    if same_spacing(case.spacing, spacing):
+        return None
+    return f"has voxels of {voxel(case.spacing)} mm where {voxel(spacing)} mm are expected"
+
+
+def same_spacing(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two voxel sizes are alike, as far as scanners and files are exact."""
+    return all(abs(a - b) <= TOLERANCE * b for a, b in zip(one, other, strict=True))
+
+
+def voxel(size: Sequence[float]) -> str:
+    """A voxel's size in words."""
+    return " x ".join(f"{s:.4g}" for s in size)

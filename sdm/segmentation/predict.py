@@ -47,6 +47,20 @@ def predict(
             For networks that were trained on such images.
         batch: Windows at a time.
     """
+    values = predicted_field(model, image, window, stride=stride, mirrors=mirrors, batch=batch)
+    return prediction_of(values, largest=largest)
+
+
+def predicted_field(
+    model: SegmentationModel,
+    image: Tensor,
+    window: Sequence[int],
+    *,
+    stride: Sequence[int] | None = None,
+    mirrors: str = "",
+    batch: int = 4,
+) -> Tensor:
+    """What a network says of an image (x,y,z) before it is cut at zero: see `predict` and `SegmentationModel.field`."""
     model.eval()
     device = next(model.parameters()).device
     images = _mirror_images(mirrors)
@@ -59,9 +73,13 @@ def predict(
         return torch.stack(seen).mean(0)
 
     with torch.inference_mode():
-        values = sliding_window(
+        return sliding_window(
             field, standardized(image.to(device)), window, stride=stride, batch=batch, position=model.position
         )
+
+
+def prediction_of(values: Tensor, *, largest: bool) -> Prediction:
+    """A field (x,y,z), cut at zero."""
     label = values < 0
     return Prediction(largest_component(label) if largest else label, values)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -44,15 +45,7 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
     Raises:
         FormatError: There is no such file, or it is not one of `save_model`.
     """
-    if not path.is_file():
-        raise FormatError(f"{path} is not there: give the model.pt that sdm train segmentation wrote")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        kind = state["format"]
-    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
-        raise FormatError(f"{path} is not a trained segmentation network") from error
-    if kind != FORMAT:
-        raise FormatError(f"{path} is a file of the kind {kind!r}, not {FORMAT!r}")
+    state = _state(path)
     settings = Settings.of_record(state["settings"])
     model = SegmentationModel(
         METHODS[settings.method], settings.architecture, filters=settings.filters, position=settings.position
@@ -60,3 +53,25 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
     model.load_state_dict(state["weights"])
     x, y, z = state["spacing"]
     return TrainedModel(model.to(device).eval(), settings, (x, y, z))
+
+
+def load_settings(path: Path) -> Settings:
+    """How the network of a file was trained; its weights are not read.
+
+    Raises:
+        FormatError: As `load_model`.
+    """
+    return Settings.of_record(_state(path, mmap=True)["settings"])
+
+
+def _state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
+    if not path.is_file():
+        raise FormatError(f"{path} is not there: give the model.pt that sdm train segmentation wrote")
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
+        kind = state["format"]
+    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise FormatError(f"{path} is not a trained segmentation network") from error
+    if kind != FORMAT:
+        raise FormatError(f"{path} is a file of the kind {kind!r}, not {FORMAT!r}")
+    return state

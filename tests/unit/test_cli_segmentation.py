@@ -139,8 +139,43 @@ def test_networks_are_told_positions(trained, tmp_path, capsys):
 def test_mirror_images_are_those_of_the_training(trained, tmp_path, capsys):
     data, images = str(trained / "data"), str(trained / "data" / "imagesTs")
     words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    words += ["--method", "pwr"]
     assert main([*words, "--mirrors", "", "--average", "0.5", "--schedule", "constant", "--last-dropout", "0.1"]) == 0
     capsys.readouterr()
     segment = ["segment", images, "--out", str(tmp_path / "out"), "--mirrors", "--model"]
     assert "leave out --mirrors" in refused([*segment, str(tmp_path / "model.pt")], capsys)
+    both = [str(trained / "net" / "model.pt"), "--model", str(tmp_path / "model.pt")]
+    assert "leave out --mirrors" in refused([*segment, *both], capsys)
     assert main([*segment, str(trained / "net" / "model.pt")]) == 0
+
+
+def test_several_networks_together(trained, tmp_path, capsys):
+    """The label is that of the mean; one network given twice says what it says alone."""
+    from sdm.segmentation import load_model, predict_ensemble
+    from sdm.segmentation.folder import read_images
+
+    data, images = str(trained / "data"), trained / "data" / "imagesTs"
+    words = ["train", "segmentation", "--data", data, *QUICK, "--steps", "20", "--learning-rate", "0.01"]
+    for name, method in (("a", "pwr"), ("b", "baseline"), ("c", "head-sdf-l1")):
+        assert main([*words, "--method", method, "--seed", "1", "--out", str(tmp_path / name)]) == 0
+    one, a, b, c = (folder / "model.pt" for folder in (trained / "net", *(tmp_path / n for n in "abc")))
+    capsys.readouterr()
+
+    def label(*models) -> np.ndarray:
+        given = [word for path in models for word in ("--model", str(path))]
+        assert main(["segment", *given, str(images), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
+        return np.asarray(nib.load(tmp_path / "out" / "case3.nii.gz").dataobj) > 0
+
+    (case,) = read_images([images])
+    for pair in ((one, a), (b, c)):
+        expected = predict_ensemble([load_model(path) for path in pair], case.image).label.numpy()
+        assert np.array_equal(label(*pair), expected)
+    assert np.array_equal(label(one, one), label(one))
+    capsys.readouterr()
+    segment = ["segment", str(images), "--out", str(tmp_path / "none")]
+    assert "name its model.pt with --model" in refused(segment, capsys)
+    said = refused([*segment, "--model", str(one), "--model", str(b)], capsys)
+    assert f"{one} says a clipped signed distance of cases and {b} a probability, which have no mean" in said
+    said = refused([*segment, "--model", str(one), "--model", str(tmp_path / "no.pt")], capsys)
+    assert "no.pt is not there" in said
+    assert not (tmp_path / "none").exists()
