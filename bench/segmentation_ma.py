@@ -256,15 +256,7 @@ def work(
     if device.startswith("cuda"):
         torch.cuda.reset_peak_memory_stats(device)
     checkpoint = unfinished / f"{job['name']}.pt"
-    patches = Patches(
-        cases,
-        METHODS[settings.method].map,
-        settings.patch,
-        device,
-        per_patch=settings.targets == "patch",
-        mirrors=settings.mirrors,
-        position=settings.position,
-    )
+    patches = Patches.of_settings(cases, settings, device)
     training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
     if training.step < settings.steps:
         return None

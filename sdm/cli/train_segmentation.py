@@ -76,7 +76,6 @@ def segmentation(
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
     from sdm.segmentation import (
-        METHODS,
         Patches,
         Settings,
         TrainedModel,
@@ -119,15 +118,7 @@ def segmentation(
     checkpoint = out / "checkpoint.pt"
     if not resume:
         checkpoint.unlink(missing_ok=True)
-    patches = Patches(
-        cases,
-        METHODS[method].map,
-        patch,
-        where,
-        per_patch=targets == "patch",
-        mirrors=mirrors,
-        position=position,
-    )
+    patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:
         training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=compile, progress=meter)

@@ -14,8 +14,9 @@ from sdm.losses import clipped_sdf
 from sdm.memory import to_device
 from sdm.segmentation.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.case import Case, standardized
-from sdm.segmentation.methods import Map
+from sdm.segmentation.methods import METHODS, Map
 from sdm.segmentation.position import position_frame, positions
+from sdm.segmentation.settings import Settings
 from sdm.segmentation.targets import CLIP_VOXELS, distance_map
 
 Triple = tuple[int, int, int]
@@ -66,6 +67,19 @@ class Patches:
         self.spacing = cases[0].spacing
         self._cases = [self._stack(case) for case in cases]
         self._shapes = [case.image.shape for case in cases]
+
+    @classmethod
+    def of_settings(cls, cases: Sequence[Case], settings: Settings, device: torch.device | str) -> Patches:
+        """What a training with these settings takes."""
+        return cls(
+            cases,
+            METHODS[settings.method].map,
+            settings.patch,
+            device,
+            per_patch=settings.targets == "patch",
+            mirrors=settings.mirrors,
+            position=settings.position,
+        )
 
     def _stack(self, case: Case) -> Tensor:
         if case.label is None:

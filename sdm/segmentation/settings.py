@@ -9,7 +9,7 @@ from typing import Any, Literal
 from sdm.errors import SDMError
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.methods import METHODS
-from sdm.segmentation.model import NETWORKS, Architecture
+from sdm.segmentation.model import NETWORKS, Architecture, SegmentationModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +91,17 @@ class Settings:
     def record(self) -> dict[str, Any]:
         """As plain numbers and words."""
         return {**asdict(self), "patch": list(self.patch)}
+
+    def network(self) -> SegmentationModel:
+        """The network, not trained."""
+        return SegmentationModel(
+            METHODS[self.method],
+            self.architecture,
+            filters=self.filters,
+            dropout=self.dropout,
+            last_dropout=self.last_dropout,
+            position=self.position,
+        )
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Settings:

@@ -11,7 +11,6 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.io.atomic import replacing
-from sdm.segmentation.methods import METHODS
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.settings import Settings
 
@@ -47,9 +46,7 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
     """
     state = _state(path)
     settings = Settings.of_record(state["settings"])
-    model = SegmentationModel(
-        METHODS[settings.method], settings.architecture, filters=settings.filters, position=settings.position
-    )
+    model = settings.network()
     model.load_state_dict(state["weights"])
     x, y, z = state["spacing"]
     return TrainedModel(model.to(device).eval(), settings, (x, y, z))

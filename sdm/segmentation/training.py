@@ -17,7 +17,6 @@ from torch import nn
 from sdm.errors import FormatError, SDMError
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.average import Average
-from sdm.segmentation.methods import METHODS
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.objective import Step, objective
 from sdm.segmentation.patches import Patch
@@ -93,17 +92,9 @@ def train(
             f"the settings have position={settings.position}, the patches {patches.position}: give both the same"
         )
     device = patches.device
-    method = METHODS[settings.method]
     with _own_random_numbers(device):
         torch.manual_seed(settings.seed)
-        model = SegmentationModel(
-            method,
-            settings.architecture,
-            filters=settings.filters,
-            dropout=settings.dropout,
-            last_dropout=settings.last_dropout,
-            position=settings.position,
-        ).to(device)
+        model = settings.network().to(device)
         if device.type == "cuda":
             model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)
