@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from bench._figure import sheet
 from bench.deepsdf_fit import SPACING_MM
 
 WAYS = {"deepsdf": "DeepSDF", "sdmnn": "SDMNN+", "mesh": "mesh, exact"}
@@ -20,33 +21,28 @@ def is_fit(found: dict[str, Any]) -> bool:
 
 def picture(runs: dict[str, dict[str, Any]], path: Path) -> None:
     """One line for each run: times of a map, and times and errors of fits."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 3.6 * len(runs)), layout="constrained")
-    FigureCanvasAgg(figure)
-    for found, (times, fits) in zip(runs.values(), figure.subplots(len(runs), 2, squeeze=False), strict=True):
-        machine = found["machine"]
-        device = f"{machine['device']}, {machine['cores']} cores"
-        for row, (way, name) in enumerate(WAYS.items()):
-            seconds = found["maps"][f"{way}_ms"] / 1e3
-            times.barh(row, seconds, color=COLOURS[way], height=0.6)
-            label = f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
-            times.text(seconds, row, f" {label}", va="center", ha="left")
-            times.plot(PUBLISHED[way], row, "D", color="none", markeredgecolor="#555555")
-            fits.scatter(
-                [each["seconds"] for each in found["fits"][way]["rows"] if "seconds" in each],
-                [each["mean_mm"] for each in found["fits"][way]["rows"] if "mean_mm" in each],
-                color=COLOURS[way],
-                label=name,
-                s=45,
-            )
-        times.plot([], [], "D", color="none", markeredgecolor="#555555", label="Wang et al., 2020")
-        times.set(title=f"One map, {device}", xlabel="seconds", xscale="log", xlim=(1e-3, 200))
-        times.set_yticks(range(len(WAYS)), list(WAYS.values()))
-        times.legend(fontsize="small", loc="lower right")
-        fits.axhline(SPACING_MM, color="#777777", linewidth=1, linestyle="--", label="the label's voxel")
-        fits.set(title="Shape fitted to a label, unseen cochleae", xlabel="seconds", xlim=(0, None))
-        fits.set(ylabel="mean distance from the truth [mm]", ylim=(0, 1.1 * SPACING_MM))
-        fits.legend(fontsize="small", loc="center right")
-    figure.savefig(path, dpi=120)
+    with sheet(path, (10, 3.6 * len(runs)), dpi=120, layout="constrained") as figure:
+        for found, (times, fits) in zip(runs.values(), figure.subplots(len(runs), 2, squeeze=False), strict=True):
+            machine = found["machine"]
+            device = f"{machine['device']}, {machine['cores']} cores"
+            for row, (way, name) in enumerate(WAYS.items()):
+                seconds = found["maps"][f"{way}_ms"] / 1e3
+                times.barh(row, seconds, color=COLOURS[way], height=0.6)
+                label = f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+                times.text(seconds, row, f" {label}", va="center", ha="left")
+                times.plot(PUBLISHED[way], row, "D", color="none", markeredgecolor="#555555")
+                fits.scatter(
+                    [each["seconds"] for each in found["fits"][way]["rows"] if "seconds" in each],
+                    [each["mean_mm"] for each in found["fits"][way]["rows"] if "mean_mm" in each],
+                    color=COLOURS[way],
+                    label=name,
+                    s=45,
+                )
+            times.plot([], [], "D", color="none", markeredgecolor="#555555", label="Wang et al., 2020")
+            times.set(title=f"One map, {device}", xlabel="seconds", xscale="log", xlim=(1e-3, 200))
+            times.set_yticks(range(len(WAYS)), list(WAYS.values()))
+            times.legend(fontsize="small", loc="lower right")
+            fits.axhline(SPACING_MM, color="#777777", linewidth=1, linestyle="--", label="the label's voxel")
+            fits.set(title="Shape fitted to a label, unseen cochleae", xlabel="seconds", xlim=(0, None))
+            fits.set(ylabel="mean distance from the truth [mm]", ylim=(0, 1.1 * SPACING_MM))
+            fits.legend(fontsize="small", loc="center right")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bench._deepsdf_tables import rows_table
+from bench._figure import sheet
 
 KINDS = ("exact", "approximate")
 COLOURS = {"exact": "#1f5a96", "approximate": "#c9453f"}
@@ -94,22 +95,17 @@ def _differences(done: list[dict[str, Any]], part: str) -> list[dict[str, Any]]:
 
 def picture(studies: dict[str, dict[str, Any]], path: Path) -> None:
     """Mean distances of surfaces from the truth, shape by shape: exact samples across, other trainings upwards."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4.4 * len(studies)), layout="constrained")
-    FigureCanvasAgg(figure)
-    every = figure.subplots(len(studies), 2, squeeze=False)
-    for (name, found), line in zip(studies.items(), every, strict=True):
-        for axes, part in zip(line, ("known", "unseen"), strict=True):
-            first, *others = ([row["mean_mm"] for row in each[part]["rows"]] for each in trainings(found))
-            for each, values in zip(trainings(found)[1:], others, strict=True):
-                label = f"{each['samples']} samples, seed {each['seed']}"
-                marker = "o" if each["seed"] == 0 else "s"
-                axes.scatter(first, values, marker=marker, alpha=0.8, color=COLOURS[each["samples"]], label=label)
-            low, high = (end([*first, *(v for other in others for v in other)]) for end in (min, max))
-            axes.plot([low, high], [low, high], color="#777777", linewidth=1, label="equal")
-            axes.set(title=f"{name}, {part} shapes", xlabel="exact samples, seed 0: mean distance [mm]")
-            axes.set(ylabel="another training: mean distance [mm]", aspect="equal")
-        line[0].legend(fontsize="small")
-    figure.savefig(path, dpi=120)
+    with sheet(path, (9, 4.4 * len(studies)), dpi=120, layout="constrained") as figure:
+        every = figure.subplots(len(studies), 2, squeeze=False)
+        for (name, found), line in zip(studies.items(), every, strict=True):
+            for axes, part in zip(line, ("known", "unseen"), strict=True):
+                first, *others = ([row["mean_mm"] for row in each[part]["rows"]] for each in trainings(found))
+                for each, values in zip(trainings(found)[1:], others, strict=True):
+                    label = f"{each['samples']} samples, seed {each['seed']}"
+                    marker = "o" if each["seed"] == 0 else "s"
+                    axes.scatter(first, values, marker=marker, alpha=0.8, color=COLOURS[each["samples"]], label=label)
+                low, high = (end([*first, *(v for other in others for v in other)]) for end in (min, max))
+                axes.plot([low, high], [low, high], color="#777777", linewidth=1, label="equal")
+                axes.set(title=f"{name}, {part} shapes", xlabel="exact samples, seed 0: mean distance [mm]")
+                axes.set(ylabel="another training: mean distance [mm]", aspect="equal")
+            line[0].legend(fontsize="small")

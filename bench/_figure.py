@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from sdm.io.atomic import replacing
 
@@ -63,20 +63,29 @@ def colour_of(name: str, others: list[str]) -> str:
 def drawing(path: Path, caption: str, size: tuple[float, float] = (12.0, 6.75)) -> Iterator[tuple[Figure, Axes]]:
     """A figure with one pair of axes, written to `path` at the end; `caption` says below it what was measured on."""
     import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size, facecolor="white")
-        FigureCanvasAgg(figure)
+    with mpl.rc_context(STYLE), sheet(path, size, dpi=150) as figure:
         axes = figure.add_axes((0.085, 0.145, 0.885, 0.755))
         yield figure, axes
         # About fifteen letters of this size to an inch.
         lines = textwrap.fill(caption, int(15 * size[0]))
         figure.text(0.012, 0.016, lines, fontsize=8.5, color="0.45", va="bottom")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as part:
-            figure.savefig(part, format="png", dpi=150)
+
+
+@contextmanager
+def sheet(
+    path: Path, size: tuple[float, float], dpi: int, layout: Literal["constrained"] | None = None
+) -> Iterator[Figure]:
+    """An empty figure, written to `path` at the end, whole or not at all; no display is needed."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
+    yield figure
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part:
+        figure.savefig(part, format="png", dpi=dpi)
 
 
 def log_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:

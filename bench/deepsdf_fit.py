@@ -28,6 +28,7 @@ from sdm.sampling import UnitSphere
 from sdm.shapes import Cochlea
 from sdm.shapes.sampling import uniform
 from sdm.surrogate import GRID, load_surrogate
+from sdm.surrogate.accuracy import places_in_map
 
 SPACING_MM = 0.2
 # Length over which the label's certainty grows [mm].
@@ -65,7 +66,7 @@ def fits(model: DeepSDF, family: Cochlea, count: int, steps: int = STEPS) -> dic
     surrogate, faces = load_surrogate(device=device).requires_grad_(False), family.faces_on(device)
 
     def learned(label: Tensor, grid: Grid, steps: int) -> TriangleMesh:
-        at = _places_in(GRID, grid.points().to(device))
+        at = places_in_map(grid.points().to(device))[None]
         maps = lambda theta: grid_sample(surrogate(theta), at, padding_mode="border", align_corners=True)  # noqa: E731
         return by_parameters(family, maps, label, steps)
 
@@ -133,13 +134,6 @@ def by_code(model: DeepSDF, label: Tensor, grid: Grid, steps: int) -> TriangleMe
         schedule.step()
     x, y, z = centre.tolist()
     return decode_mesh(model, code.detach(), sphere=UnitSphere((x, y, z), start.radius * float(size.detach().exp())))
-
-
-def _places_in(maps: Grid, points: Tensor) -> Tensor:
-    """Points (nx,ny,nz,3) as `grid_sample` wants them for maps on a grid: (1,nx,ny,nz,3), z before y before x."""
-    low, step = points.new_tensor(maps.origin), points.new_tensor(maps.spacing)
-    last = points.new_tensor(maps.shape) - 1
-    return (2 * (points - low) / (step * last) - 1).flip(-1)[None]
 
 
 def by_parameters(family: Cochlea, maps: Callable[[Tensor], Tensor], label: Tensor, steps: int) -> TriangleMesh:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from bench._figure import sheet
 from bench._fit_tools import backends_by_name, case, fit_case, truth_backend
 from bench.fit_real import real_mesh, scan
 from sdm import SDMError
 from sdm.fit import SCANNERS
 from sdm.fit.drawing import draw_fit
-from sdm.io.atomic import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -36,12 +40,11 @@ def pictures(options: argparse.Namespace) -> None:
 
 
 def _coverage(record: dict, path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with sheet(path, (9, 4.5), dpi=110, layout="constrained") as figure:
+        _draw_coverage(record, figure.subplots())
 
-    figure = Figure(figsize=(9, 4.5), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    panel = figure.subplots()
+
+def _draw_coverage(record: dict, panel: Axes) -> None:
     panel.axhspan(0.85, 0.95, color="0.92")
     panel.axhline(0.9, color="0.5", linewidth=0.8)
     for offset, scanner, colour in ((-0.12, "0.3", "#3f86bd"), (0.12, "0.2", "#c9453f")):
@@ -57,5 +60,3 @@ def _coverage(record: dict, path: Path) -> None:
     panel.set_ylim(0.7, 1.0)
     panel.set_ylabel("90 % intervals that hold the truth")
     panel.legend()
-    with replacing(path) as part:
-        figure.savefig(part, format="png", dpi=110)

@@ -178,5 +178,5 @@ def _cube_around(places: Tensor) -> list[float]:
     axis that tells them apart, and samples reach no further than half of that.
     """
     low = places.amin(0) - REACH
-    cells = (float((places.amax(0) + REACH - low).max())) / (STEP / 2)
+    cells = float((places.amax(0) + REACH - low).max()) / (STEP / 2)
     return [*low.tolist(), STEP / 2 * 2.0 ** max(0, math.ceil(math.log2(cells)))]

@@ -117,9 +117,13 @@ def crossings(map_: Tensor) -> Tensor:
 
 def interpolated(map_: Tensor, points: Tensor) -> Tensor:
     """A map (nx,ny,nz) at points (N,3) [mm] within the grid, trilinearly."""
-    origin, spacing = (torch.tensor(x, device=map_.device) for x in (GRID.origin, GRID.spacing))
-    last = torch.tensor([n - 1 for n in map_.shape], device=map_.device)
-    place = (points - origin) / spacing / last * 2 - 1
-    # `grid_sample` names the axes last to first.
-    at = place.flip(-1).reshape(1, -1, 1, 1, 3).to(map_.dtype)
+    at = places_in_map(points).reshape(1, -1, 1, 1, 3).to(map_.dtype)
     return torch.nn.functional.grid_sample(map_[None, None], at, align_corners=True).reshape(-1)
+
+
+def places_in_map(points: Tensor) -> Tensor:
+    """Points (...,3) [mm] as `grid_sample` wants them for maps on `GRID`, their corners aligned."""
+    origin, spacing = (torch.tensor(x, device=points.device) for x in (GRID.origin, GRID.spacing))
+    last = torch.tensor(GRID.shape, device=points.device) - 1
+    # The axes are named last to first.
+    return ((points - origin) / spacing / last * 2 - 1).flip(-1)

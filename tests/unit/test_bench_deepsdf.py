@@ -21,11 +21,11 @@ from bench._deepsdf_nearest import VOTES, Nearest
 from bench._deepsdf_scale import in_paper_scale
 from bench.deepsdf_approximate import ApproximateSamples, approximate, prepare
 from bench.deepsdf_evaluate import summary
-from bench.deepsdf_fit import _places_in
 from bench.deepsdf_report import report
 from sdm import FormatError, TriangleMesh
 from sdm.sampling import ShapeSet, UnitSphere, surface_points
 from sdm.surrogate import GRID
+from sdm.surrogate.accuracy import places_in_map
 
 FEW = Cameras(views=12, pixels=48)
 
@@ -213,7 +213,7 @@ def test_a_surrogates_map_is_read_at_a_labels_voxels() -> None:
     places = [GRID.origin[axis] + GRID.spacing[axis] * torch.arange(n) for axis, n in enumerate(GRID.shape)]
     x, y, z = torch.meshgrid(*places, indexing="ij")
     at = torch.tensor([0.13, -0.42, 1.01]) + 0.17 * torch.rand(3, 4, 5, 3, generator=torch.Generator().manual_seed(0))
-    found = grid_sample((x + 2 * y + 4 * z)[None, None], _places_in(GRID, at), align_corners=True)
+    found = grid_sample((x + 2 * y + 4 * z)[None, None], places_in_map(at)[None], align_corners=True)
     assert torch.allclose(found[0, 0], at @ torch.tensor([1.0, 2, 4]), atol=1e-5)
 
 
