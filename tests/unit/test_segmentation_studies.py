@@ -13,7 +13,7 @@ import torch
 from bench import segmentation_juhl, segmentation_ma, segmentation_report
 from bench._juhl_shapes import ShapeBatches, _at_coarse, shapes
 from bench._segmentation_fit import fitted_steps
-from bench._segmentation_jobs import read_logs, run_jobs, write_log
+from bench._segmentation_jobs import claimed, read_logs, run_jobs, write_log
 from bench._segmentation_trials import differs
 from bench.segmentation_pack import pack, unpack
 from sdm.segmentation import MA_ROWS, METHODS
@@ -44,6 +44,25 @@ def test_jobs_that_are_done_are_not_done_again(tmp_path, capsys):
     log = read_logs(tmp_path / "logs")[0]
     assert log["value"] == math.inf
     assert log["list"] == [1.2346]
+
+
+def both(job):
+    """Whichever of two jobs ends first: a process may find the other's work done before its log is written."""
+    return {"name": "both"} if job["name"] in ("a", "b") else None
+
+
+def test_what_follows_several_jobs_is_done_once(tmp_path):
+    listed = [{"name": "a"}, {"name": "b"}]
+    logs, unfinished = tmp_path / "logs", tmp_path / "work"
+    calls.clear()
+    run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
+    assert calls == ["a", "both", "b"]
+    assert not claimed(unfinished, {"name": "both"})
+    # A run that was cut short leaves its claims behind; the next begins afresh.
+    for log in logs.iterdir():
+        log.unlink()
+    run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
+    assert calls == ["a", "both", "b"] * 2
 
 
 def test_no_job_begins_after_the_budget(tmp_path):
