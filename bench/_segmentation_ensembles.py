@@ -139,17 +139,22 @@ def ensemble(job: Job, device: str, kept: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def ensembles_tables(folders: Mapping[str, Path]) -> str:
+def ensembles_tables(folders: Mapping[str, Path], moved: str | None = None) -> str:
     """A row for each ensemble beside the mean over its seeds' trainings, then its cases; empty if there are none.
 
-    An empty prediction counts as a distance of `FAILED`. A mean is missing where the log of one of its trainings is.
+    An empty prediction counts as a distance of `FAILED`. A mean is missing where the log of one of its trainings is. If
+    there is a case `moved`, the means without it follow.
     """
     lines = ["| logs | method (seeds) | Dice [%] | mean of seeds | 95HD [voxels] | mean of seeds |"]
     lines.append("|---|---|---|---|---|---|")
+    if moved is not None:
+        lines = [lines[0] + f" Dice, 95HD without {moved[:4]} | mean of seeds |", lines[1] + "---|---|"]
     found = [(name, log, _trainings(log, folder)) for name, folder in folders.items() for log in _ordered(folder)]
     for name, log, own in found:
         both = zip(means([log]), means(own) if own else (None, None), strict=True)
         cells = [text for pair in both for text in ("-" if value is None else f"{value:.2f}" for value in pair)]
+        if moved is not None:
+            cells += ["{:.2f}, {:.2f}".format(*means(logs, moved)) if logs else "-" for logs in ([log], own)]
         lines.append(f"| {name} | {_called(log)} | {' | '.join(cells)} |")
     if not found:
         return ""

@@ -29,6 +29,8 @@ Follow = Callable[[Job], Job | None]
 
 # Keys of a job that say where files lie on this machine.
 PLACES = ("data", "networks")
+# End of the names of files by which a process says that it does a job.
+CLAIM = ".claim"
 # The process that fills the list may be slower than those that empty it.
 PATIENCE_S = 2.0
 
@@ -59,10 +61,12 @@ def run_jobs(
         budget_s: Seconds from now. A job that the budget cuts short leaves a checkpoint.
         on: Devices; one process each.
         follow: What a process asks once a job's log is written; it does what it is told at once, whether there is a log
-            or not. A function at a module's top level, or a `partial` of one.
+            or not, unless another process was told the same. A function at a module's top level, or a `partial` of one.
     """
     logs.mkdir(parents=True, exist_ok=True)
     unfinished.mkdir(parents=True, exist_ok=True)
+    for claim in unfinished.glob(f"*{CLAIM}"):
+        claim.unlink()
     deadline = time.monotonic() + budget_s
     left = [job for job in jobs if not _log(logs, job).is_file()]
     print(f"{len(left)} of {len(jobs)} jobs to do on {', '.join(on)}, at most {budget_s:.0f} s", flush=True)
@@ -117,8 +121,19 @@ def _worker(
             job = line.get(timeout=0.0 if isinstance(line, queue.Queue) else PATIENCE_S)
         except queue.Empty:
             break
-        if done(job) and follow is not None and time.monotonic() < deadline and (then := follow(job)) is not None:
+        if not done(job) or follow is None or time.monotonic() >= deadline:
+            continue
+        if (then := follow(job)) is not None and claimed(unfinished, then):
             done(then)
+
+
+def claimed(unfinished: Path, job: Job) -> bool:
+    """Whether a job that follows others is for this process to do: of several that ask, the first."""
+    try:
+        (unfinished / f"{job['name']}{CLAIM}").touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
 def write_log(path: Path, log: dict[str, Any]) -> None:

@@ -10,13 +10,13 @@ and `val` with HDF5 files (data sets image, label). Every row has the same netwo
 number of steps; nothing is chosen by the validation cases but what is said in the log's settings. Distances are in
 voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
 An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble.json. Its
-networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say.
+networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say. What is
+not said is as in the table that is kept in bench/results.
 
 What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
 whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff
 loss measures inside and outside (method hausdorff-foreground: as there); surface distances go both ways; an empty
-prediction counts as a failure; the learning rate follows one schedule; the optimiser is AdamW and there are far fewer
-steps.
+prediction counts as a failure; the learning rate follows one schedule; there are far fewer steps.
 """
 
 from __future__ import annotations
@@ -150,12 +150,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
     parser.add_argument("--methods", nargs="+", default=list(ROWS), choices=list(METHODS))
     parser.add_argument("--seeds", type=int, nargs="+", default=None, help="default 0 1 2; of an ensemble all kept")
-    parser.add_argument("--steps", type=int, default=1600)
+    parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
-    parser.add_argument("--batch", type=int, default=4)
-    parser.add_argument("--optimizer", choices=("adam", "sgd"), default="adam")
-    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--batch", type=int, default=2)
+    parser.add_argument("--optimizer", choices=("adam", "sgd"), default="sgd")
+    parser.add_argument("--learning-rate", type=float, default=0.05)
     parser.add_argument("--schedule", choices=("cosine", "constant"), default="cosine")
     parser.add_argument("--average", type=float, default=0.0, help="of the weights, over this share of the training")
     parser.add_argument("--augment", choices=("none", "published", "affine", "strong", "scanner"), default="affine")
@@ -165,7 +165,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--last-dropout", type=float, default=0.0)
     parser.add_argument("--window", type=int, nargs=3, default=None, help="of the prediction; default a patch")
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
-    parser.add_argument("--mirrors", default="xyz", help="axes: mirror images to train on and to average over")
+    parser.add_argument("--mirrors", default="", help="axes, xyz: mirror images to train on and to average over")
     parser.add_argument("--position", action="store_true", help="tell the network where voxels are in their volume")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")

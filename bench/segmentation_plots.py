@@ -5,13 +5,18 @@ from __future__ import annotations
 import argparse
 import statistics
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from bench import segmentation_juhl, segmentation_ma
 from bench._figure import COLOURS, OURS, drawing
 from bench._segmentation_jobs import read_logs
+from bench._segmentation_seeds import rows_of, spreads
+from bench._segmentation_trials import Logs, most_moved
 from bench.segmentation_report import differences, half_width, protocol, values_of
 from sdm.segmentation import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Contour Dice of K. Juhl et al., MIDL 2019 [%].
 PUBLISHED = {"pwc nearest": 68.49, "pwr-voxels linear": 87.69}
@@ -21,6 +26,8 @@ FAMILIES = {
     "a branch": tuple(name for name in METHODS if name.startswith("branch-")),
     "regression": ("pwr",),
 }
+# Voxels of the 95 % Hausdorff distance that were asked for.
+AIM = 8.0
 HUES = ("#777777", COLOURS["Warp winding number"], COLOURS["libigl winding number"], COLOURS[OURS])
 
 
@@ -36,7 +43,7 @@ def main() -> None:
         draw_atrium(logs, options.out / "segmentation-atrium.png")
 
 
-def draw_shapes(logs: list[dict[str, Any]], target: Path) -> None:
+def draw_shapes(logs: Logs, target: Path) -> None:
     """Contour Dice of every row, one dot for each seed, and what was published."""
     found: dict[str, list[float]] = {}
     for log in logs:
@@ -62,26 +69,64 @@ def draw_shapes(logs: list[dict[str, Any]], target: Path) -> None:
         axes.set_title("Simple shapes: regression of distances keeps the contour", x=-0.66)
 
 
-def draw_atrium(logs: list[dict[str, Any]], target: Path) -> None:
-    """How much each method differs from the baseline in Dice, with its 95 % confidence interval over the cases."""
-    dice = values_of(logs, "dice")
-    with drawing(target, protocol(logs), (12.0, 7.2)) as (_, axes):
-        axes.set_position((0.21, 0.145, 0.76, 0.745))
-        at, labels = 0, []
-        for (family, names), hue in zip(FAMILIES.items(), HUES, strict=True):
-            for number, name in enumerate(n for n in names if n in dice):
-                values = [100 * v for v in differences(dice[name], dice["baseline"]).values()]
-                label, half = family if number == 0 else None, half_width(values)
-                axes.errorbar(statistics.fmean(values), -at, xerr=half, fmt="o", color=hue, capsize=3, label=label)
-                axes.plot(values, [-at] * len(values), ".", color=hue, alpha=0.3, markersize=6)
-                labels.append(name)
-                at += 1
+def draw_atrium(logs: Logs, target: Path) -> None:
+    """How much each row's Dice differs from the baseline's, case by case, and its 95HD with and without one case."""
+    dice, moved = values_of(logs, "dice"), most_moved(logs)
+    rows, rest = rows_of(logs), rows_of(logs, moved)
+    hues = {name: hue for names, hue in zip(FAMILIES.values(), HUES, strict=True) for name in names}
+    names = ["baseline", *(name for name in hues if name in rows)]
+    caption = (
+        f"{protocol(logs)} {len(rows['baseline'])} seeds. Chance: means over them of two rows that are alike "
+        "differ by less, 19 times of 20."
+    )
+    with drawing(target, caption, (12.0, 7.2)) as (figure, axes):
+        axes.set_position((0.17, 0.145, 0.45, 0.70))
+        if (found := spreads(rows)) is not None:
+            axes.axvspan(-found[0].two, found[0].two, color="0.92", label="chance")
         axes.axvline(0, color="0.5", linewidth=1)
-        axes.set_yticks([-i for i in range(len(labels))], labels)
-        axes.grid(visible=True, axis="x")
-        axes.set_xlabel("Dice less the baseline's [%]: mean, 95 % confidence interval, a dot for each case")
-        axes.legend(loc="lower left")
-        axes.set_title("Left atrium: what a distance map adds to a V-Net", x=-0.21)
+        for at, name in enumerate(names[1:], 1):
+            case_by_case = {c: 100 * v for c, v in differences(dice[name], dice["baseline"]).items()}
+            values = list(case_by_case.values())
+            mean, half = statistics.fmean(values), half_width(values)
+            axes.errorbar(mean, -at, xerr=half, fmt="o", color=hues[name], capsize=3)
+            others = [value for case, value in case_by_case.items() if case != moved]
+            axes.plot(others, [-at] * len(others), ".", color=hues[name], alpha=0.35, markersize=6)
+            axes.plot(
+                case_by_case[moved], -at, "D", color=hues[name], markersize=5, fillstyle="none", markeredgewidth=1.2
+            )
+        axes.set_yticks([-at for at in range(len(names))], names)
+        axes.set_xlabel("Dice less the baseline's [%]")
+        far = figure.add_axes((0.655, 0.145, 0.325, 0.70), sharey=axes)
+        far.axvline(AIM, color="0.35", linewidth=1.4, linestyle=(0, (4, 3)))
+        far.annotate(f"asked for: {AIM:g}", (AIM, 0.8), xytext=(6, 0), textcoords="offset points", fontsize=9.5,
+                     color="0.35", va="center")  # fmt: skip
+        for at, name in enumerate(names):
+            hue = hues.get(name, "black")
+            for values, style, fill in ((rows[name], "o", "full"), (rest[name], "D", "none")):
+                seeds = [distance for _, distance in values.values()]
+                far.plot(seeds, [-at] * len(seeds), "o", color=hue, alpha=0.45, markersize=3.2, fillstyle=fill)
+                far.plot(statistics.fmean(seeds), -at, style, color=hue, fillstyle=fill)
+        far.tick_params(labelleft=False)
+        far.set_xlabel("95 % Hausdorff distance [voxels]")
+        for one in (axes, far):
+            one.grid(visible=True, axis="x")
+            one.locator_params(axis="x", integer=True, nbins=8)
+            one.set_ylim(-len(names) + 0.4, 1.3)
+        _explain(axes, far, moved[:4])
+        axes.set_title("Left atrium: no row beats the baseline by more than chance", x=-0.35, pad=44)
+
+
+def _explain(axes: Axes, far: Axes, moved: str) -> None:
+    """What dots and diamonds are, above the axes."""
+    for one, lines in (
+        (axes, (("o", "mean, 95 % interval"), (".", "a case"), ("D", f"case {moved}"))),
+        (far, (("o", "all cases"), ("D", f"without {moved}"), (".", "a seed"))),
+    ):
+        for marker, label in lines:
+            colour, fill = ("0.6" if marker == "." else "0.25"), ("none" if marker == "D" else "full")
+            one.plot([], [], marker=marker, label=label, color=colour, fillstyle=fill, linestyle="")
+        one.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=4, columnspacing=1.0, handletextpad=0.2,
+                   handlelength=1.4, fontsize=10)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@
 A method is compared with the baseline case by case, each case being the mean over the seeds that both have: mean
 difference with its 95 % confidence interval (Student's t over the cases), and Wilcoxon's signed-rank test. With the 8
 validation cases only differences that nearly all cases share can be told from chance. "Hard" is the half of the cases
-in which the baseline has the lower Dice. Trainings by other protocols (`--trials`) follow in tables of their own,
-and so do ensembles, the mean over the seeds of a method.
+in which the baseline has the lower Dice. The same follows without the case in whose 95HD the trainings differ most, and
+seed by seed, with what chance does to a table like this. Trainings by other protocols (`--trials`) follow in tables of
+their own, and so do ensembles, the mean over the seeds of a method.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import argparse
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -24,8 +24,9 @@ from bench import segmentation_juhl, segmentation_ma
 from bench._record import put
 from bench._segmentation_ensembles import ensembles_tables
 from bench._segmentation_jobs import read_logs
-from bench._segmentation_trials import designs_and_others, effects_table, most_moved, trials_table
-from sdm.segmentation import METHODS
+from bench._segmentation_seeds import repeats_table, seeds_table
+from bench._segmentation_trials import Logs, designs_and_others, effects_table, most_moved, trials_table
+from sdm.segmentation import MA_ROWS, METHODS
 
 OUT = Path(__file__).parent / "results" / "segmentation.md"
 TRIALS = Path(__file__).parent / "results" / "segmentation_ma_trials"
@@ -56,8 +57,9 @@ def page(ma: Path, juhl: Path, trials: Path) -> str:
         parts += [segmentation_ma.table_of(ma, "largest"), "", "As predicted, all components:", ""]
         parts += [segmentation_ma.table_of(ma, "plain"), ""]
         parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
+        parts += by_seed(logs)
         parts += other_protocols(logs, trials)
-        parts += ensembles(ma, trials)
+        parts += ensembles(ma, trials, most_moved(logs))
     parts += ["## Simple shapes (Juhl et al.)", ""]
     if shape_logs:
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
@@ -66,33 +68,52 @@ def page(ma: Path, juhl: Path, trials: Path) -> str:
     return "\n".join(parts).rstrip()
 
 
-def other_protocols(logs: list[dict[str, Any]], trials: Path) -> list[str]:
+def by_seed(logs: Logs) -> list[str]:
+    """The comparison without the case that trainings differ most in, and seed by seed; nothing of one seed."""
+    moved = most_moved(logs)
+    found = seeds_table(logs, moved)
+    if not found:
+        return []
+    parts = [f"The same without {moved[:4]}:", "", against_baseline(without(logs, moved)), ""]
+    return [*parts, "Seed by seed, the mean over the cases (largest component):", "", found, ""]
+
+
+def without(logs: Logs, case: str) -> Logs:
+    """Logs that do not know a case."""
+    parts = ("plain", "largest")
+    return [{**log, **{p: {c: v for c, v in log[p].items() if c != case} for p in parts}} for log in logs]
+
+
+def other_protocols(logs: Logs, trials: Path) -> list[str]:
     """Trainings that are not of the table."""
     designs, others = designs_and_others(trials)
     if not others:
         return []
     parts = [f"### Other protocols (largest component; logs in {trials.name})", "", trials_table(logs, others), ""]
+    if again := repeats_table({"the table": logs, **others}, most_moved(logs)):
+        parts += ["The same settings and the same seed twice (other commits, at times another GPU):", "", again, ""]
     for name, design in designs.items():
         title = f"Effects of settings in the {len(design)} trainings of {name}, the mean of one half less the other's:"
         parts += [title, "", effects_table(design, most_moved([*logs, *design])), ""]
     for name, own in others.items():
         seeds = {log["job"]["settings"]["seed"] for log in own}
         methods = {log["job"]["settings"]["method"] for log in own}
-        if len(seeds) > 1 and len(methods) > 1 and len(own) == len(seeds) * len(methods):
-            title = f"Against the baseline, case by case, means of {len(seeds)} seeds of {name}:"
-            parts += [title, "", against_baseline(own), ""]
+        whole = len(seeds) > 1 or set(MA_ROWS) <= methods
+        if whole and "baseline" in methods and len(methods) > 1 and len(own) == len(seeds) * len(methods):
+            count = f"means of {len(seeds)} seeds" if len(seeds) > 1 else "one seed"
+            parts += [f"Against the baseline, case by case, {count} of {name}:", "", against_baseline(own), ""]
     return parts
 
 
-def ensembles(ma: Path, trials: Path) -> list[str]:
+def ensembles(ma: Path, trials: Path, moved: str) -> list[str]:
     """Those of the table's trainings and of other protocols."""
     folders = sorted(path for path in trials.iterdir() if path.is_dir()) if trials.is_dir() else []
-    found = ensembles_tables({"the table": ma, **{path.name: path for path in folders}})
+    found = ensembles_tables({"the table": ma, **{path.name: path for path in folders}}, moved)
     title = "### Ensembles: the mean of what networks say that differ in their seed (largest component)"
     return [title, "", found, ""] if found else []
 
 
-def protocol(logs: list[dict[str, Any]]) -> str:
+def protocol(logs: Logs) -> str:
     """What all logs have in common, in a sentence."""
     settings = logs[0]["job"]["settings"]
     machines = sorted({log["machine"]["device"] for log in logs})
@@ -107,11 +128,12 @@ def protocol(logs: list[dict[str, Any]]) -> str:
     return (
         f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
-        f"{settings['targets']}{told}{mirrors}; median training {seconds:.0f} s on {', '.join(machines)}."
+        f"{settings['targets']}{told}{mirrors}; a training took {seconds:.0f} s (median; several may share a GPU) on "
+        f"{', '.join(machines)}."
     )
 
 
-def values_of(logs: list[dict[str, Any]], column: str) -> dict[str, Values]:
+def values_of(logs: Logs, column: str) -> dict[str, Values]:
     """Method -> seed -> case -> value; a failed case has the worst value of all that are finite."""
     found: dict[str, Values] = {}
     for log in logs:
@@ -133,7 +155,7 @@ def differences(method: Values, baseline: Values) -> dict[str, float]:
     return {c: statistics.fmean(method[s][c] - baseline[s][c] for s in seeds) for c in cases}
 
 
-def against_baseline(logs: list[dict[str, Any]]) -> str:
+def against_baseline(logs: Logs) -> str:
     """A row for each method: the differences in Dice (percent) and 95HD (voxels)."""
     dice, distance = values_of(logs, "dice"), values_of(logs, "hausdorff95_mm")
     if "baseline" not in dice:

@@ -166,10 +166,10 @@ def test_the_report_has_ensembles_apart(tmp_path):
     start, end = text.index("### Ensembles"), text.index("## Simple shapes")
     assert text[:start] + text[end:] == before
     lines = text[start:end].splitlines()
-    assert "| the table | baseline (0, 1) | 90.00 | 80.00 | 8.00 | 15.00 |" in lines
-    assert "| sgd | pwr (0, 1) | 60.00 | 70.00 | 80.00 | 15.00 |" in lines
+    assert "| the table | baseline (0, 1) | 90.00 | 80.00 | 8.00 | 15.00 | 90.00, 8.00 | 80.00, 15.00 |" in lines
+    assert "| sgd | pwr (0, 1) | 60.00 | 70.00 | 80.00 | 15.00 | 60.00, 80.00 | 70.00, 15.00 |" in lines
     # The log of one of its trainings is not there.
-    assert "| sgd | baseline (0, 2) | 85.00 | - | 9.00 | - |" in lines
-    assert "| alone | pwr (5, 6) | 60.00 | - | 7.00 | - |" in lines
+    assert "| sgd | baseline (0, 2) | 85.00 | - | 9.00 | - | 85.00, 9.00 | - |" in lines
+    assert "| alone | pwr (5, 6) | 60.00 | - | 7.00 | - | 60.00, 7.00 | - |" in lines
     assert "| the table | baseline (0, 1) | 8.0 (15.0) | 8.0 (15.0) |" in lines
     assert "| sgd | baseline (0, 2) | 9.0 (-) | 9.0 (-) |" in lines

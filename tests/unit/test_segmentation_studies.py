@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from bench import segmentation_juhl, segmentation_ma, segmentation_report
+from bench import segmentation_juhl, segmentation_ma, segmentation_plots, segmentation_report
 from bench._juhl_shapes import ShapeBatches, _at_coarse, shapes
 from bench._segmentation_fit import fitted_steps
-from bench._segmentation_jobs import read_logs, run_jobs, write_log
+from bench._segmentation_jobs import claimed, read_logs, run_jobs, write_log
+from bench._segmentation_seeds import repeats_table, spread_of
 from bench._segmentation_trials import differs
 from bench.segmentation_pack import pack, unpack
 from sdm.segmentation import MA_ROWS, METHODS
@@ -44,6 +45,25 @@ def test_jobs_that_are_done_are_not_done_again(tmp_path, capsys):
     log = read_logs(tmp_path / "logs")[0]
     assert log["value"] == math.inf
     assert log["list"] == [1.2346]
+
+
+def both(job):
+    """Whichever of two jobs ends first: a process may find the other's work done before its log is written."""
+    return {"name": "both"} if job["name"] in ("a", "b") else None
+
+
+def test_what_follows_several_jobs_is_done_once(tmp_path):
+    listed = [{"name": "a"}, {"name": "b"}]
+    logs, unfinished = tmp_path / "logs", tmp_path / "work"
+    calls.clear()
+    run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
+    assert calls == ["a", "both", "b"]
+    assert not claimed(unfinished, {"name": "both"})
+    # A run that was cut short leaves its claims behind; the next begins afresh.
+    for log in logs.iterdir():
+        log.unlink()
+    run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
+    assert calls == ["a", "both", "b"] * 2
 
 
 def test_no_job_begins_after_the_budget(tmp_path):
@@ -83,7 +103,7 @@ def test_a_study_of_left_atria_in_small(tmp_path, method, more, capsys):
 
 
 def test_logs_of_another_protocol_do_not_pass_for_done(tmp_path):
-    ma_log(tmp_path, "baseline", 0, {"a": 0.9})
+    ma_log(tmp_path, "baseline", 0, {"a": 0.9}, batch=2, optimizer="sgd", learning_rate=0.05, mirrors="")
     parse = segmentation_ma.parser().parse_args
     words = ["run", "--steps", "2000", "--methods", "baseline", "--seeds"]
     segmentation_ma.refuse_others(segmentation_ma.jobs(parse([*words, "0", "1"])), tmp_path)
@@ -207,8 +227,11 @@ def test_the_report_compares_case_by_case(tmp_path):
         ma_log(tmp_path, "pwr", seed, {"a": 0.84, "b": 0.85, "c": 0.92, "d": 0.93})
     ma_log(tmp_path, "boundary", 7, {"a": 0.5})
     text = segmentation_report.page(tmp_path, tmp_path / "none", tmp_path / "none")
-    (row,) = [line for line in text.splitlines() if line.startswith("| pwr | +")]
+    row, without = [line for line in text.splitlines() if line.startswith("| pwr | +")]
     assert row.startswith("| pwr | +2.50 [+0.45, +4.55] | 0.125 | +3.50 | +1.50 | -0.25 [")
+    assert "The same without a:" in text
+    assert without.startswith("| pwr | +2.00 [")
+    assert "| pwr | 88.5, 88.5 | +2.5, +2.5 | 90.00 (+2.00) | 1.1, 1.1 | -0.2, -0.2 | 1.00 (-0.20) |" in text
     # No seed in common: no comparison, but a row in the table.
     assert "| boundary |" not in text
     assert "| boundary (1) |" in text
@@ -227,6 +250,60 @@ def test_the_report_tells_what_other_protocols_changed(tmp_path):
     assert "| short (1) | 2.0 | 4.0 |" in text
     assert "| mirrored along xyz | not mirrored | +15.00 | -1.50 | +0.00, +0.00 |" in text
     assert "4 trainings of half" in text
+
+
+def test_a_folder_of_trials_is_compared_with_its_own_baseline(tmp_path):
+    """One seed is enough of a whole table, and a folder without a baseline has nothing to compare with."""
+    for seed in (0, 1):
+        for method in ("baseline", "pwr"):
+            ma_log(tmp_path / "ma", method, seed, {"a": 0.8, "b": 0.9})
+            ma_log(tmp_path / "trials" / "position", method.replace("baseline", "pwc"), seed, {"a": 0.8, "b": 0.9})
+    for method in MA_ROWS:
+        ma_log(tmp_path / "trials" / "adam", method, 0, {"a": 0.8, "b": 0.9}, steps=5)
+    text = segmentation_report.page(tmp_path / "ma", tmp_path / "none", tmp_path / "trials")
+    assert "| position (4) |" in text
+    assert "seeds of position" not in text
+    assert "The baseline is not there yet." not in text
+    assert "Against the baseline, case by case, one seed of adam:" in text
+
+
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_the_picture_of_atria(tmp_path, seeds):
+    pytest.importorskip("matplotlib")
+    for seed in range(seeds):
+        for method, low in (("baseline", 0.8), ("pwr", 0.85), ("head-sdf-l1", 0.7)):
+            ma_log(tmp_path / "ma", method, seed, {"a": low, "b": 0.9})
+    segmentation_plots.draw_atrium(read_logs(tmp_path / "ma"), tmp_path / "atrium.png")
+    assert (tmp_path / "atrium.png").stat().st_size > 1000
+
+
+def test_a_training_that_was_done_twice(tmp_path):
+    """Dice of 80 and 84 has a deviation of 2 sqrt(2); 95HD is 10 (1 - Dice) here."""
+    for number, low in enumerate((0.8, 0.88)):
+        ma_log(tmp_path / str(number), "pwr", 3, {"a": low, "b": 0.8})
+        ma_log(tmp_path / str(number), "pwr", 4 + number, {"a": low, "b": 0.8})
+    folders = {name: read_logs(tmp_path / name) for name in ("0", "1")}
+    lines = repeats_table(folders, "a").splitlines()
+    assert lines[2:-2] == ["| pwr-3 | 0, 1 | 80.0, 84.0 | 2.0, 1.6 | 80.0, 2.0; 80.0, 2.0 |"]
+    assert "2.83 % Dice and 0.28 voxels (0.00 and 0.00 without a)." in lines[-1]
+    assert repeats_table({"0": folders["0"]}, "a") == ""
+
+
+def test_what_chance_does_to_a_table():
+    """Simulated: rows that are alike but for their seeds' share, which is larger than what is left."""
+    random = np.random.default_rng(0)
+    deviations, two, furthest = [], [], []
+    for _ in range(1000):
+        values = random.normal(0, 3, (1, 3)) + random.normal(0, 1, (18, 3))
+        spread = spread_of(values)
+        less = abs(values.mean(1)[1:] - values.mean(1)[0])
+        deviations.append(spread.deviation)
+        two.append(less[0] > spread.two)
+        furthest.append(less.max() > spread.furthest)
+    assert np.mean(deviations) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(two) == pytest.approx(0.05, abs=0.02)
+    # Bonferroni is on the safe side: all rows have the baseline in common.
+    assert 0.01 < np.mean(furthest) < 0.05
 
 
 def test_logs_of_before_a_choice_have_its_default(tmp_path):
