@@ -23,20 +23,17 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell
-from sdm.kernels.octants import Octants, octants_below
+from sdm.kernels.lanes import has_turn
+from sdm.kernels.octants import Bounds
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
 from sdm.kernels.rows import (
-    CORNER_BITS,
     CORNERS,
-    EDGE_BITS,
     EDGE_ROW,
     EDGES,
     ENDS,
-    FACE_BITS,
     FACE_ROW,
     FACES,
     OFFSETS,
-    write_bits,
     write_number,
     write_row,
 )
@@ -47,7 +44,6 @@ wp.set_module_options({"enable_backward": False})
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
 _ENDS, _OFFSETS = wp.constant(ENDS), wp.constant(OFFSETS)
-_CORNER_BITS, _EDGE_BITS, _FACE_BITS = wp.constant(CORNER_BITS), wp.constant(EDGE_BITS), wp.constant(FACE_BITS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
@@ -63,9 +59,30 @@ class Counts:
 
 
 @wp.func
-def has_room(counts: Counts, faces: int, edges: int, corners: int):
+def added(some: Counts, more: Counts):
+    """The sum of two counts."""
+    found = Counts()
+    found.corners = some.corners + more.corners
+    found.edges = some.edges + more.edges
+    found.faces = some.faces + more.faces
+    return found
+
+
+@wp.func
+def less(some: Counts, fewer: Counts):
+    """The difference of two counts."""
+    found = Counts()
+    found.corners = some.corners - fewer.corners
+    found.edges = some.edges - fewer.edges
+    found.faces = some.faces - fewer.faces
+    return found
+
+
+@wp.func
+def has_room(counts: Counts, taken: Counts):
     """Whether so many more parts fit into the lists."""
-    return counts.faces + faces <= _FACES and counts.edges + edges <= _EDGES and counts.corners + corners <= _CORNERS
+    total = added(counts, taken)
+    return total.faces <= _FACES and total.edges <= _EDGES and total.corners <= _CORNERS
 
 
 @wp.func
@@ -76,10 +93,8 @@ def row_vector(parts: Parts, slot: int, first: int):
 
 
 @wp.func
-def add_corner(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Row `number` of the corners: corner code % 4 of triangle code / 4."""
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """Row `number` of the corners: corner code % 4 of triangle code / 4. Returns what bounds where it matters."""
     slot = code / 4
     k = code % 4
     after = wp.where(k == 2, 0, k + 1)
@@ -89,19 +104,22 @@ def add_corner(
     v = -2.0 * wp.vec3(a)
     write_row(rows, number, v[0], v[1], v[2], float(wp.dot(a, a) - wp.float64(radius2)))
     # Behind its two edges, and behind the neighbours' edges there.
+    bounds = Bounds()
     q = corner - cell.centre
-    bits = octants_below(rows, octants, cell, q, tree.corners[4 * slot + after] - corner)
-    bits = bits & octants_below(rows, octants, cell, q, tree.corners[4 * slot + before] - corner)
-    bits = bits & octants_below(rows, octants, cell, q, row_vector(parts, slot, 9 + 3 * k) - corner)
-    bits = bits & octants_below(rows, octants, cell, q, row_vector(parts, slot, 9 + 3 * before) - corner)
-    write_bits(rows, _CORNER_BITS + number, bits)
+    bounds.q0 = q
+    bounds.u0 = tree.corners[4 * slot + after] - corner
+    bounds.q1 = q
+    bounds.u1 = tree.corners[4 * slot + before] - corner
+    bounds.q2 = q
+    bounds.u2 = row_vector(parts, slot, 9 + 3 * k) - corner
+    bounds.q3 = q
+    bounds.u3 = row_vector(parts, slot, 9 + 3 * before) - corner
+    return bounds
 
 
 @wp.func
-def add_edge(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Rows of edge `number`: from corner code % 4 of triangle code / 4 to the next."""
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """Rows of edge `number`: from corner code % 4 of triangle code / 4 to the next. Returns what bounds it."""
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
@@ -120,25 +138,28 @@ def add_edge(
     m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
     m2 = -2.0 * wp.vec3(m)
-    row = _EDGE_ROW + 2 * number
+    row = _EDGE_ROW + number
     write_row(rows, row, m2[0], m2[1], m2[2], float(wp.dot(m, m) - wp.float64(radius2)))
-    write_row(rows, row + 1, e[0], e[1], e[2], float(-along))
+    write_row(rows, row + _EDGES, e[0], e[1], e[2], float(-along))
     write_number(rows, _ENDS + number, float(wp.length(ab) - along))
     # Between its ends, outside of the face and of its neighbour.
+    bounds = Bounds()
     edge = end - begin
     q = begin - cell.centre
-    bits = octants_below(rows, octants, cell, q, -edge)
-    bits = bits & octants_below(rows, octants, cell, end - cell.centre, edge)
-    bits = bits & octants_below(rows, octants, cell, q, wp.cross(normal, edge))
-    bits = bits & octants_below(rows, octants, cell, q, inward)
-    write_bits(rows, _EDGE_BITS + number, bits)
+    bounds.q0 = q
+    bounds.u0 = -edge
+    bounds.q1 = end - cell.centre
+    bounds.u1 = edge
+    bounds.q2 = q
+    bounds.u2 = wp.cross(normal, edge)
+    bounds.q3 = q
+    bounds.u3 = inward
+    return bounds
 
 
 @wp.func
-def add_face(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Rows of face `number`: triangle code / 4."""
+def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """Rows of face `number`: triangle code / 4. Returns what bounds it."""
     slot = code / 4
     inverses = wp.vec4d()
     # All at once: loads one after the other wait for each other.
@@ -149,25 +170,37 @@ def add_face(
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
-    row = _FACE_ROW + 4 * number
+    row = _FACE_ROW + number
     h = -wp.dot(wp.cross(ab, -ca), a) * inverses[3]
     write_row(rows, row, normal[0], normal[1], normal[2], 2.0 * float(h))
     write_number(rows, _OFFSETS + number, float(h * h - wp.float64(radius2)))
-    bits = octants.there
-    # Not as a constant, which would write the loop out.
-    edges = int(3)
-    for k in range(edges):
-        inverse = inverses[k]
+    # On the inner sides of the planes on its edges.
+    bounds = Bounds()
+    inverse = inverses[0]
+    then = inverses[1]
+    last = inverses[2]
+    k = int(0)
+    while has_turn(k, 3):
         # The point of the edge's line that is closest to the centre: rounding is in units of its distance.
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
-        write_row(rows, row + 1 + k, u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
-        # On the inner side of the plane on this edge.
-        bits = bits & octants_below(rows, octants, cell, away, -u)
+        write_row(rows, row + _FACES * (1 + k), u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
+        bounds.q2 = bounds.q1
+        bounds.u2 = bounds.u1
+        bounds.q1 = bounds.q0
+        bounds.u1 = bounds.u0
+        bounds.q0 = away
+        bounds.u0 = -u
         # The next edge, turning the triangle.
         a = a + ab
         first = ab
         ab = bc
         bc = ca
         ca = first
-    write_bits(rows, _FACE_BITS + number, bits)
+        inverse = then
+        then = last
+        k = k + 1
+    # There is no fourth.
+    bounds.q3 = bounds.q2
+    bounds.u3 = bounds.u2
+    return bounds

@@ -125,6 +125,11 @@ class Output:
 @wp.func
 def write_distance(out: Output, index: int, distance: float):
     """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
-    winding = out.values[index]
+    return write_signed(out, index, distance, out.values[index])
+
+
+@wp.func
+def write_signed(out: Output, index: int, distance: float, winding: float):
+    """`write_distance` of a voxel whose winding number has been read."""
     out.values[index] = wp.where(winding > 0.5, -distance, distance)
     return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)

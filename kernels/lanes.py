@@ -39,6 +39,22 @@ def on_cpu() -> bool:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    __syncwarp(__activemask());
+#endif
+    return i < count;
+"""
+)
+def has_turn(i: int, count: int) -> bool:
+    """Whether a loop of `count` turns has turn i. A GPU's compiler does not write out a loop in which lanes may wait.
+
+    What a multiprocessor works at must fit into its cache for instructions, see bench/NOTES.md.
+    """
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return __ballot_sync(0xffffffffu, keep);
 #else
     return keep ? 1u : 0u;

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import warp as wp
 
-from sdm.kernels.rows import CORNER_BITS, EDGE_BITS, EDGE_ROW, ENDS, FACE_BITS, FACE_ROW, OFFSETS
+from sdm.kernels.rows import CORNER_BITS, EDGE_BITS, EDGE_ROW, EDGES, ENDS, FACE_BITS, FACE_ROW, FACES, OFFSETS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -26,79 +28,127 @@ def _each(count: str, bits: int, body: str) -> str:
         const int mine = base + lane;
         unsigned left = __ballot_sync(0xffffffffu, mine < {count} && (whole[{bits} + mine] >> octant & 1));
         while (left) {{
-            const int i = base + __ffs(left) - 1;
+            const int one = base + __ffs(left) - 1;
             left &= left - 1;
+            const int two = left ? base + __ffs(left) - 1 : one;
+            left &= left - 1;
+            {{ const int i = one; {body} }}
+            {{ const int i = two; {body} }}
+        }}
+    }}
 #else
     for (int i = 0; i < {count}; ++i) {{
         if (whole[{bits} + i] >> octant & 1) {{
-#endif
             {body}
         }}
     }}
+#endif
 """
 
 
-# Measures `count` voxels (x, y and z from the block's centre) with those of a worker's rows that matter to their octant
-# and keeps the lesser values in `best`. The same text for both devices, and for near and far blocks: a choice inside
-# the loops would cost as much as a part.
-_CORNERS = """
-            const Row r = row[i];
-            for (int v = 0; v < count; ++v) {
-                const float dx = x[v] + 0.5f * r.x, dy = y[v] + 0.5f * r.y, dz = z[v] + 0.5f * r.z;
-                const float d = NEAR ? dx * dx + dy * dy + dz * dz : r.w + (x[v] * r.x + y[v] * r.y + z[v] * r.z);
-                best[v] = d < best[v] ? d : best[v];
-            }
-"""
-_EDGES = f"""
-            const Row* at = row + {EDGE_ROW} + 2 * i;
-            const Row r = at[0], e = at[1];
-            const float begin = e.w - room, end = number[{ENDS} + i] + room;
-            for (int v = 0; v < count; ++v) {{
-                const float along = x[v] * e.x + y[v] * e.y + z[v] * e.z;
-                const float dx = x[v] + 0.5f * r.x - along * e.x, dy = y[v] + 0.5f * r.y - along * e.y;
-                const float dz = z[v] + 0.5f * r.z - along * e.z;
-                const float far = r.w + (x[v] * r.x + y[v] * r.y + z[v] * r.z) - along * along;
-                const float d = NEAR ? dx * dx + dy * dy + dz * dz : far;
-                const float here = ((along >= begin) & (along <= end)) ? d : INFINITY;
-                best[v] = here < best[v] ? here : best[v];
-            }}
-"""
-_FACES = f"""
-            const Row* at = row + {FACE_ROW} + 4 * i;
-            const Row r = at[0], a = at[1], b = at[2], c = at[3];
-            const float w = number[{OFFSETS} + i], above_a = a.w - room, above_b = b.w - room, above_c = c.w - room;
-            for (int v = 0; v < count; ++v) {{
-                const float height = x[v] * r.x + y[v] * r.y + z[v] * r.z;
-                const float plain = height + 0.5f * r.w;
-                const float far = w + height * (r.w + height) - (x[v] * x[v] + y[v] * y[v] + z[v] * z[v]);
-                const float d = NEAR ? plain * plain : far;
-                const bool beside = (above_a + (x[v] * a.x + y[v] * a.y + z[v] * a.z) < 0.0f)
-                    | (above_b + (x[v] * b.x + y[v] * b.y + z[v] * b.z) < 0.0f)
-                    | (above_c + (x[v] * c.x + y[v] * c.y + z[v] * c.z) < 0.0f);
-                const float here = beside ? INFINITY : d;
-                best[v] = here < best[v] ? here : best[v];
-            }}
-"""
-_MEASURE = (
-    _each("corners", CORNER_BITS, _CORNERS) + _each("edges", EDGE_BITS, _EDGES) + _each("faces", FACE_BITS, _FACES)
+# What measures one part: its rows, what voxels with the same y and z share, and what each takes, with an x of its own.
+# The same text for both devices, and for near and far blocks: a choice inside the loops would cost as much as a part.
+_CORNER = (
+    "const Row r = row[i];",
+    """
+                const float dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
+                const float flat = NEAR ? dy * dy + dz * dz : r.w + (y * r.y + z * r.z);
+    """,
+    """
+                const float dx = x + 0.5f * r.x;
+                const float d = NEAR ? dx * dx + flat : x * r.x + flat;
+                best[v] = lesser(d, best[v]);
+    """,
 )
-_MEASURE_EITHER = f"""
-    struct alignas(16) Row {{ float x, y, z, w; }};
+_EDGE = (
+    f"""
+            const Row r = row[{EDGE_ROW} + i], e = row[{EDGE_ROW + EDGES} + i];
+            const float begin = e.w - room, end = number[{ENDS} + i] + room;
+    """,
+    """
+                const float dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
+                const float middle = y * e.y + z * e.z, level = r.w + (y * r.y + z * r.z);
+    """,
+    """
+                const float along = x * e.x + middle;
+                const float ex = x + 0.5f * r.x - along * e.x, ey = dy - along * e.y, ez = dz - along * e.z;
+                const float d = NEAR ? ex * ex + ey * ey + ez * ez : x * r.x + level - along * along;
+                best[v] = ((along >= begin) & (along <= end)) ? lesser(d, best[v]) : best[v];
+    """,
+)
+_FACE = (
+    f"""
+            const Row r = row[{FACE_ROW} + i], a = row[{FACE_ROW + FACES} + i];
+            const Row b = row[{FACE_ROW + 2 * FACES} + i], c = row[{FACE_ROW + 3 * FACES} + i];
+            const float w = number[{OFFSETS} + i], in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
+    """,
+    """
+                const float level = y * r.y + z * r.z;
+                const float flat_a = y * a.y + z * a.z, flat_b = y * b.y + z * b.z, flat_c = y * c.y + z * c.z;
+    """,
+    """
+                const float height = x * r.x + level, plain = height + 0.5f * r.w;
+                const float far = w + height * (r.w + height) - (x * x + y * y + z * z);
+                const float d = NEAR ? plain * plain : far;
+                const bool beside = (x * a.x + flat_a < in_a) | (x * b.x + flat_b < in_b) | (x * c.x + flat_c < in_c);
+                best[v] = !beside ? lesser(d, best[v]) : best[v];
+    """,
+)
+
+
+def _alone(part: tuple[str, str, str]) -> str:
+    """C++ that measures `count` voxels, whatever their coordinates."""
+    rows, shared, own = part
+    return f"""
+            {rows}
+            for (int v = 0; v < count; ++v) {{
+                const float x = xs[v], y = ys[v], z = zs[v];
+                {shared} {own}
+            }}
+"""
+
+
+def _together(part: tuple[str, str, str]) -> str:
+    """The same for voxels with the same y and z."""
+    rows, shared, own = part
+    return f"""
+            {rows}
+            const float y = ys[0], z = zs[0];
+            {shared}
+            for (int v = 0; v < count; ++v) {{
+                const float x = xs[v];
+                {own}
+            }}
+"""
+
+
+def _measure(form: Callable[[tuple[str, str, str]], str]) -> str:
+    parts = (("corners", CORNER_BITS, _CORNER), ("edges", EDGE_BITS, _EDGE), ("faces", FACE_BITS, _FACE))
+    text = "".join(_each(count, bits, form(part)) for count, bits, part in parts)
+    return f"""
+    if (near) {{ {text.replace("NEAR", "true")} }}
+    else {{ {text.replace("NEAR", "false")} }}
+"""
+
+
+_ROWS = """
+    struct alignas(16) Row { float x, y, z, w; };
     const Row* row = reinterpret_cast<const Row*>(rows);
     const float* number = reinterpret_cast<const float*>(rows);
-    const int* whole = reinterpret_cast<const int*>(rows);
-    if (near) {{ {_MEASURE.replace("NEAR", "true")} }}
-    else {{ {_MEASURE.replace("NEAR", "false")} }}
+    const unsigned char* whole = reinterpret_cast<const unsigned char*>(rows);
 """
 
 
 @wp.func_native(
     snippet=f"""
 #if defined(__CUDA_ARCH__)
+    {_ROWS}
     constexpr int count = 2;
-    const float x[count] = {{p[0], q[0]}}, y[count] = {{p[1], q[1]}}, z[count] = {{p[2], q[2]}};
+    const float xs[count] = {{p[0], q[0]}}, ys[count] = {{p[1], q[1]}}, zs[count] = {{p[2], q[2]}};
     float best[count] = {{least[0], least[1]}};
-    {_MEASURE_EITHER}
+    const auto lesser = [](float a, float b) {{ return fminf(a, b); }};
+    if (turned) {{ {_measure(_alone)} }}
+    else {{ {_measure(_together)} }}
     return wp::vec2(best[0], best[1]);
 #else
     return least;
@@ -115,21 +165,27 @@ def least_values(
     q: wp.vec3,
     room: float,
     near: bool,
+    turned: bool,
     octant: int,
     lane: int,
 ) -> wp.vec2:
-    """On a GPU: `least`, or the lesser values of a worker's rows for two voxels p and q of an octant."""
+    """On a GPU: `least`, or the lesser values of a worker's rows for two voxels p and q of an octant.
+
+    If the grid is not `turned` they have the same y and z.
+    """
     ...
 
 
 @wp.func_native(
     snippet=f"""
 #if !defined(__CUDA_ARCH__)
-    const float* __restrict x = points.data + point;
-    const float* __restrict y = x + {VOXELS};
-    const float* __restrict z = y + {VOXELS};
+    {_ROWS}
+    const float* __restrict xs = points.data + point;
+    const float* __restrict ys = xs + {VOXELS};
+    const float* __restrict zs = ys + {VOXELS};
     float* __restrict best = least.data + value;
-    {_MEASURE_EITHER}
+    const auto lesser = [](float a, float b) {{ return a < b ? a : b; }};
+    {_measure(_alone)}
 #endif
 """
 )

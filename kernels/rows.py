@@ -1,8 +1,9 @@
 """Where a worker notes the parts that it measures a block from: on a GPU in shared memory, ten times nearer.
 
 Rows of four floats: corners (-2m, w); edges (-2m, w) (e, where it begins along it); faces (n, 2h) and three planes
-(inward, height), see `features`; the block's octants (their centres from the block's). Then single numbers: where each
-edge ends, w of each face, for each part one bit for each octant that it matters to, 24 coordinates of voxels.
+(inward, height), see `features`; the block's lattice, see `octants`. All parts' first rows lie behind each other, then
+their second ones, so that lanes do not wait for each other. Then single numbers: where each edge ends, w of each face,
+24 coordinates of voxels. Then bytes: for each part one bit for each octant that it matters to.
 """
 
 from __future__ import annotations
@@ -12,17 +13,17 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 # Room of each list: what waits for a batch of lanes must fit into empty ones.
-FACES, EDGES, CORNERS, OCTANTS = 64, 112, 112, 8
+FACES, EDGES, CORNERS = 64, 112, 112
 EDGE_ROW = CORNERS
 FACE_ROW = EDGE_ROW + 2 * EDGES
-OCTANT_ROW = FACE_ROW + 4 * FACES
-ENDS = 4 * (OCTANT_ROW + OCTANTS)
+LATTICE_ROW = FACE_ROW + 4 * FACES
+ENDS = 4 * (LATTICE_ROW + 4)
 OFFSETS = ENDS + EDGES
-CORNER_BITS = OFFSETS + FACES
+PLACES = OFFSETS + FACES
+CORNER_BITS = 4 * (PLACES + 24)
 EDGE_BITS = CORNER_BITS + CORNERS
 FACE_BITS = EDGE_BITS + EDGES
-PLACES = FACE_BITS + FACES
-ROWS = (PLACES + 24) // 4
+ROWS = (FACE_BITS + FACES) // 16
 # Blocks of threads have four groups of lanes.
 _GROUPS = 4
 
@@ -59,5 +60,5 @@ def write_number(rows: wp.uint64, index: int, value: float): ...
 def read_number(rows: wp.uint64, index: int) -> float: ...
 
 
-@wp.func_native(snippet="reinterpret_cast<int*>(rows)[index] = value;")
-def write_bits(rows: wp.uint64, index: int, value: int): ...
+@wp.func_native(snippet="reinterpret_cast<unsigned char*>(rows)[index] = (unsigned char)value;")
+def write_byte(rows: wp.uint64, index: int, value: int): ...

@@ -10,11 +10,11 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.features import Counts
-from sdm.kernels.grid import Output, Slab, along, voxel, write_distance
-from sdm.kernels.lanes import fetch_add, on_cpu, shrink
+from sdm.kernels.grid import Output, Slab, along, voxel, write_signed
+from sdm.kernels.lanes import fetch_add, has_turn, on_cpu, shrink
 from sdm.kernels.least import OCTANT, VOXELS, is_near, least_distance, least_values, lessen_values
 from sdm.kernels.lists import is_within, octant_at
-from sdm.kernels.octants import Octants
+from sdm.kernels.octants import Octants, note_lattice
 from sdm.kernels.rows import PLACES, read_number, write_number
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
@@ -63,8 +63,12 @@ def index_in(v: int):
 
 @wp.func
 def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int, lanes: int):
-    """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple."""
+    """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple.
+
+    And where they would be if they were not rounded, of any grid.
+    """
     scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
+    note_lattice(slab, rows, block.start, block.cell, scale, lane, lanes)
     at = lane
     while at < 8:
         for axis in range(3):
@@ -74,9 +78,8 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
 
 
 @wp.func
-def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, v: int):
-    """Voxel v of a block, from the block's centre."""
-    at = index_in(v)
+def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, at: wp.vec3i):
+    """The voxel `at` from a block's first, from the block's centre."""
     if slab.turned != 0:
         scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
         p = voxel(slab, block.start[0] + at[0], block.start[1] + at[1], block.start[2] + at[2])
@@ -87,14 +90,33 @@ def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, v: int):
 
 
 @wp.func
-def settle_voxel(slab: Slab, out: Output, block: Block, at: wp.vec3i, distance: float):
-    """Write the distance of the voxel `at` from a block's first: 1 if its winding number is unclear.
+def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
+    """Where the voxel `at` from a block's first is written, see `index_of`; -1 if it is beyond the slab."""
+    if not is_within(slab, block.start + at):
+        return -1
+    return block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
+
+
+@wp.func
+def winding_in(out: Output, block: Block, index: int, needed: bool):
+    """The winding number of a voxel that will be settled: read before it is measured, as it takes a while to come."""
+    if not needed or index < 0 or block.slices > 1:
+        return float(0.0)
+    return out.values[index]
+
+
+@wp.func
+def settle_voxel(out: Output, block: Block, index: int, winding: float, p: wp.vec3, least: float):
+    """Write the distance of a voxel; 1 if its winding number is unclear.
 
     It is infinite where none was found.
     """
-    if not is_within(slab, block.start + at):
+    distance = float(wp.inf)
+    if least < LARGEST_SQUARE:
+        near = is_near(block.radius2, block.cell.half2)
+        distance = block.unscale * least_distance(least, p, block.radius2, near)
+    if index < 0:
         return 0
-    index = block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
     if block.slices > 1:
         if distance < float(wp.inf):
             shrink(out.values, index, distance)
@@ -103,17 +125,7 @@ def settle_voxel(slab: Slab, out: Output, block: Block, at: wp.vec3i, distance: 
         # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
         distance = float(wp.inf)
         fetch_add(out.missed, 0, 1)
-    return write_distance(out, index, distance)
-
-
-@wp.func
-def finish_voxel(slab: Slab, out: Output, block: Block, v: int, p: wp.vec3, least: float):
-    """Write the distance of a voxel; 1 if its winding number is unclear."""
-    distance = float(wp.inf)
-    if least < LARGEST_SQUARE:
-        near = is_near(block.radius2, block.cell.half2)
-        distance = block.unscale * least_distance(least, p, block.radius2, near)
-    return settle_voxel(slab, out, block, index_in(v), distance)
+    return write_signed(out, index, distance, winding)
 
 
 @wp.func
@@ -140,6 +152,7 @@ def measure_voxels(
     near = is_near(block.radius2, block.cell.half2)
     half = block.cell.half
     room = NEAR_ENDS * (half[0] + half[1] + half[2])
+    turned = slab.turned != 0
     first = _VOXELS * worker
     octant = int(0)
     while (octants.there >> octant) != 0:
@@ -148,7 +161,7 @@ def measure_voxels(
             if on_cpu():
                 if not again:
                     for v in range(begin, begin + _OCTANT):
-                        p = local_voxel(tree, slab, rows, block, v)
+                        p = local_voxel(tree, slab, rows, block, index_in(v))
                         for axis in range(3):
                             features.points[3 * first + axis * _VOXELS + v] = p[axis]
                         features.least[first + v] = float(wp.inf)
@@ -172,22 +185,37 @@ def measure_voxels(
                         p = wp.vec3(
                             features.points[at], features.points[at + _VOXELS], features.points[at + 2 * _VOXELS]
                         )
-                        unclear = unclear + finish_voxel(slab, out, block, v, p, features.least[first + v])
+                        index = place_in_map(slab, block, index_in(v))
+                        winding = winding_in(out, block, index, last)
+                        unclear = unclear + settle_voxel(out, block, index, winding, p, features.least[first + v])
             else:
-                # Two voxels each lane: each row is loaded once for both.
+                # Two voxels each lane, two apart along x: each row is loaded, and worked out across x, once for both.
                 v = begin + lane
                 w = v + _OCTANT / 2
-                p = local_voxel(tree, slab, rows, block, v)
-                q = local_voxel(tree, slab, rows, block, w)
+                at_v = index_in(v)
+                at_w = at_v + wp.vec3i(2, 0, 0)
+                index_v = place_in_map(slab, block, at_v)
+                index_w = place_in_map(slab, block, at_w)
+                winding_v = winding_in(out, block, index_v, last)
+                winding_w = winding_in(out, block, index_w, last)
+                p = local_voxel(tree, slab, rows, block, at_v)
+                q = local_voxel(tree, slab, rows, block, at_w)
                 least = wp.vec2(wp.inf, wp.inf)
                 if again:
                     least = wp.vec2(features.least[first + v], features.least[first + w])
                 least = least_values(
-                    least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near, octant, lane
+                    least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near, turned, octant, lane
                 )
                 if last:
-                    unclear = unclear + finish_voxel(slab, out, block, v, p, least[0])
-                    unclear = unclear + finish_voxel(slab, out, block, w, q, least[1])
+                    i = int(0)
+                    while has_turn(i, 2):
+                        unclear = unclear + settle_voxel(out, block, index_v, winding_v, p, least[0])
+                        # The other one.
+                        index_v = index_w
+                        winding_v = winding_w
+                        p = q
+                        least = wp.vec2(least[1], least[1])
+                        i = i + 1
                 else:
                     features.least[first + v] = least[0]
                     features.least[first + w] = least[1]
