@@ -10,9 +10,9 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.features import Counts, add_corner, add_edge, add_face, added, has_room, less
+from sdm.kernels.features import Counts, add_corner, add_edge, add_face, has_room
 from sdm.kernels.grid import Output, Slab, index_of
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, has_turn, wait_for_lanes
+from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, wait_for_lanes
 from sdm.kernels.least import VOXELS
 from sdm.kernels.leaves import push
 from sdm.kernels.lists import (
@@ -29,22 +29,21 @@ from sdm.kernels.lists import (
     read_on,
     start_reading,
 )
-from sdm.kernels.octants import Bounds, Octants, octants_of, octants_within
+from sdm.kernels.octants import octants_of
 from sdm.kernels.parts import Parts
 from sdm.kernels.regions import STACK
-from sdm.kernels.rows import CORNER_BITS, EDGE_BITS, FACE_BITS, rows_of, write_byte
+from sdm.kernels.rows import rows_of
 from sdm.kernels.selection import block_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.voxels import Block, Features, index_in, measure_voxels, note_places
 
 wp.set_module_options({"enable_backward": False})
 
-# A worker's stacks are of faces, edges and corners that wait, at most so many each.
-STACKED = 64
+# Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
+FACES, EDGES, CORNERS = 0, 64, 128
 
 _STACK = wp.constant(STACK)
-_STACKED = wp.constant(STACKED)
-_FACE_BITS, _EDGE_BITS, _CORNER_BITS = wp.constant(FACE_BITS), wp.constant(EDGE_BITS), wp.constant(CORNER_BITS)
+_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
 _NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
 _VOXELS = wp.constant(VOXELS)
@@ -58,62 +57,6 @@ def ready(waiting: int, last: bool, lanes: int):
     if waiting >= lanes or last:
         return wp.min(waiting, lanes)
     return 0
-
-
-@wp.func
-def sort_part(part: int):
-    """Whether a part, see `leaves`, is a face (0), an edge (1) or a corner (2); and 4 times its slot, and which.
-
-    Of no part, -1 and what does not matter.
-    """
-    which = part & 7
-    code = 4 * (part >> 3)
-    if part < 0:
-        return -1, 0
-    if which == 6:
-        return 0, code
-    if which >= 3:
-        return 1, code + which - 3
-    return 2, code + which
-
-
-@wp.func
-def one_count(counts: Counts, kind: int):
-    """How many there are of a kind."""
-    return wp.where(kind == 0, counts.faces, wp.where(kind == 1, counts.edges, counts.corners))
-
-
-@wp.func
-def add_part(
-    tree: Tree,
-    parts: Parts,
-    rows: wp.uint64,
-    stacks: wp.array(dtype=wp.int32),
-    stack: int,
-    kind: int,
-    counts: Counts,
-    waiting: Counts,
-    taken: Counts,
-    octants: Octants,
-    block: Block,
-    lane: int,
-):
-    """Work out a lane's part of one kind, if there is one for it on the top of the stack."""
-    if lane < one_count(taken, kind):
-        code = stacks[stack + _STACKED * kind + one_count(waiting, kind) + lane]
-        number = one_count(counts, kind) + lane
-        bounds = Bounds()
-        byte = number
-        if kind == 0:
-            byte = _FACE_BITS + number
-            bounds = add_face(rows, number, tree, parts, code, block.cell, block.radius2)
-        elif kind == 1:
-            byte = _EDGE_BITS + number
-            bounds = add_edge(rows, number, tree, parts, code, block.cell, block.radius2)
-        else:
-            byte = _CORNER_BITS + number
-            bounds = add_corner(rows, number, tree, parts, code, block.cell, block.radius2)
-        write_byte(rows, byte, octants_within(rows, octants, block.cell, bounds))
 
 
 @wp.func
@@ -154,32 +97,39 @@ def measure_block(
             part = upcoming
             reader = read_on(lists, lists.part_heads, lists.part_lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
-            kind, entry = sort_part(part)
-            # One after the other, as below.
-            turn = int(0)
-            while has_turn(turn, 3):
-                there = one_count(waiting, turn)
-                pushed = push(stacks, stack + _STACKED * turn + there, kind == turn, entry, lane)
-                waiting.faces = waiting.faces + wp.where(turn == 0, pushed, 0)
-                waiting.edges = waiting.edges + wp.where(turn == 1, pushed, 0)
-                waiting.corners = waiting.corners + wp.where(turn == 2, pushed, 0)
-                turn = turn + 1
+            kind = part & 7
+            code = 4 * (part >> 3)
+            corner = part >= 0 and kind < 3
+            edge = part >= 0 and kind >= 3 and kind < 6
+            face = part >= 0 and kind == 6
+            waiting.faces = waiting.faces + push(stacks, stack + _FACES + waiting.faces, face, code, lane)
+            waiting.edges = waiting.edges + push(stacks, stack + _EDGES + waiting.edges, edge, code + kind - 3, lane)
+            waiting.corners = waiting.corners + push(
+                stacks, stack + _CORNERS + waiting.corners, corner, code + kind, lane
+            )
         else:
             # The parts that fill all lanes, or all that are left.
             last = reader.left == 0
-            taken = Counts()
-            taken.faces = ready(waiting.faces, last, lanes)
-            taken.edges = ready(waiting.edges, last, lanes)
-            taken.corners = ready(waiting.corners, last, lanes)
-            fits = has_room(counts, taken)
+            faces = ready(waiting.faces, last, lanes)
+            edges = ready(waiting.edges, last, lanes)
+            corners = ready(waiting.corners, last, lanes)
+            fits = has_room(counts, faces, edges, corners)
             if fits:
-                waiting = less(waiting, taken)
-                # One after the other, so that what they share is there once: see `lanes.has_turn`.
-                turn = int(0)
-                while has_turn(turn, 3):
-                    add_part(tree, parts, rows, stacks, stack, turn, counts, waiting, taken, octants, block, lane)
-                    turn = turn + 1
-                counts = added(counts, taken)
+                waiting.faces = waiting.faces - faces
+                waiting.edges = waiting.edges - edges
+                waiting.corners = waiting.corners - corners
+                if lane < faces:
+                    code = stacks[stack + _FACES + waiting.faces + lane]
+                    add_face(rows, counts.faces + lane, tree, parts, code, block.cell, block.radius2, octants)
+                if lane < edges:
+                    code = stacks[stack + _EDGES + waiting.edges + lane]
+                    add_edge(rows, counts.edges + lane, tree, parts, code, block.cell, block.radius2, octants)
+                if lane < corners:
+                    code = stacks[stack + _CORNERS + waiting.corners + lane]
+                    add_corner(rows, counts.corners + lane, tree, parts, code, block.cell, block.radius2, octants)
+                counts.faces = counts.faces + faces
+                counts.edges = counts.edges + edges
+                counts.corners = counts.corners + corners
                 more = not (last and waiting.faces + waiting.edges + waiting.corners == 0)
             if not (fits and more):
                 wait_for_lanes()

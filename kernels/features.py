@@ -23,17 +23,21 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell
-from sdm.kernels.lanes import has_turn
-from sdm.kernels.octants import Bounds
+from sdm.kernels.lanes import unknown
+from sdm.kernels.octants import Octants, octants_below
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
 from sdm.kernels.rows import (
+    CORNER_BITS,
     CORNERS,
+    EDGE_BITS,
     EDGE_ROW,
     EDGES,
     ENDS,
+    FACE_BITS,
     FACE_ROW,
     FACES,
     OFFSETS,
+    write_byte,
     write_number,
     write_row,
 )
@@ -44,6 +48,7 @@ wp.set_module_options({"enable_backward": False})
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
 _ENDS, _OFFSETS = wp.constant(ENDS), wp.constant(OFFSETS)
+_CORNER_BITS, _EDGE_BITS, _FACE_BITS = wp.constant(CORNER_BITS), wp.constant(EDGE_BITS), wp.constant(FACE_BITS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
@@ -59,30 +64,9 @@ class Counts:
 
 
 @wp.func
-def added(some: Counts, more: Counts):
-    """The sum of two counts."""
-    found = Counts()
-    found.corners = some.corners + more.corners
-    found.edges = some.edges + more.edges
-    found.faces = some.faces + more.faces
-    return found
-
-
-@wp.func
-def less(some: Counts, fewer: Counts):
-    """The difference of two counts."""
-    found = Counts()
-    found.corners = some.corners - fewer.corners
-    found.edges = some.edges - fewer.edges
-    found.faces = some.faces - fewer.faces
-    return found
-
-
-@wp.func
-def has_room(counts: Counts, taken: Counts):
+def has_room(counts: Counts, faces: int, edges: int, corners: int):
     """Whether so many more parts fit into the lists."""
-    total = added(counts, taken)
-    return total.faces <= _FACES and total.edges <= _EDGES and total.corners <= _CORNERS
+    return counts.faces + faces <= _FACES and counts.edges + edges <= _EDGES and counts.corners + corners <= _CORNERS
 
 
 @wp.func
@@ -92,9 +76,23 @@ def row_vector(parts: Parts, slot: int, first: int):
     return wp.vec3(parts.rows[at], parts.rows[at + 1], parts.rows[at + 2])
 
 
+@wp.func_native(
+    snippet="""
+    return wp::vec3(i < 2 ? (i == 0 ? a[0] : b[0]) : (i == 2 ? c[0] : d[0]),
+                    i < 2 ? (i == 0 ? a[1] : b[1]) : (i == 2 ? c[1] : d[1]),
+                    i < 2 ? (i == 0 ? a[2] : b[2]) : (i == 2 ? c[2] : d[2]));
+"""
+)
+def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3) -> wp.vec3:
+    """The vector of number i."""
+    ...
+
+
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
-    """Row `number` of the corners: corner code % 4 of triangle code / 4. Returns what bounds where it matters."""
+def add_corner(
+    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
+):
+    """Row `number` of the corners: corner code % 4 of triangle code / 4."""
     slot = code / 4
     k = code % 4
     after = wp.where(k == 2, 0, k + 1)
@@ -103,23 +101,25 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     a = wp.vec3d(corner) - wp.vec3d(cell.centre)
     v = -2.0 * wp.vec3(a)
     write_row(rows, number, v[0], v[1], v[2], float(wp.dot(a, a) - wp.float64(radius2)))
-    # Behind its two edges, and behind the neighbours' edges there.
-    bounds = Bounds()
+    # Behind its two edges, and behind the neighbours' edges there. All are read first, see `add_face`.
     q = corner - cell.centre
-    bounds.q0 = q
-    bounds.u0 = tree.corners[4 * slot + after] - corner
-    bounds.q1 = q
-    bounds.u1 = tree.corners[4 * slot + before] - corner
-    bounds.q2 = q
-    bounds.u2 = row_vector(parts, slot, 9 + 3 * k) - corner
-    bounds.q3 = q
-    bounds.u3 = row_vector(parts, slot, 9 + 3 * before) - corner
-    return bounds
+    to_next = tree.corners[4 * slot + after] - corner
+    to_last = tree.corners[4 * slot + before] - corner
+    beyond = row_vector(parts, slot, 9 + 3 * k) - corner
+    behind = row_vector(parts, slot, 9 + 3 * before) - corner
+    bits = octants.there
+    directions = unknown(4)
+    for i in range(directions):
+        u = one_of(i, to_next, to_last, beyond, behind)
+        bits = bits & octants_below(rows, octants, cell, q, u)
+    write_byte(rows, _CORNER_BITS + number, bits)
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
-    """Rows of edge `number`: from corner code % 4 of triangle code / 4 to the next. Returns what bounds it."""
+def add_edge(
+    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
+):
+    """Rows of edge `number`: from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
@@ -143,23 +143,23 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     write_row(rows, row + _EDGES, e[0], e[1], e[2], float(-along))
     write_number(rows, _ENDS + number, float(wp.length(ab) - along))
     # Between its ends, outside of the face and of its neighbour.
-    bounds = Bounds()
     edge = end - begin
     q = begin - cell.centre
-    bounds.q0 = q
-    bounds.u0 = -edge
-    bounds.q1 = end - cell.centre
-    bounds.u1 = edge
-    bounds.q2 = q
-    bounds.u2 = wp.cross(normal, edge)
-    bounds.q3 = q
-    bounds.u3 = inward
-    return bounds
+    outward = wp.cross(normal, edge)
+    bits = octants.there
+    directions = unknown(4)
+    for i in range(directions):
+        bits = bits & octants_below(
+            rows, octants, cell, one_of(i, q, end - cell.centre, q, q), one_of(i, -edge, edge, outward, inward)
+        )
+    write_byte(rows, _EDGE_BITS + number, bits)
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
-    """Rows of face `number`: triangle code / 4. Returns what bounds it."""
+def add_face(
+    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
+):
+    """Rows of face `number`: triangle code / 4."""
     slot = code / 4
     inverses = wp.vec4d()
     # All at once: loads one after the other wait for each other.
@@ -174,23 +174,18 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     h = -wp.dot(wp.cross(ab, -ca), a) * inverses[3]
     write_row(rows, row, normal[0], normal[1], normal[2], 2.0 * float(h))
     write_number(rows, _OFFSETS + number, float(h * h - wp.float64(radius2)))
-    # On the inner sides of the planes on its edges.
-    bounds = Bounds()
+    bits = octants.there
     inverse = inverses[0]
     then = inverses[1]
     last = inverses[2]
-    k = int(0)
-    while has_turn(k, 3):
+    edges = unknown(3)
+    for k in range(edges):
         # The point of the edge's line that is closest to the centre: rounding is in units of its distance.
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
         write_row(rows, row + _FACES * (1 + k), u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
-        bounds.q2 = bounds.q1
-        bounds.u2 = bounds.u1
-        bounds.q1 = bounds.q0
-        bounds.u1 = bounds.u0
-        bounds.q0 = away
-        bounds.u0 = -u
+        # On the inner side of the plane on this edge.
+        bits = bits & octants_below(rows, octants, cell, away, -u)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab
@@ -199,8 +194,4 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         ca = first
         inverse = then
         then = last
-        k = k + 1
-    # There is no fourth.
-    bounds.q3 = bounds.q2
-    bounds.u3 = bounds.u2
-    return bounds
+    write_byte(rows, _FACE_BITS + number, bits)

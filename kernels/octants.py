@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.grid import Slab, place_of, reach_of
-from sdm.kernels.parts import ROOM
+from sdm.kernels.parts import ROOM, reach, sum_abs
 from sdm.kernels.rows import LATTICE_ROW, write_row
 
 wp.set_module_options({"enable_backward": False})
@@ -56,94 +56,44 @@ def octants_of(slab: Slab, start: wp.vec3i, bits: int, cell: Cell, scale: wp.flo
 @wp.func
 def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
     """Note where a block's first voxel is, from its centre, and the steps from there to the next ones."""
+    first = wp.vec3d(wp.float64(start[0]), wp.float64(start[1]), wp.float64(start[2]))
     row = lane
     while row < 4:
-        # The first voxel's indices, or those of a step from the grid's; not by a number into a vector, which would be
-        # in memory.
-        index = wp.vec3d(wp.float64(start[0]), wp.float64(start[1]), wp.float64(start[2]))
-        away = wp.vec3d(cell.centre)
-        if row > 0:
-            index = wp.vec3d(
-                wp.float64(int(row == 1) - slab.first), wp.float64(int(row == 2)), wp.float64(int(row == 3))
-            )
-            away = scale * slab.origin
-        at = scale * place_of(slab, index) - away
+        # Not by a number into a vector, which would be in memory.
+        step = wp.vec3d(wp.float64(int(row == 1)), wp.float64(int(row == 2)), wp.float64(int(row == 3)))
+        at = scale * place_of(slab, first + step)
+        if row == 0:
+            at = at - wp.vec3d(cell.centre)
+        else:
+            at = at - scale * place_of(slab, first)
         write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), 0.0)
         row = row + lanes
-
-
-@wp.struct
-class Bounds:
-    """(p - x).u <= 0 for the points p that a part is nearest to, with x at q from the block's centre, four times."""
-
-    q0: wp.vec3
-    u0: wp.vec3
-    q1: wp.vec3
-    u1: wp.vec3
-    q2: wp.vec3
-    u2: wp.vec3
-    q3: wp.vec3
-    u3: wp.vec3
 
 
 @wp.func_native(
     snippet=f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
-    const auto size = [](float a) {{ return a < 0.0f ? -a : a; }};
-    int bits = there;
-#if defined(__CUDA_ARCH__)
-    // Short code: a multiprocessor waits for instructions that do not fit into its cache.
-    #pragma unroll 1
-#endif
-    for (int n = 0; n < 4; ++n) {{
-        const auto one = [n](float a, float b, float c, float d) {{ return n < 2 ? (n ? b : a) : (n == 2 ? c : d); }};
-        const float x = one(u0[0], u1[0], u2[0], u3[0]), y = one(u0[1], u1[1], u2[1], u3[1]);
-        const float z = one(u0[2], u1[2], u2[2], u3[2]);
-        const float qx = one(q0[0], q1[0], q2[0], q3[0]), qy = one(q0[1], q1[1], q2[1], q3[1]);
-        const float qz = one(q0[2], q1[2], q2[2], q3[2]);
-        const float room = {float(ROOM)}f * (size(qx) + size(qy) + size(qz) + widths);
-        // The most that p.u can be less than at an octant's centre, and what rounding may add.
-        const float reach = half[0] * size(x) + half[1] * size(y) + half[2] * size(z);
-        const float limit = qx * x + qy * y + qz * z + reach + room * (size(x) + size(y) + size(z));
-        const float i = row[1].x * x + row[1].y * y + row[1].z * z, j = row[2].x * x + row[2].y * y + row[2].z * z;
-        const float k = row[3].x * x + row[3].y * y + row[3].z * z;
-        // The middle of the first four voxels along each axis.
-        const float first = row[0].x * x + row[0].y * y + row[0].z * z + 1.5f * (i + j + k);
-        int found = 0;
-        for (int o = 0; o < 8; ++o) {{
-            const float at = first + (o & 4 ? 4.0f * i : 0.0f) + (o & 2 ? 4.0f * j : 0.0f) + (o & 1 ? 4.0f * k : 0.0f);
-            found |= (int)(at <= limit) << o;
-        }}
-        bits &= found;
+    const float i = row[1].x * x + row[1].y * y + row[1].z * z, j = row[2].x * x + row[2].y * y + row[2].z * z;
+    const float k = row[3].x * x + row[3].y * y + row[3].z * z;
+    // The middle of the first four voxels along each axis.
+    const float first = row[0].x * x + row[0].y * y + row[0].z * z + 1.5f * (i + j + k);
+    int found = 0;
+    for (int o = 0; o < 8; ++o) {{
+        const float at = first + (o & 4 ? 4.0f * i : 0.0f) + (o & 2 ? 4.0f * j : 0.0f) + (o & 1 ? 4.0f * k : 0.0f);
+        found |= (int)(at <= limit) << o;
     }}
-    return bits;
+    return found;
 """
 )
-def octants_of_four(
-    rows: wp.uint64,
-    there: int,
-    half: wp.vec3,
-    widths: float,
-    q0: wp.vec3,
-    u0: wp.vec3,
-    q1: wp.vec3,
-    u1: wp.vec3,
-    q2: wp.vec3,
-    u2: wp.vec3,
-    q3: wp.vec3,
-    u3: wp.vec3,
-) -> int:
-    """Those of the octants `there`, as bits, some point p of which may have (p - x).u <= 0 four times.
-
-    The block's lattice is noted in the rows; `widths` is the sum of its half-widths.
-    """
+def octants_up_to(rows: wp.uint64, x: float, y: float, z: float, limit: float) -> int:
+    """The octants, as bits, whose centre o has o.(x, y, z) <= limit. The block's lattice is noted in the rows."""
     ...
 
 
 @wp.func
-def octants_within(rows: wp.uint64, octants: Octants, cell: Cell, bounds: Bounds):
-    """The octants, as bits, that a part may matter to."""
-    b = bounds
-    widths = cell.half[0] + cell.half[1] + cell.half[2]
-    return octants_of_four(rows, octants.there, octants.half, widths, b.q0, b.u0, b.q1, b.u1, b.q2, b.u2, b.q3, b.u3)
+def octants_below(rows: wp.uint64, octants: Octants, cell: Cell, q: wp.vec3, u: wp.vec3):
+    """The octants, as bits, some point p of which may have (p - x).u <= 0; x is at q from the block's centre."""
+    room = ROOM * (sum_abs(q) + cell.half[0] + cell.half[1] + cell.half[2])
+    limit = wp.dot(q, u) + reach(octants.half, u) + room * sum_abs(u)
+    return octants_up_to(rows, u[0], u[1], u[2], limit) & octants.there

@@ -11,7 +11,7 @@ import warp as wp
 from sdm.kernels.cull import Cell
 from sdm.kernels.features import Counts
 from sdm.kernels.grid import Output, Slab, along, voxel, write_signed
-from sdm.kernels.lanes import fetch_add, has_turn, on_cpu, shrink
+from sdm.kernels.lanes import fetch_add, on_cpu, shrink
 from sdm.kernels.least import OCTANT, VOXELS, is_near, least_distance, least_values, lessen_values
 from sdm.kernels.lists import is_within, octant_at
 from sdm.kernels.octants import Octants, note_lattice
@@ -207,15 +207,8 @@ def measure_voxels(
                     least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near, turned, octant, lane
                 )
                 if last:
-                    i = int(0)
-                    while has_turn(i, 2):
-                        unclear = unclear + settle_voxel(out, block, index_v, winding_v, p, least[0])
-                        # The other one.
-                        index_v = index_w
-                        winding_v = winding_w
-                        p = q
-                        least = wp.vec2(least[1], least[1])
-                        i = i + 1
+                    unclear = unclear + settle_voxel(out, block, index_v, winding_v, p, least[0])
+                    unclear = unclear + settle_voxel(out, block, index_w, winding_w, q, least[1])
                 else:
                     features.least[first + v] = least[0]
                     features.least[first + w] = least[1]
