@@ -157,7 +157,13 @@ def test_resume_with_every_format(ending, ball, tmp_path, capsys):
     assert "is there already" in capsys.readouterr().out
 
 
-CHILD = "import sys; from sdm.cli import main; sys.exit(main())"
+# A shell that runs these tests in the background makes its children ignore interrupts.
+CHILD = """
+import signal, sys
+from sdm.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main())
+"""
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
