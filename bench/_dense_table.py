@@ -19,10 +19,12 @@ AIMS = {"cuda": {128: 20, 256: 100, 512: 200}, "cpu": {64: 5, 128: 5}}
 CHECKED = 2_000
 
 
-def rivals(device: str) -> list[Peer]:
-    """Whom the table is against, of those that are here."""
-    made = [StockWarp(device), SweptVolume(device)] if device.startswith("cuda") else [LibiglWinding(), Open3D()]
-    return [peer for peer in made if peer.available()]
+def rivals(job: Job) -> list[Peer]:
+    """Whom the table is against, of those that are here; of the others it is noted why they are not."""
+    made = [StockWarp(job.device), SweptVolume(job.device)] if job.gpu else [LibiglWinding(), Open3D()]
+    reasons = {peer.name: peer.missing() for peer in made}
+    job.notes += [f"{reason}: the table is without it" for reason in reasons.values() if reason is not None]
+    return [peer for peer in made if reasons[peer.name] is None]
 
 
 def rows(job: Job, meshes: tuple[str, ...] = (), resolutions: tuple[int, ...] = ()) -> Iterator[dict[str, Any]]:
@@ -32,9 +34,9 @@ def rows(job: Job, meshes: tuple[str, ...] = (), resolutions: tuple[int, ...] = 
     resolutions = resolutions or (SMALL["resolutions"] if job.quick else RESOLUTIONS[kind])
     # What each row may take of the budget: the brute force and compiling need their share too.
     each = job.budget_s / (len(meshes) * len(resolutions)) / 8
+    peers = rivals(job)
     for case in job.cases(meshes):
         ours = Ours(case, job.device)
-        peers = rivals(job.device)
         for peer in peers:
             peer.build(case)
         for resolution in resolutions:

@@ -69,6 +69,13 @@ def test_what_a_sign_costs():
     np.testing.assert_array_equal(alone, ours.map(grid).abs())
 
 
+def test_a_peer_that_is_not_here_is_said(monkeypatch):
+    monkeypatch.setattr(table.Open3D, "module", "no_such_module")
+    job = common.Job("cpu", quick=True, budget_s=20)
+    assert "Open3D" not in [peer.name for peer in table.rivals(job)]
+    assert any(note.startswith("Open3D ") and note.endswith("the table is without it") for note in job.notes)
+
+
 def test_budget_over_is_said():
     job = common.Job("cpu", quick=True, budget_s=1e-9)
     assert list(table.rows(job, ("cube",), (8,))) == []
