@@ -21,7 +21,11 @@ def is_near(radius2: float, half2: float):
 
 
 def _each(count: str, bits: int, body: str) -> str:
-    """C++ that runs `body` for each part i of `count` that matters to `octant`, the same for all lanes."""
+    """C++ that runs `body` for each part i of `count` that matters to `octant`, the same for all lanes.
+
+    On a GPU two at a time, so that one's rows are on their way while the other is measured; a last one alone is
+    measured twice.
+    """
     return f"""
 #if defined(__CUDA_ARCH__)
     for (int base = 0; base < {count}; base += 32) {{
@@ -109,15 +113,22 @@ def _alone(part: tuple[str, str, str]) -> str:
 
 
 def _together(part: tuple[str, str, str]) -> str:
-    """The same for voxels with the same y and z."""
+    """The same where each voxel has the y and z of the one `apart` before it, and only its x is another.
+
+    On a GPU these are a lane's voxels, on a CPU the four of an octant along x, for 16 at a time.
+    """
     rows, shared, own = part
     return f"""
             {rows}
-            const float y = ys[0], z = zs[0];
-            {shared}
-            for (int v = 0; v < count; ++v) {{
-                const float x = xs[v];
-                {own}
+            for (int first = 0; first < apart; ++first) {{
+                const float y = ys[first], z = zs[first];
+                {shared}
+                #pragma unroll
+                for (int k = 0; k < count / apart; ++k) {{
+                    const int v = first + k * apart;
+                    const float x = xs[v];
+                    {own}
+                }}
             }}
 """
 
@@ -143,7 +154,7 @@ _ROWS = """
     snippet=f"""
 #if defined(__CUDA_ARCH__)
     {_ROWS}
-    constexpr int count = 2;
+    constexpr int count = 2, apart = 1;
     const float xs[count] = {{p[0], q[0]}}, ys[count] = {{p[1], q[1]}}, zs[count] = {{p[2], q[2]}};
     float best[count] = {{least[0], least[1]}};
     const auto lesser = [](float a, float b) {{ return fminf(a, b); }};
@@ -184,8 +195,10 @@ def least_values(
     const float* __restrict ys = xs + {VOXELS};
     const float* __restrict zs = ys + {VOXELS};
     float* __restrict best = least.data + value;
+    constexpr int count = {OCTANT}, apart = 16;
     const auto lesser = [](float a, float b) {{ return a < b ? a : b; }};
-    {_measure(_alone)}
+    if (turned) {{ {_measure(_alone)} }}
+    else {{ {_measure(_together)} }}
 #endif
 """
 )
@@ -198,9 +211,9 @@ def lessen_values(
     point: int,
     least: wp.array(dtype=wp.float32),
     value: int,
-    count: int,
     room: float,
     near: bool,
+    turned: bool,
     octant: int,
 ):
     """On a CPU: `least_values` for all voxels of an octant, in loops that a compiler turns into vectors.

@@ -174,9 +174,9 @@ def measure_voxels(
                     3 * first + begin,
                     features.least,
                     first + begin,
-                    _OCTANT,
                     room,
                     near,
+                    turned,
                     octant,
                 )
                 if last:
