@@ -98,11 +98,12 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 
 
 @wp.func
-def winding_in(out: Output, block: Block, index: int, needed: bool):
-    """The winding number of a voxel that will be settled: read before it is measured, as it takes a while to come."""
-    if not needed or index < 0 or block.slices > 1:
-        return float(0.0)
-    return out.values[index]
+def winding_in(out: Output, index: int):
+    """The winding number of a voxel that will be settled: read before it is measured, as it takes a while to come.
+
+    Of one beyond the slab, another's: to choose here would be to wait.
+    """
+    return out.values[wp.max(index, 0)]
 
 
 @wp.func
@@ -186,7 +187,7 @@ def measure_voxels(
                             features.points[at], features.points[at + _VOXELS], features.points[at + 2 * _VOXELS]
                         )
                         index = place_in_map(slab, block, index_in(v))
-                        winding = winding_in(out, block, index, last)
+                        winding = winding_in(out, index)
                         unclear = unclear + settle_voxel(out, block, index, winding, p, features.least[first + v])
             else:
                 # Two voxels each lane, two apart along x: each row is loaded, and worked out across x, once for both.
@@ -196,8 +197,8 @@ def measure_voxels(
                 at_w = at_v + wp.vec3i(2, 0, 0)
                 index_v = place_in_map(slab, block, at_v)
                 index_w = place_in_map(slab, block, at_w)
-                winding_v = winding_in(out, block, index_v, last)
-                winding_w = winding_in(out, block, index_w, last)
+                winding_v = winding_in(out, index_v)
+                winding_w = winding_in(out, index_w)
                 p = local_voxel(tree, slab, rows, block, at_v)
                 q = local_voxel(tree, slab, rows, block, at_w)
                 least = wp.vec2(wp.inf, wp.inf)
