@@ -41,6 +41,13 @@ def data_dir() -> Path:
     return folder
 
 
+@pytest.fixture
+def whole_gpu() -> None:
+    """For tests that count the memory of all of a GPU: not beside the other processes of a parallel run."""
+    if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1:
+        pytest.skip("counts the memory of all of the GPU: run it without -n")
+
+
 @pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
 def device(request: pytest.FixtureRequest) -> str:
     """Each device in turn; "cuda" is skipped where there is none."""

@@ -11,7 +11,7 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere
 
-pytestmark = pytest.mark.gpu
+pytestmark = [pytest.mark.gpu, pytest.mark.usefixtures("whole_gpu")]
 
 
 def _one(seed: int) -> None:

@@ -316,6 +316,7 @@ def test_a_new_mesh_waits_for_its_faces_alone(launches):
     assert len(launches) == 2
 
 
+@pytest.mark.usefixtures("whole_gpu")
 def test_memory_stays_flat():
     vertices, faces = torus(600)
 
