@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench._machine import ROOT, describe
+from bench import _ncu
+from bench._machine import describe
 from bench._record import write
 from bench._report import markdown_table
 from bench.sanitize import find_tool
@@ -83,26 +83,14 @@ def kernel_times(name: str, resolution: int) -> dict[str, Any]:
 def counters(name: str, resolution: int, timeout_s: float) -> dict[str, Any]:
     """What ncu says of the kernels of one warm map, longest first; `why_not` if it says nothing."""
     try:
-        program = find_tool("ncu")
+        command = [find_tool("ncu"), "--csv", "--page", "raw", "--profile-from-start", "off", "--print-units", "base"]
+        command += ["--metrics", ",".join(METRICS.values())]
+        done = _ncu.run(command, name, resolution, timeout_s)
     except SDMError as error:
         return {"why_not": str(error)}
-    command = [program, "--csv", "--page", "raw", "--profile-from-start", "off", "--print-units", "base"]
-    command += ["--metrics", ",".join(METRICS.values())]
-    try:
-        done = subprocess.run(
-            [*command, sys.executable, "-m", "bench._map_work", name, str(resolution)],
-            cwd=ROOT,
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-        )
-    except subprocess.TimeoutExpired:
-        return {"why_not": f"ncu took longer than {timeout_s:.0f} s"}
     found = read_ncu(done.stdout)
     if not found:
-        said = [line for line in (done.stdout + done.stderr).splitlines() if "==ERROR==" in line or "Error" in line]
-        return {"why_not": said[0] if said else f"ncu ended with {done.returncode} and no figures"}
+        return {"why_not": _ncu.complaint(done, "figures")}
     return {"kernels": found}
 
 
@@ -166,15 +154,13 @@ def _run(options: argparse.Namespace) -> None:
         raise DeviceError("there is no CUDA device to profile")
     results = []
     for case in options.cases:
-        name, _, resolution = case.rpartition(":")
-        if not name or not resolution.isdigit():
-            raise SDMError(f"{case!r} is no case: write a mesh and a resolution, as in rocker-arm:256")
+        name, resolution = _ncu.case_of(case)
         if (note := missing_note(name)) is not None:
             print(note)
             continue
-        result = kernel_times(name, int(resolution))
+        result = kernel_times(name, resolution)
         if not options.no_ncu:
-            result["ncu"] = counters(name, int(resolution), options.timeout_s)
+            result["ncu"] = counters(name, resolution, options.timeout_s)
         results.append(result)
         _print(result)
         if options.out is not None:

@@ -22,7 +22,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bench._machine import ROOT, describe
+from bench import _ncu
+from bench._machine import describe
 from bench._record import write
 from bench._report import markdown_table
 from bench.sanitize import find_tool
@@ -81,31 +82,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def watched(case: str, kernel: str, timeout_s: float) -> str:
     """ncu's page of the machine code of the launches of one warm map, as CSV."""
-    name, _, resolution = case.rpartition(":")
-    if not name or not resolution.isdigit():
-        raise SDMError(f"{case!r} is no case: write a mesh and a resolution, as in rocker-arm:256")
+    name, resolution = _ncu.case_of(case)
     program = find_tool("ncu")
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.ncu-rep"
         command = [program, "--profile-from-start", "off", "--kernel-name", f"regex:{kernel}"]
         command += ["--section", "SourceCounters", "--import-source", "no", "-o", str(report)]
-        command += [sys.executable, "-m", "bench._map_work", name, resolution]
-        try:
-            done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=timeout_s)
-        except subprocess.TimeoutExpired:
-            raise SDMError(f"ncu took longer than {timeout_s:.0f} s: give it more with --timeout-s") from None
+        done = _ncu.run(command, name, resolution, timeout_s)
         if not report.is_file():
-            said = [line for line in (done.stdout + done.stderr).splitlines() if "==ERROR==" in line or "Error" in line]
-            raise SDMError(said[0] if said else f"ncu ended with {done.returncode} and no report")
+            raise SDMError(_ncu.complaint(done, "report"))
         page = [program, "--import", str(report), "--page", "source", "--csv"]
-        return subprocess.run(page, check=False, capture_output=True, text=True, timeout=timeout_s).stdout
+        return subprocess.run(page, check=False, capture_output=True, text=True).stdout
 
 
 def _text_of(path: Path) -> str:
     if not path.is_file():
         raise SDMError(f"there is no file {path}")
     data = path.read_bytes()
-    return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+    try:
+        return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+    except (OSError, EOFError, UnicodeDecodeError):
+        raise SDMError(f"{path} is not text, gzipped or not: give what ncu --page source --csv wrote") from None
 
 
 def read_source(text: str, kernel: str) -> list[dict[str, Any]]:
