@@ -82,6 +82,9 @@ def main() -> None:
         raise SystemExit("ensembles are made of networks that were kept: give a folder with --keep")
     on = devices(options.gpus) * options.per_gpu
     end = time.monotonic() + options.budget_s
+    # Once, before several processes want it at the same time.
+    for device in on[:1]:
+        euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
     if options.what == "ensemble":
         make_ensembles(kept_trainings(options.keep, job_of(options), options.methods, options.seeds), options, end, on)
     else:
@@ -91,7 +94,6 @@ def main() -> None:
 
 def make_trainings(options: argparse.Namespace, end: float, on: list[str]) -> None:
     """All rows and seeds; with --ensemble the mean over a row's seeds as soon as the last of them is trained."""
-    compile_transform(on)
     if options.ensemble:
         options.budget_s -= STARTING_S + ENSEMBLE_S * -(-len(options.methods) // len(on))
     if options.fit:
@@ -124,14 +126,7 @@ def make_ensembles(listed: list[Job], options: argparse.Namespace, end: float, o
     for job in todo:
         # It may be there, of fewer seeds.
         (options.logs / f"{job['name']}.json").unlink(missing_ok=True)
-    compile_transform(on)
     run_jobs(todo, work, options.logs, options.work, budget_s=end - time.monotonic(), on=on[: max(1, len(todo))])
-
-
-def compile_transform(on: list[str]) -> None:
-    """Once, before several processes want it at the same time."""
-    for device in on[:1]:
-        euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
 
 
 def parser() -> argparse.ArgumentParser:

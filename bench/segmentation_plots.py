@@ -113,7 +113,7 @@ def draw_atrium(logs: Logs, target: Path) -> None:
             one.locator_params(axis="x", integer=True, nbins=8)
             one.set_ylim(-len(names) + 0.4, 1.3)
         _explain(axes, far, moved[:4])
-        axes.set_title("Left atrium: no row beats the baseline by more than chance", x=-0.35, pad=44)
+        axes.set_title("Left atrium: each row beside the baseline", x=-0.35, pad=44)
 
 
 def _explain(axes: Axes, far: Axes, moved: str) -> None:
