@@ -14,13 +14,15 @@ import warp as wp
 from torch import Tensor
 
 from bench.peers._warp import on_torch_stream
-from sdm.kernels.curve import CURVE_BITS, curve_code
+from sdm.kernels.curve import FINE_BITS, curve_code
 from sdm.kernels.launch import launch
 from sdm.kernels.tree import box_distance2
 
 # How many neighbours are looked for: as many as vote on a sign in DeepSDF's preprocessing.
 VOTES = 11
 LEAF = 8
+# As fine as a curve through many points should be.
+CURVE_BITS = wp.constant(FINE_BITS)
 _VOTES, _LEAF = wp.constant(VOTES), wp.constant(LEAF)
 
 Distances = wp.types.vector(length=VOTES, dtype=wp.float32)

@@ -31,9 +31,9 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.octants import octants_of
 from sdm.kernels.parts import Parts
-from sdm.kernels.regions import STACK
 from sdm.kernels.rows import rows_of
 from sdm.kernels.selection import block_of
+from sdm.kernels.stacks import small_stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.voxels import Block, Features, index_in, measure_voxels, note_places
 
@@ -42,7 +42,6 @@ wp.set_module_options({"enable_backward": False})
 # Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
 FACES, EDGES, CORNERS = 0, 64, 128
 
-_STACK = wp.constant(STACK)
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
 _NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
@@ -89,7 +88,7 @@ def measure_block(
     waiting = Counts()
     unclear = int(0)
     again = bool(False)
-    stack = worker * _STACK
+    stack = small_stack_of(stacks, worker)
     more = bool(True)
     while more:
         full = waiting.faces >= lanes or waiting.edges >= lanes or waiting.corners >= lanes
@@ -102,11 +101,9 @@ def measure_block(
             corner = part >= 0 and kind < 3
             edge = part >= 0 and kind >= 3 and kind < 6
             face = part >= 0 and kind == 6
-            waiting.faces = waiting.faces + push(stacks, stack + _FACES + waiting.faces, face, code, lane)
-            waiting.edges = waiting.edges + push(stacks, stack + _EDGES + waiting.edges, edge, code + kind - 3, lane)
-            waiting.corners = waiting.corners + push(
-                stacks, stack + _CORNERS + waiting.corners, corner, code + kind, lane
-            )
+            waiting.faces = waiting.faces + push(stack, _FACES + waiting.faces, face, code, lane)
+            waiting.edges = waiting.edges + push(stack, _EDGES + waiting.edges, edge, code + kind - 3, lane)
+            waiting.corners = waiting.corners + push(stack, _CORNERS + waiting.corners, corner, code + kind, lane)
         else:
             # The parts that fill all lanes, or all that are left.
             last = reader.left == 0
@@ -119,13 +116,13 @@ def measure_block(
                 waiting.edges = waiting.edges - edges
                 waiting.corners = waiting.corners - corners
                 if lane < faces:
-                    code = stacks[stack + _FACES + waiting.faces + lane]
+                    code = stack[_FACES + waiting.faces + lane]
                     add_face(rows, counts.faces + lane, tree, parts, code, block.cell, block.radius2, octants)
                 if lane < edges:
-                    code = stacks[stack + _EDGES + waiting.edges + lane]
+                    code = stack[_EDGES + waiting.edges + lane]
                     add_edge(rows, counts.edges + lane, tree, parts, code, block.cell, block.radius2, octants)
                 if lane < corners:
-                    code = stacks[stack + _CORNERS + waiting.corners + lane]
+                    code = stack[_CORNERS + waiting.corners + lane]
                     add_corner(rows, counts.corners + lane, tree, parts, code, block.cell, block.radius2, octants)
                 counts.faces = counts.faces + faces
                 counts.edges = counts.edges + edges

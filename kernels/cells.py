@@ -16,13 +16,13 @@ from sdm.kernels.lanes import fetch_add_once
 from sdm.kernels.lists import (
     CELL,
     NEXT_CELL,
-    NEXT_CHUNK,
     Chain,
     Lists,
     Reader,
     append,
     cell_start,
     is_within,
+    list_length,
     make_cell,
     read_entry,
     read_on,
@@ -38,7 +38,6 @@ wp.set_module_options({"enable_backward": False})
 CELL_BLOCKS = 8
 
 _NEXT_CELL = wp.constant(NEXT_CELL)
-_NEXT_CHUNK = wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -59,7 +58,9 @@ def _list_cells(
     while item < 8 * lists.count * lists.shares:
         number = item / lists.shares
         mesh, start = cell_start(lists, number)
-        share = (number / 8) * lists.shares + item % lists.shares
+        # The chains of its region that are this share's.
+        chains = lists.region_shares / lists.shares
+        first = (number / 8) * lists.region_shares + (item % lists.shares) * chains
         if is_within(slab, start):
             base = mesh * 2 * leaves
             cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
@@ -67,11 +68,10 @@ def _list_cells(
             known = read_witness(lists.witnesses, lists.count + number)
             chain = Chain()
             chain.chunk = lists.chunks
-            head = int(-1)
+            head = lists.count * lists.region_shares + item
             reader = Reader()
-            if lists.region_heads[share] >= 0:
-                reader = start_reading(lists.region_heads, lists.region_lengths, share, 1)
-                head = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+            if list_length(lists.region_heads, lists.region_lengths, first, chains) >= 0:
+                reader = start_reading(lists.region_heads, lists.region_lengths, first, chains)
                 chain.chunk = head
             # Each batch is read while the one before is tested.
             upcoming = read_entry(lists, reader, lane)

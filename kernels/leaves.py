@@ -13,7 +13,6 @@ from sdm.kernels.cones import Cones, ball_matters
 from sdm.kernels.cull import Cell, Witness
 from sdm.kernels.lanes import ballot, members, rank
 from sdm.kernels.parts import CORNER, EDGE, FACE
-from sdm.kernels.regions import STACK
 from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
 
 wp.set_module_options({"enable_backward": False})
@@ -22,7 +21,6 @@ wp.set_module_options({"enable_backward": False})
 # or triangles, or 224 parts.
 LEAVES, SLOTS, PARTS = 0, 128, 256
 
-_STACK = wp.constant(STACK)
 _LEAF = wp.constant(TRIANGLES_PER_LEAF)
 
 

@@ -39,9 +39,10 @@ class Lists:
     first: wp.int32  # first region of this pass, counting through the meshes
     step: wp.int32  # from it to the next
     count: wp.int32  # regions of this pass
-    shares: wp.int32  # chains of each list
+    region_shares: wp.int32  # chains of each region's list
+    shares: wp.int32  # and of each cell's: as many, or a power of two less
     # Of each chain its first chunk, or -1 where the pool ran out, and its number of entries.
-    region_heads: wp.array(dtype=wp.int32)  # (count * shares) leaves of the tree
+    region_heads: wp.array(dtype=wp.int32)  # (count * region_shares) leaves of the tree
     region_lengths: wp.array(dtype=wp.int32)
     heads: wp.array(dtype=wp.int32)  # (8 * count * shares) leaves as well
     lengths: wp.array(dtype=wp.int32)
@@ -56,6 +57,7 @@ class Lists:
     part_lengths: wp.array(dtype=wp.int32)
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
+    given: wp.int32  # the first chunks: one for each chain of a region, then of a cell
     counts: wp.array(dtype=wp.int32)  # (COUNTS) shared counters, zero at the start
 
 
@@ -138,7 +140,7 @@ def append(lists: Lists, chain: Chain, keep: bool, entry: int, lane: int):
     at = chain.fill + rank(mask, lane)
     fresh = chain.chunk
     if chain.fill + added > _ROOM:
-        fresh = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+        fresh = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
         if fresh < lists.chunks and lane == 0:
             lists.pool[chain.chunk * _CHUNK + _ROOM] = fresh
     if keep:

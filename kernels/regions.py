@@ -13,7 +13,8 @@ from sdm.kernels.cones import Cones, cone_misses, node_cone
 from sdm.kernels.cull import Cell, Witness, box_is_behind
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
-from sdm.kernels.lists import NEXT_CHUNK, NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
+from sdm.kernels.lists import NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
+from sdm.kernels.stacks import STACK, stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness
 
@@ -22,13 +23,8 @@ wp.set_module_options({"enable_backward": False})
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
 REGION_BLOCKS = 6
 
-# Every batch of 32 nodes leaves at most 32 more on the stack than it took, at each of up to 27 levels; leaves that
-# wait, at most 32 and the 64 of one batch, grow from the other end.
-STACK = 1024
-
 _STACK = wp.constant(STACK)
 _NEXT_REGION = wp.constant(NEXT_REGION)
-_NEXT_CHUNK = wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -57,29 +53,28 @@ def _list_regions(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    stack = (thread / lanes) * _STACK
+    stack = stack_of(stacks, thread / lanes)
     leaves = 1 << tree.depth
     item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
-    while item < lists.count * lists.shares:
-        region = item / lists.shares
+    while item < lists.count * lists.region_shares:
+        region = item / lists.region_shares
         mesh, start = region_start(lists, region)
         base = mesh * 2 * leaves
         cell = make_cell(slab, start, REGION, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
         radius = wp.sqrt(cell.half2)
         known = read_witness(lists.witnesses, region)
         chain = Chain()
-        chain.chunk = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
-        head = chain.chunk
+        chain.chunk = item
         # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
-        top = wp.min(lanes * lists.shares, leaves)
-        first = top * (item % lists.shares) / lists.shares
-        waiting = top * (item % lists.shares + 1) / lists.shares - first
+        top = wp.min(lanes * lists.region_shares, leaves)
+        first = top * (item % lists.region_shares) / lists.region_shares
+        waiting = top * (item % lists.region_shares + 1) / lists.region_shares - first
         ripe = int(0)
         if lane < waiting:
             if top < leaves:
-                stacks[stack + lane] = top + first + lane
+                stack[lane] = top + first + lane
             else:
-                stacks[stack + _STACK - 1 - lane] = top + first + lane
+                stack[_STACK - 1 - lane] = top + first + lane
         if top == leaves:
             ripe = waiting
             waiting = int(0)
@@ -91,7 +86,7 @@ def _list_regions(
                 waiting = waiting - taken
                 node = int(0)
                 if lane < taken:
-                    node = stacks[stack + waiting + lane]
+                    node = stack[waiting + lane]
                 wait_for_lanes()
                 for side in range(2):
                     child = 2 * node + side
@@ -100,18 +95,18 @@ def _list_regions(
                         keep = node_matters(cell, radius, known, tree, cones, base, child)
                     mask = ballot(keep and child < leaves)
                     if keep and child < leaves:
-                        stacks[stack + waiting + rank(mask, lane)] = child
+                        stack[waiting + rank(mask, lane)] = child
                     waiting = waiting + members(mask)
                     mask = ballot(keep and child >= leaves)
                     if keep and child >= leaves:
-                        stacks[stack + _STACK - 1 - ripe - rank(mask, lane)] = child
+                        stack[_STACK - 1 - ripe - rank(mask, lane)] = child
                     ripe = ripe + members(mask)
             else:
                 taken = wp.min(lanes, ripe)
                 ripe = ripe - taken
                 leaf = int(-1)
                 if lane < taken:
-                    leaf = stacks[stack + _STACK - 1 - ripe - lane] - leaves
+                    leaf = stack[_STACK - 1 - ripe - lane] - leaves
                 known = nearer_of_leaves(tree, frames, mesh, base, leaf, cell.centre, known, lane)
                 keep = False
                 if leaf >= 0:
@@ -119,7 +114,7 @@ def _list_regions(
                 chain = append(lists, chain, keep, leaf, lane)
             wait_for_lanes()
         if lane == 0:
-            lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
+            lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, item, -1)
             lists.region_lengths[item] = chain.length
         item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
 
@@ -135,5 +130,5 @@ def list_regions(
     lanes: int,
     launch: Any,
 ) -> None:
-    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` (workers * STACK) is scratch."""
+    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch, see `stacks`."""
     launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)

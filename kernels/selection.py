@@ -40,14 +40,14 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, nearest_in_list, slice_of, slices_of
-from sdm.kernels.regions import STACK, node_matters
+from sdm.kernels.regions import node_matters
+from sdm.kernels.stacks import stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 from sdm.kernels.voxels import LARGEST_SQUARE, Block
 from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
-_STACK = wp.constant(STACK)
 _LEAVES, _SLOTS, _PARTS = wp.constant(LEAVES), wp.constant(SLOTS), wp.constant(PARTS)
 _COARSE, _WHOLE = wp.constant(COARSE), wp.constant(WHOLE)
 _NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
@@ -127,8 +127,7 @@ def select_for(
     number: int,
     block: Block,
     known: Witness,
-    stacks: wp.array(dtype=wp.int32),
-    stack: int,
+    stack: wp.array(dtype=wp.int32),
     chain: Chain,
     lane: int,
     lanes: int,
@@ -150,7 +149,7 @@ def select_for(
             found = found - taken
             part = int(0)
             if lane < taken:
-                part = stacks[stack + _PARTS + found + lane]
+                part = stack[_PARTS + found + lane]
             chain = append(lists, chain, lane < taken, part, lane)
         elif ripe >= lanes or reader.left + waiting == 0:
             taken = wp.min(lanes, ripe)
@@ -158,9 +157,9 @@ def select_for(
             which = int(0)
             slot = int(0)
             if lane < taken:
-                slot = stacks[stack + _SLOTS + ripe + lane]
+                slot = stack[_SLOTS + ripe + lane]
                 which = parts_that_matter(block.cell, tree, parts, slot)
-            found = found + push_parts(stacks, stack + _PARTS + found, slot, which, lane)
+            found = found + push_parts(stack, _PARTS + found, slot, which, lane)
         elif waiting >= full_of_leaves(lanes) or reader.left == 0:
             taken = wp.min(full_of_leaves(lanes), waiting)
             waiting = waiting - taken
@@ -172,10 +171,10 @@ def select_for(
                 parts.balls,
                 cones,
                 block.mesh,
-                stacks,
-                stack + _LEAVES + waiting,
+                stack,
+                _LEAVES + waiting,
                 taken,
-                stack + _SLOTS + ripe,
+                _SLOTS + ripe,
                 lane,
                 lanes,
             )
@@ -187,7 +186,7 @@ def select_for(
             if keep and block.bits == 2:
                 # For the cell it has been tested.
                 keep = node_matters(block.cell, radius, known, tree, cones, base, leaves + leaf)
-            waiting = waiting + push(stacks, stack + _LEAVES + waiting, keep, leaf, lane)
+            waiting = waiting + push(stack, _LEAVES + waiting, keep, leaf, lane)
             batch = batch + 1
         wait_for_lanes()
     return chain
@@ -209,6 +208,7 @@ def _select_parts(
     lane = thread % lanes
     bricks = 8 * lists.counts[_COARSE]
     total = bricks + lists.counts[_WHOLE]
+    stack = stack_of(stacks, thread / lanes)
     item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
     while item < total:
         block, number, known = block_of(tree, slab, lists, item, bricks)
@@ -222,7 +222,7 @@ def _select_parts(
                     known = find_brick_witness(
                         tree, frames, parts, slab, lists, item, number, block, known, lane, lanes
                     )
-                head = fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+                head = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
                     tree,
@@ -232,8 +232,7 @@ def _select_parts(
                     number,
                     block,
                     known,
-                    stacks,
-                    (thread / lanes) * _STACK,
+                    stack,
                     chain,
                     lane,
                     lanes,
@@ -258,7 +257,7 @@ def select_parts(
 ) -> None:
     """Fill the blocks' lists of parts of one pass, `workers` groups of lanes at work.
 
-    `stacks` (workers * STACK int32) is scratch.
+    `stacks` is scratch, see `stacks`.
     """
     inputs = [lanes, tree, frames, parts, cones, slab, lists, stacks]
     launch(_select_parts, workers * lanes, inputs, lists.pool.device, smallest=1)

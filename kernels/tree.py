@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.curve import CURVE_BITS, curve_code
+from sdm.kernels.curve import curve_bits, curve_code
 from sdm.kernels.geometry import unit_normal
 from sdm.kernels.lanes import (
     GPU_LANES,
@@ -218,6 +218,7 @@ def _make_keys(
     faces: wp.array2d(dtype=wp.int32),
     bounds: wp.array(dtype=wp.float32),
     frame: wp.array(dtype=wp.float64),
+    bits: int,
     keys: wp.array(dtype=wp.int64),
     slots: wp.array(dtype=wp.int32),
 ):
@@ -233,7 +234,7 @@ def _make_keys(
     high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
     # The middle of the triangle's box: for long triangles better than the mean of the corners.
     middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
-    keys[i] = (wp.int64(mesh) << wp.int64(3 * CURVE_BITS)) | curve_code(middle, low, high, CURVE_BITS)
+    keys[i] = (wp.int64(mesh) << wp.int64(3 * bits)) | curve_code(middle, low, high, bits)
     slots[i] = f
 
 
@@ -327,9 +328,10 @@ def build(
     groups = meshes * -(-faces.shape[0] // (RUN * lanes))
     launch(_reduce_bounds, groups * lanes, [lanes, vertices, faces, RUN, bounds], device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
-    launch(_make_keys, total, [vertices, faces, bounds, tree.frame, keys, slots], device)
+    bits = curve_bits(faces.shape[0])
+    launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
     # The meshes' numbers are above the curve's codes.
-    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * CURVE_BITS + (meshes - 1).bit_length())
+    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
     launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
     level = tree.depth + 1
     while level > 0:

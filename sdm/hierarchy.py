@@ -10,6 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.beside import Join, kernels_beside
 from sdm.errors import MeshError
 from sdm.kernels import cones, frames, parts, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
@@ -79,9 +80,12 @@ def surroundings(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
 
 
 def build_known(
-    vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor
+    vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor, join: Join | None = None
 ) -> tuple[list[Tensor], int]:
-    """`build` of contiguous tensors whose `surroundings` are known: queues kernels, and does nothing else."""
+    """`build` of contiguous tensors whose `surroundings` are known: queues kernels, and does nothing else.
+
+    If they are found `beside` this, `join` is called before they are looked at.
+    """
     kind = kind_of(edges, faces)
     meshes, count = vertices.shape[0], faces.shape[0]
     tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
@@ -98,9 +102,15 @@ def build_known(
             empty(2 * meshes * count, wp.int32),
             launch,
         )
+        if join is not None:
+            join()
+        about = hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32)
+        # None of these fills a GPU by itself.
+        with kernels_beside(vertices) as join_parts:
+            parts.make_parts(*about, pieces, launch)
         frames.make_frames(hierarchy, local, launch)
-        for make, out in ((parts.make_parts, pieces), (cones.make_cones, facing)):
-            make(hierarchy, corners, as_warp(faces, wp.int32), as_warp(shared, wp.int32), out, launch)
+        cones.make_cones(*about, facing, launch)
+        join_parts()
         if kind in (OPEN, MANY):
             gather_boundary(
                 winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from sdm import ops, replay
+from sdm.beside import Join, beside
 from sdm.grid import Grid
 from sdm.hierarchy import build, build_known, check_count, surroundings
 from sdm.recording import Work
@@ -117,21 +118,32 @@ def _maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> 
 
 
 def _known_maps(
-    grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor
+    grid: Grid,
+    say: replay.Say,
+    vertices: Tensor,
+    faces: Tensor,
+    shared: Tensor,
+    edges: Tensor,
+    around: Tensor,
+    join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    hierarchy, kind = build_known(vertices, faces, shared, edges, around)
+    hierarchy, kind = build_known(vertices, faces, shared, edges, around, join)
     found = slab_of(vertices, faces, hierarchy, kind, grid, 0, grid.shape[0])
     return found if edges.shape[0] else found[:1]
 
 
 def _closed_map(grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """The map (1,nx,ny,nz) of a mesh that is closed if the remarks are zero, and its neighbours (F,4)."""
-    remarks, _, shared = queue_pairing(faces, vertices.shape[0])
-    say(remarks)
+    with beside(faces.device) as join:
+        remarks, left_over, shared = queue_pairing(faces, vertices.shape[0])
+        say(remarks)
     # The kernels after this trust the faces, which only later turn out to be out of range.
-    faces = faces.clamp(0, vertices.shape[0] - 1)
+    within = faces.clamp(0, vertices.shape[0] - 1)
     none = faces.new_empty((0, 2))
-    return _known_maps(grid, say, vertices[None], faces, shared, none, none)[0], shared
+    made = _known_maps(grid, say, vertices[None], within, shared, none, none, join)[0]
+    # Memory of the branch stays until it was joined.
+    del remarks, left_over
+    return made, shared
 
 
 def _open_map(
@@ -141,12 +153,13 @@ def _open_map(
 
     If the remarks are zero: so many edges are left over, and so many bound it, as `numbers` say.
     """
-    found, left_over, shared = queue_pairing(faces, vertices.shape[0])
-    remarks, bounds, around = queue_joining(left_over, found, vertices[None], *numbers)
-    say(remarks)
-    # As above.
     last = vertices.shape[0] - 1
-    values, ambiguous = _known_maps(
-        grid, say, vertices[None], faces.clamp(0, last), shared, bounds.clamp(0, last), around
-    )
+    with beside(faces.device) as join:
+        found, left_over, shared = queue_pairing(faces, vertices.shape[0])
+        remarks, bounds, around = queue_joining(left_over, found, vertices[None], *numbers)
+        say(remarks)
+        # As above.
+        edges = bounds.clamp(0, last)
+    values, ambiguous = _known_maps(grid, say, vertices[None], faces.clamp(0, last), shared, edges, around, join)
+    del found, left_over, remarks, bounds
     return values, ambiguous

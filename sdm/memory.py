@@ -38,8 +38,13 @@ def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
         for read in reads:
             if read.numel():
                 read.record_stream(stream)
-        with _turn, wp.ScopedStream(_warp_stream(device.alias, stream.cuda_stream), sync_enter=False):
+        with _turn, wp.ScopedStream(warp_stream(tensor.device, stream), sync_enter=False):
             yield device
+
+
+def warp_stream(device: torch.device, stream: torch.cuda.Stream) -> wp.Stream:
+    """A stream of torch's for Warp."""
+    return _warp_stream(wp.device_from_torch(device).alias, stream.cuda_stream)
 
 
 @lru_cache(maxsize=64)

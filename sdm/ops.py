@@ -11,13 +11,14 @@ An empty list of hierarchy tensors means: build one here, and let it go afterwar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.beside import kernels_beside
 from sdm.hierarchy import build, one_of, unpack
 from sdm.kernels import dense
 from sdm.kernels.grid import Slab
@@ -259,6 +260,7 @@ def distance_map(
             as_warp(ambiguous, wp.int32),
             launch,
             scratch_on(vertices.device),
+            partial(kernels_beside, vertices),
             DENSE_METHOD,
         )
     return values, ambiguous

@@ -10,6 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.beside import side_stream
 from sdm.memory import on_current_stream
 
 Say: TypeAlias = Callable[[Tensor], None]
@@ -74,6 +75,7 @@ class Recording:
             # Loads what is loaded on first use, which a capture does not allow.
             work(unheard, *inputs)
             stream, pool = room.open()
+            side_stream(stream.device_index)
             before = torch.cuda.memory_reserved()
             with torch.cuda.stream(stream), on_current_stream(inputs[0]) as device:
                 self._capture(work, inputs, device.stream, pool)

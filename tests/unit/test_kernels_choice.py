@@ -21,6 +21,16 @@ def test_every_slab_of_a_grid_is_treated_alike(triangles):
     assert len({shares_of(triangles, slab) for slab in slabs}) == 1
 
 
-def test_lists_are_shared_where_regions_are_few():
-    assert shares_of(20_000, [64] * 3) > shares_of(20_000, [256] * 3) > shares_of(20_000, [512] * 3) == 1
-    assert shares_of(1_000_000, [256] * 3) > 1
+def test_lists_are_shared_where_they_are_few_or_long():
+    for of in (0, 1):
+        few, more, many = (shares_of(20_000, [n] * 3)[of] for n in (64, 128, 512))
+        assert few >= more > many == 1
+        assert shares_of(1_000_000, [256] * 3)[of] > 1
+
+
+@pytest.mark.parametrize("n", [16, 64, 200, 512, 1024])
+@pytest.mark.parametrize("triangles", [12, 20_000, 1_000_000, 10_000_000])
+def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
+    of_region, of_cell = shares_of(triangles, [n] * 3)
+    assert of_region % of_cell == 0
+    assert of_region & (of_region - 1) == of_cell & (of_cell - 1) == 0

@@ -92,10 +92,12 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
     def shared(*inputs: Any) -> None:
         lists = inputs[3]
         if lists.shares != shares:
-            lists.shares = shares
+            lists.region_shares, lists.shares = 2 * shares, shares
+            lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
             for name in ("region_heads", "region_lengths", "heads", "lengths", "nearest"):
                 before = getattr(lists, name)
-                setattr(lists, name, wp.full(shares * before.shape[0], -7, dtype=before.dtype, device="cpu"))
+                times = lists.region_shares if name.startswith("region") else shares
+                setattr(lists, name, wp.full(times * before.shape[0], -7, dtype=before.dtype, device="cpu"))
         find(*inputs)
 
     monkeypatch.setattr(dense, "find_witnesses", shared)
