@@ -29,9 +29,8 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, ball_is_behind
-from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import GPU_LANES, load4, read4, wait_for_lanes, write4
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle
+from sdm.kernels.lanes import GPU_LANES, load4, load_row, read4, wait_for_lanes, write4
+from sdm.kernels.tree import Tree, first_triangle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,9 +43,8 @@ ANGLE_ROOM = wp.constant(2.0e-5)
 DISTANCE_ROOM = wp.constant(2.0e-6)
 # Beyond this half-angle a cone is as good as none.
 WIDEST = wp.constant(1.5)
-
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
+# Instead of a squared sine: every direction.
+NONE = wp.constant(2.0)
 
 
 @wp.struct
@@ -83,103 +81,113 @@ def ball_matters(cell: Cell, radius: float, known: Witness, balls: wp.array(dtyp
 
 
 @wp.func
-def corner_at(vertices: wp.array2d(dtype=wp.vec3), mesh: int, scale: wp.float64, index: int):
-    return scale * wp.vec3d(vertices[mesh, index])
+def sine2_between(m: wp.vec3, n: wp.vec3):
+    """The squared sine of the angle between two unit normals; NONE beyond a right angle, or without one of them.
 
-
-@wp.func
-def cosine_over_edge(
-    vertices: wp.array2d(dtype=wp.vec3),
-    faces: wp.array2d(dtype=wp.int32),
-    neighbours: wp.array2d(dtype=wp.int32),
-    mesh: int,
-    scale: wp.float64,
-    face: int,
-    k: int,
-):
-    """Cosine of the angle between a face's normal and its neighbour's at edge k; -1 if there is none."""
-    other = neighbours[face, k]
-    if other < 0:
-        return wp.float64(-1.0)
-    p = corner_at(vertices, mesh, scale, faces[face, k])
-    q = corner_at(vertices, mesh, scale, faces[face, (k + 1) % 3])
-    r = corner_at(vertices, mesh, scale, faces[face, (k + 2) % 3])
-    s = corner_at(vertices, mesh, scale, faces[other / 3, (other % 3 + 2) % 3])
-    return wp.dot(unit_normal(p, q, r), unit_normal(p, s, q))
-
-
-@wp.func
-def cosine_around_corner(
-    vertices: wp.array2d(dtype=wp.vec3),
-    faces: wp.array2d(dtype=wp.int32),
-    neighbours: wp.array2d(dtype=wp.int32),
-    mesh: int,
-    scale: wp.float64,
-    face: int,
-    k: int,
-):
-    """Least cosine of the angles between a face's normal and those of the ring around its corner k.
-
-    -1 if the ring does not close, or one of its faces has no normal.
+    Not by the cosine, from which rounding takes much of a small angle.
     """
-    least = wp.float64(1.0)
-    index = faces[face, k]
-    at = corner_at(vertices, mesh, scale, index)
-    mine = unit_normal(
-        at,
-        corner_at(vertices, mesh, scale, faces[face, (k + 2) % 3]),
-        corner_at(vertices, mesh, scale, faces[face, (k + 1) % 3]),
-    )
-    code = neighbours[face, k]
+    if wp.dot(m, n) <= 0.0:
+        return NONE
+    across = wp.cross(m, n)
+    return wp.dot(across, across)
+
+
+@wp.func
+def normal_of(normals: wp.array(dtype=wp.float32), mesh: int, count: int, face: int):
+    n = load4(normals, mesh * count + face)
+    return wp.vec3(n[0], n[1], n[2])
+
+
+@wp.func
+def sine2_over_edge(
+    normals: wp.array(dtype=wp.float32),
+    faces: wp.array2d(dtype=wp.int32),
+    mesh: int,
+    mine: wp.vec3,
+    end: int,
+    other: int,
+):
+    """Squared sine of the angle between a face's normal and its neighbour's at an edge; NONE if there is none.
+
+    The edge ends at the vertex `end`, and `other` is 3 * face + edge. A neighbour that goes along it the same way has
+    its normal on the other side.
+    """
+    if other < 0:
+        return NONE
+    theirs = normal_of(normals, mesh, faces.shape[0], other / 3)
+    if faces[other / 3, other % 3] != end:
+        theirs = -theirs
+    return sine2_between(mine, theirs)
+
+
+@wp.func
+def sine2_around_corner(
+    normals: wp.array(dtype=wp.float32),
+    faces: wp.array2d(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    mesh: int,
+    face: int,
+    mine: wp.vec3,
+    k: int,
+    index: int,
+    code: int,
+):
+    """The largest squared sine of the angles between a face's normal and those of the ring around its corner k.
+
+    NONE if the ring does not close, or one of its faces has no normal. The corner is the vertex `index`, and `code` the
+    first neighbour.
+    """
+    most = float(0.0)
     for _step in range(MOST_AROUND):
         if code < 0:
-            return wp.float64(-1.0)
+            return NONE
         there = code / 3
         entered = code % 3
         if there == face:
-            return wp.where(entered == (k + 2) % 3, least, wp.float64(-1.0))
+            return wp.where(entered == (k + 2) % 3, most, NONE)
+        # All of these before any is used, as each takes long to come.
         near = faces[there, entered]
-        left = (entered + 2) % 3
-        if near == index:
-            near = faces[there, (entered + 1) % 3]
-        else:
-            left = (entered + 1) % 3
-        far = faces[there, (entered + 2) % 3]
-        theirs = unit_normal(at, corner_at(vertices, mesh, scale, near), corner_at(vertices, mesh, scale, far))
-        least = wp.min(least, wp.dot(mine, theirs))
-        if least <= wp.float64(0.0):
-            return wp.float64(-1.0)
-        code = neighbours[there, left]
-    return wp.float64(-1.0)
+        around = load_row(neighbours, there)
+        theirs = normal_of(normals, mesh, faces.shape[0], there)
+        left = wp.where(near == index, (entered + 2) % 3, (entered + 1) % 3)
+        if near != index:
+            theirs = -theirs
+        most = wp.max(most, sine2_between(mine, -theirs))
+        if most >= NONE:
+            return NONE
+        code = wp.where(left == 0, around[0], wp.where(left == 1, around[1], around[2]))
+    return NONE
 
 
 @wp.kernel
 def _cones_of_triangles(
     begin: int,
     tree: Tree,
-    vertices: wp.array2d(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
     cones: Cones,
 ):
     slot = begin + wp.tid()
     mesh = slot / tree.count
-    scale = wp.float64(tree.frame[mesh * _FRAME_SIZE + _SCALE])
     face = tree.face[slot]
-    owned = neighbours[face, 3]
-    axis = tree.corners[4 * slot + 3]
-    least = wp.float64(1.0)
+    around = load_row(neighbours, face)
+    owned = around[3]
+    axis = normal_of(normals, mesh, tree.count, face)
+    most = float(0.0)
     if wp.dot(axis, axis) < 0.5:
-        least = wp.float64(-1.0)
+        most = NONE
     for k in range(3):
-        if (owned >> (k + 1)) & 1 and least > wp.float64(0.0):
-            least = wp.min(least, cosine_over_edge(vertices, faces, neighbours, mesh, scale, face, k))
+        if (owned >> (k + 1)) & 1 and most < NONE:
+            end = faces[face, (k + 1) % 3]
+            most = wp.max(most, sine2_over_edge(normals, faces, mesh, axis, end, around[k]))
     for k in range(3):
-        if (owned >> (k + 4)) & 1 and least > wp.float64(0.0):
-            least = wp.min(least, cosine_around_corner(vertices, faces, neighbours, mesh, scale, face, k))
+        if (owned >> (k + 4)) & 1 and most < NONE:
+            index = faces[face, k]
+            most = wp.max(most, sine2_around_corner(normals, faces, neighbours, mesh, face, axis, k, index, around[k]))
     sine = float(1.0)
-    if least > wp.float64(0.0):
-        sine = wp.min(float(wp.sqrt(wp.max(wp.float64(1.0) - least * least, wp.float64(0.0)))) + ANGLE_ROOM, 1.0)
+    if most < NONE:
+        sine = wp.min(wp.sqrt(most) + ANGLE_ROOM, 1.0)
     write4(cones.triangles, slot, axis[0], axis[1], axis[2], sine)
 
 
@@ -257,12 +265,11 @@ def node_cone(tree: Tree, cones: Cones, base: int, node: int):
     return cone
 
 
-def make_cones(
-    tree: Tree, vertices: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones, launch: Any
-) -> None:
-    """Fill `cones` from a built tree, its meshes, and `sdm.topology.neighbours` of their faces (F,4)."""
-    device, meshes = vertices.device, vertices.shape[0]
-    launch(_cones_of_triangles, meshes * tree.count, [tree, vertices, faces, neighbours, cones], device)
+def make_cones(tree: Tree, normals: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones, launch: Any) -> None:
+    """Fill `cones` from a built tree, the faces' `normals` (see there), and `sdm.topology.neighbours` (F,4) of them."""
+    device, slots = normals.device, normals.shape[0] // 4
+    meshes = slots // tree.count
+    launch(_cones_of_triangles, slots, [tree, normals, faces, neighbours, cones], device)
     lanes = GPU_LANES if device.is_cuda else 1
     top = max(tree.depth - int(LEVELS), 0)
     inputs = [lanes, tree, 1 << top, tree.depth - top + 1, cones]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, TypeAlias
@@ -37,7 +38,7 @@ POOL_SHARE = 32
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
 # cell, for that: of a batch's maps they are as many as of one alone, where fewer, longer chains would be faster.
-FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 16, 4
+FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 32, 8
 # Triangles of a cell's list, on average, up to which all lists are about as short.
 SHORT = 64
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
@@ -151,8 +152,10 @@ def query_slab(
     cells = expected_list(tree.count, shape)
     expected = 8 * (3.0 * cells + CHUNK * (1 + lists.shares)) + 4 * cells + 2 * CHUNK * lists.region_shares
     # A large pool takes memory, several passes take time, as each waits for its longest lists.
-    room = min(max(SMALLEST_POOL, int(expected * total)), largest_pool(values.device)) if gpu else CPU_POOL
-    passes = -(-total // min(total, MOST_REGIONS, max(16, int(room / expected))))
+    wanted = max(SMALLEST_POOL, math.ceil(expected * total))
+    room = min(wanted, largest_pool(values.device)) if gpu else CPU_POOL
+    fit = total if wanted <= room else max(16, int(room / expected))
+    passes = -(-total // min(total, MOST_REGIONS, fit))
     most = -(-total // passes)
     lists.chunks = room // CHUNK
     lists.region_heads = empty(most * lists.region_shares, wp.int32)

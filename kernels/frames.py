@@ -11,8 +11,8 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4
-from sdm.kernels.tree import Tree
+from sdm.kernels.lanes import load4, write4
+from sdm.kernels.tree import Tree, load_corners
 
 wp.set_module_options({"enable_backward": False})
 
@@ -144,17 +144,22 @@ def _make_frames(
     frames: wp.array(dtype=wp.float32),
 ):
     slot = begin + wp.tid()
+    first, second, third, _normal = load_corners(tree, slot)
+    a = wp.vec3d(first)
+    b = wp.vec3d(second)
+    c = wp.vec3d(third)
     # Begin with the corner at the start of the longest edge.
-    turn = int(0)
-    longest2 = wp.float64(-1.0)
-    for k in range(3):
-        edge = wp.vec3d(tree.corners[4 * slot + (k + 1) % 3]) - wp.vec3d(tree.corners[4 * slot + k])
-        if wp.dot(edge, edge) > longest2:
-            longest2 = wp.dot(edge, edge)
-            turn = k
-    a = wp.vec3d(tree.corners[4 * slot + turn])
-    b = wp.vec3d(tree.corners[4 * slot + (turn + 1) % 3])
-    c = wp.vec3d(tree.corners[4 * slot + (turn + 2) % 3])
+    ab2 = wp.dot(b - a, b - a)
+    bc2 = wp.dot(c - b, c - b)
+    ca2 = wp.dot(a - c, a - c)
+    if ca2 > wp.max(ab2, bc2):
+        c = wp.vec3d(second)
+        a = wp.vec3d(third)
+        b = wp.vec3d(first)
+    elif bc2 > ab2:
+        a = wp.vec3d(second)
+        b = wp.vec3d(third)
+        c = wp.vec3d(first)
     x_axis, y_axis, normal, solid = exact_axes(a, b, c)
     base = wp.length(b - a)
     tip_x = wp.dot(c - a, x_axis)
@@ -164,20 +169,17 @@ def _make_frames(
         tip_y = wp.float64(0.0)
     bc2 = (tip_x - base) * (tip_x - base) + tip_y * tip_y
     ca2 = tip_x * tip_x + tip_y * tip_y
-    at = 4 * _ROWS * slot
-    for i in range(3):
-        frames[at + i] = float(a[i])
-        frames[at + 4 + i] = float(x_axis[i])
-        frames[at + 8 + i] = float(y_axis[i])
-        frames[at + 12 + i] = float(normal[i])
-    frames[at + 3] = float(base)
-    frames[at + 7] = float(tip_x)
-    frames[at + 11] = float(tip_y)
-    frames[at + 15] = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
-    frames[at + 16] = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
-    frames[at + 17] = wp.where(solid, 1.0, 0.0)
-    frames[at + 18] = 0.0
-    frames[at + 19] = 0.0
+    x = wp.vec3(x_axis)
+    y = wp.vec3(y_axis)
+    n = wp.vec3(normal)
+    inverse_bc = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
+    inverse_ca = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
+    row = _ROWS * slot
+    write4(frames, row, float(a[0]), float(a[1]), float(a[2]), float(base))
+    write4(frames, row + 1, x[0], x[1], x[2], float(tip_x))
+    write4(frames, row + 2, y[0], y[1], y[2], float(tip_y))
+    write4(frames, row + 3, n[0], n[1], n[2], inverse_bc)
+    write4(frames, row + 4, inverse_ca, wp.where(solid, 1.0, 0.0), 0.0, 0.0)
 
 
 def make_frames(tree: Tree, frames: wp.array, launch: Any) -> None:

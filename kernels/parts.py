@@ -24,7 +24,7 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, write4
+from sdm.kernels.lanes import load4, load_row, write4
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
 
 wp.set_module_options({"enable_backward": False})
@@ -153,6 +153,32 @@ def inverse_length(v: wp.vec3d):
     return wp.float64(0.0)
 
 
+@wp.func
+def across_edge(
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    mesh: int,
+    scale: wp.float64,
+    other: int,
+    beyond: wp.vec3,
+):
+    """The unit vector from an edge into its neighbour `other` (3 * face + edge), and the neighbour's far corner.
+
+    Without a neighbour no direction, and `beyond`: the triangle's own far corner, which says nothing new.
+    """
+    inward = wp.vec3(0.0, 0.0, 0.0)
+    if other >= 0:
+        side = other % 3
+        there = other / 3
+        p = scale * wp.vec3d(vertices[mesh, faces[there, side]])
+        q = scale * wp.vec3d(vertices[mesh, faces[there, (side + 1) % 3]])
+        r = scale * wp.vec3d(vertices[mesh, faces[there, (side + 2) % 3]])
+        beyond = wp.vec3(r)
+        across = wp.cross(unit_normal(p, q, r), q - p)
+        inward = wp.vec3(inverse_length(across) * across)
+    return inward, beyond
+
+
 @wp.kernel
 def _make_parts(
     begin: int,
@@ -165,41 +191,28 @@ def _make_parts(
     slot = begin + wp.tid()
     mesh = slot / tree.count
     scale = wp.float64(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    face = tree.face[slot]
-    at = 4 * _ROWS * slot
-    for k in range(3):
-        a = wp.vec3d(tree.corners[4 * slot + k])
-        b = wp.vec3d(tree.corners[4 * slot + (k + 1) % 3])
-        ab = b - a
-        inward = wp.vec3(0.0, 0.0, 0.0)
-        # Without a neighbour the far corner is the triangle's own, which says nothing new.
-        beyond = tree.corners[4 * slot + (k + 2) % 3]
-        other = neighbours[face, k]
-        if other >= 0:
-            side = other % 3
-            there = other / 3
-            first = faces[there, side]
-            p = scale * wp.vec3d(vertices[mesh, first])
-            q = scale * wp.vec3d(vertices[mesh, faces[there, (side + 1) % 3]])
-            r = scale * wp.vec3d(vertices[mesh, faces[there, (side + 2) % 3]])
-            beyond = wp.vec3(r)
-            across = wp.cross(unit_normal(p, q, r), q - p)
-            inward = wp.vec3(inverse_length(across) * across)
-        for axis in range(3):
-            parts.rows[at + 3 * k + axis] = inward[axis]
-            parts.rows[at + 9 + 3 * k + axis] = beyond[axis]
-        parts.inverses[_INVERSES * slot + k] = inverse_length(ab)
-    parts.rows[at + 18] = float(neighbours[face, 3])
-    parts.rows[at + 19] = 0.0
-    middle = (tree.corners[4 * slot] + tree.corners[4 * slot + 1] + tree.corners[4 * slot + 2]) / 3.0
-    radius = float(0.0)
-    for k in range(3):
-        radius = wp.max(radius, wp.length(tree.corners[4 * slot + k] - middle))
+    around = load_row(neighbours, tree.face[slot])
+    corner_a, corner_b, corner_c, _normal = load_corners(tree, slot)
+    inward_ab, beyond_ab = across_edge(vertices, faces, mesh, scale, around[0], corner_c)
+    inward_bc, beyond_bc = across_edge(vertices, faces, mesh, scale, around[1], corner_a)
+    inward_ca, beyond_ca = across_edge(vertices, faces, mesh, scale, around[2], corner_b)
+    row = _ROWS * slot
+    write4(parts.rows, row, inward_ab[0], inward_ab[1], inward_ab[2], inward_bc[0])
+    write4(parts.rows, row + 1, inward_bc[1], inward_bc[2], inward_ca[0], inward_ca[1])
+    write4(parts.rows, row + 2, inward_ca[2], beyond_ab[0], beyond_ab[1], beyond_ab[2])
+    write4(parts.rows, row + 3, beyond_bc[0], beyond_bc[1], beyond_bc[2], beyond_ca[0])
+    write4(parts.rows, row + 4, beyond_ca[1], beyond_ca[2], float(around[3]), 0.0)
+    middle = (corner_a + corner_b + corner_c) / 3.0
+    radius = wp.max(wp.length(corner_a - middle), wp.max(wp.length(corner_b - middle), wp.length(corner_c - middle)))
     # A little more than rounding can take from it.
     write4(parts.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
-    ab = wp.vec3d(tree.corners[4 * slot + 1]) - wp.vec3d(tree.corners[4 * slot])
-    ac = wp.vec3d(tree.corners[4 * slot + 2]) - wp.vec3d(tree.corners[4 * slot])
-    parts.inverses[_INVERSES * slot + 3] = inverse_length(wp.cross(ab, ac))
+    a = wp.vec3d(corner_a)
+    b = wp.vec3d(corner_b)
+    c = wp.vec3d(corner_c)
+    parts.inverses[_INVERSES * slot] = inverse_length(b - a)
+    parts.inverses[_INVERSES * slot + 1] = inverse_length(c - b)
+    parts.inverses[_INVERSES * slot + 2] = inverse_length(a - c)
+    parts.inverses[_INVERSES * slot + 3] = inverse_length(wp.cross(b - a, c - a))
 
 
 def make_parts(

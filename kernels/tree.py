@@ -27,6 +27,7 @@ from sdm.kernels.lanes import (
     read4,
     wait_for_lanes,
     write4,
+    write4_of_vectors,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -97,6 +98,14 @@ def load_corners(tree: Tree, slot: int):
     b = wp.vec3(r0[3], r1[0], r1[1])
     c = wp.vec3(r1[2], r1[3], r2[0])
     return a, b, c, wp.vec3(r2[1], r2[2], r2[3])
+
+
+@wp.func
+def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
+    """What `load_corners` reads."""
+    write4_of_vectors(tree.corners, 3 * slot, a[0], a[1], a[2], b[0])
+    write4_of_vectors(tree.corners, 3 * slot + 1, b[1], b[2], c[0], c[1])
+    write4_of_vectors(tree.corners, 3 * slot + 2, c[2], n[0], n[1], n[2])
 
 
 @wp.func
@@ -245,18 +254,22 @@ def _gather_triangles(
     faces: wp.array2d(dtype=wp.int32),
     sorted_faces: wp.array(dtype=wp.int32),
     tree: Tree,
+    normals: wp.array(dtype=wp.float32),
 ):
     i = begin + wp.tid()
     mesh = i / tree.count
     f = sorted_faces[i]
     tree.face[i] = f
     scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    for corner in range(3):
-        v = scale * vertices[mesh, faces[f, corner]]
-        tree.corners[4 * i + corner] = v
-        tree.lattice[3 * i + corner] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
-    n = unit_normal(wp.vec3d(tree.corners[4 * i]), wp.vec3d(tree.corners[4 * i + 1]), wp.vec3d(tree.corners[4 * i + 2]))
-    tree.corners[4 * i + 3] = wp.vec3(n)
+    a = scale * vertices[mesh, faces[f, 0]]
+    b = scale * vertices[mesh, faces[f, 1]]
+    c = scale * vertices[mesh, faces[f, 2]]
+    tree.lattice[3 * i] = to_lattice(tree, mesh, wp.float64(a[1]), wp.float64(a[2]))
+    tree.lattice[3 * i + 1] = to_lattice(tree, mesh, wp.float64(b[1]), wp.float64(b[2]))
+    tree.lattice[3 * i + 2] = to_lattice(tree, mesh, wp.float64(c[1]), wp.float64(c[2]))
+    n = wp.vec3(unit_normal(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
+    write_corners(tree, i, a, b, c, n)
+    write4(normals, mesh * tree.count + f, n[0], n[1], n[2], 0.0)
 
 
 @wp.func
@@ -308,6 +321,7 @@ def build(
     bounds: wp.array,
     keys: wp.array,
     slots: wp.array,
+    normals: wp.array,
     launch: Any,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
@@ -319,6 +333,7 @@ def build(
         bounds: (6 * meshes) float32: afterwards each mesh's lowest and highest coordinates.
         keys: (2 * meshes * F) int64, scratch.
         slots: (2 * meshes * F) int32, scratch.
+        normals: (4 * meshes * F) float32: afterwards each face's unit normal, in the order of the faces, and 0.
         launch: `sdm.kernels.launch.launch`.
     """
     device = vertices.device
@@ -332,7 +347,7 @@ def build(
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
-    launch(_gather_triangles, total, [vertices, faces, slots, tree], device)
+    launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device)
     level = tree.depth + 1
     while level > 0:
         # A launch costs more than a few boxes one after the other.

@@ -93,6 +93,7 @@ def build_known(
     with on_current_stream(vertices, vertices, faces, edges, shared, around):
         hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
+        normals = empty(4 * meshes * count, wp.float32)
         tree.build(
             hierarchy,
             corners,
@@ -100,6 +101,7 @@ def build_known(
             empty(6 * meshes, wp.float32),
             empty(2 * meshes * count, wp.int64),
             empty(2 * meshes * count, wp.int32),
+            normals,
             launch,
         )
         if join is not None:
@@ -109,7 +111,7 @@ def build_known(
         with kernels_beside(vertices) as join_parts:
             parts.make_parts(*about, pieces, launch)
         frames.make_frames(hierarchy, local, launch)
-        cones.make_cones(*about, facing, launch)
+        cones.make_cones(hierarchy, normals, *about[2:], facing, launch)
         join_parts()
         if kind in (OPEN, MANY):
             gather_boundary(
