@@ -15,15 +15,29 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.edt_lines import nearest_on_line
+from sdm.kernels.edt_along import nearest_on_line
+from sdm.kernels.edt_lines import find_envelopes
 from sdm.kernels.edt_near import NEIGHBOURS, Marks
 from sdm.kernels.edt_rows import nearest_in_row
 from sdm.kernels.lanes import GPU_LANES
 
 # Lines are few and long: small blocks spread them over all of a GPU.
 BLOCK_DIM = 64
-# Threads for a line on a GPU whose voxels ask their neighbours alone.
-PIECES = 8
+# Pieces of a line, with a thread each.
+PIECES = {"cuda": 8, "cpu": 1}
+
+
+def room_for(shape: tuple[int, int, int, int], signed: bool) -> dict[str, int]:
+    """How many numbers of each kind of scratch `transform` needs for volumes (B,nx,ny,nz)."""
+    meshes, nx, ny, nz = shape
+    voxels = meshes * nx * ny * nz
+    marks = (2 if signed else 1) * meshes * nz * (nx + ny)
+    return {
+        "between": voxels,
+        "stack": voxels,
+        "counts": max(PIECES.values()) * meshes * nz * max(nx, ny),
+        "marks": marks,
+    }
 
 
 def transform(
@@ -33,7 +47,7 @@ def transform(
     half: float,
     signed: bool,
     missing: float,
-    room: tuple[wp.array, wp.array, wp.array],
+    room: dict[str, wp.array],
     out: wp.array,
     launch: Any,
 ) -> None:
@@ -46,7 +60,7 @@ def transform(
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         signed: Whether voxels inside get minus their distance to the outside, rather than 0.
         missing: Distance where there is no voxel of the other class.
-        room: Scratch, float32 and int32, each as large as the mask, and int32 zeros: B * nz * (nx + ny).
+        room: Scratch, as large as `room_for` says: `between` float32, all else int32, `marks` zeros.
         out: float32, flat.
         launch: See `launch.launch`.
     """
@@ -55,42 +69,34 @@ def transform(
     # In units of the largest spacing an isotropic grid's squared distances are whole numbers or quarters: exact.
     unit = max(spacing)
     weights = [(s / unit) * (s / unit) for s in spacing]
-    between, stack, far = room
-    rows, lines = meshes * nx * ny, meshes * nx * nz
-    sides = 2 if signed else 1
     lanes = GPU_LANES if device.is_cuda else 1
-    # Never more threads than voxels, which are counted in 32 bits.
-    in_x, in_y = (min(PIECES, n) if device.is_cuda else 1 for n in (nx, ny))
-    along_y = _marks(far[:lines], weights[1], half)
-    along_x = _marks(far[lines:], weights[0], half)
-    none = _marks(far[:1], math.inf, half)
+    across_y, across_x = meshes * nx * nz, meshes * ny * nz
+    sides = 2 if signed else 1
+    along_y = _marks(room["marks"][: sides * across_y], sides, weights[1], half)
+    along_x = _marks(room["marks"][sides * across_y :], sides, weights[0], half)
+    none = _marks(room["marks"], 1, math.inf, half)
     row = [mask, nz, lanes, weights[2], half, int(signed), along_y, ny, out]
-    launch(nearest_in_row, rows * lanes, row, device)
-    line = [lines, in_y, out, ny, nz, weights[1], half, sides, 0.0, missing, along_y, along_x, nx, stack, between]
-    launch(nearest_on_line, lines * in_y, line, device, BLOCK_DIM)
-    lines = meshes * ny * nz
-    line = [
-        lines,
-        in_x,
-        between,
-        nx,
-        ny * nz,
-        weights[0],
-        half,
-        sides,
-        unit,
-        missing,
-        along_x,
-        none,
-        1,
-        stack,
-        out,
-    ]
-    launch(nearest_on_line, lines * in_x, line, device, BLOCK_DIM)
+    launch(nearest_in_row, meshes * nx * ny * lanes, row, device)
+    passes = (
+        (across_y, out, ny, nz, weights[1], 0.0, along_y, along_x, nx, room["between"]),
+        (across_x, room["between"], nx, ny * nz, weights[0], unit, along_x, none, 1, out),
+    )
+    for lines, heights, length, stride, weight, scale, marks, following, across, to in passes:
+        # Never more threads than voxels, which are counted in 32 bits.
+        pieces = min(PIECES["cuda" if device.is_cuda else "cpu"], length)
+        piles = [room["stack"], room["counts"]]
+        for side, far, other in ((1.0, marks.outside, marks.inside), (-1.0, marks.inside, marks.outside))[:sides]:
+            line = [lines, pieces, heights, length, stride, weight, half, side]
+            if device.is_cuda or pieces > 1:
+                launch(find_envelopes, lines * pieces, [*line, far, *piles], device, BLOCK_DIM)
+            inputs = [*line, scale, missing, far, other, *piles, following, across, to]
+            launch(nearest_on_line, lines * pieces, inputs, device, BLOCK_DIM)
 
 
-def _marks(far: wp.array, weight: float, half: float) -> Any:
+def _marks(far: wp.array, sides: int, weight: float, half: float) -> Any:
+    """Marks in memory for so many sides."""
+    lines = far.shape[0] // sides
     marks = Marks()
-    marks.far = far
+    marks.outside, marks.inside = far[:lines], far[-lines:]
     marks.limit = weight * (int(NEIGHBOURS) - half) ** 2
     return marks

@@ -1,17 +1,18 @@
-"""Later passes of the distance transform: along one line, the lower envelope of one convex curve a voxel.
+"""Later passes of the distance transform: along each line, lower envelopes of one convex curve a voxel.
 
 The scan of Meijster, Roerdink and Hesselink (2000): a stack of the voxels that are closest somewhere on the line, each
-with the first place where it is. One thread does one line, so neighbouring threads read neighbouring addresses.
+with the first place where it is. A scan is a chain of decisions, and a volume has too few lines to keep a GPU busy with
+one each; so there a line is cut into pieces, whose voxels have an envelope of their own, over all of the line. The
+nearest voxel is then the nearest of those that the envelopes name, and most pieces are too far away to be asked.
 
-Lines without a voxel far from the other class are left to `edt_near`, whose voxels do not depend on each other: there
-several threads share a line.
+Neighbouring threads have neighbouring lines, so that they read neighbouring addresses.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_near import Marks, cost, from_neighbours, mark
+from sdm.kernels.edt_near import cost
 
 wp.set_module_options({"enable_backward": False})
 
@@ -50,15 +51,70 @@ def first_won(site: int, height: float, later: int, later_height: float, weight:
 
 
 @wp.func
-def finished(squared: float, scale: float, missing: float):
-    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
-    if scale > 0.0:
-        return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
-    return squared
+def height_for(value: float, side: float):
+    """A voxel's height as seen from one side (1 for outside, -1 for inside): those of the other are at zero."""
+    return wp.max(side * value, 0.0)
+
+
+@wp.func
+def first_of(piece: int, pieces: int, length: int):
+    """The first voxel of a piece of a line."""
+    return piece * length / pieces
+
+
+@wp.func
+def find_envelope(
+    heights: wp.array(dtype=wp.float32),
+    base: int,
+    stride: int,
+    length: int,
+    low: int,
+    high: int,
+    weight: float,
+    half: float,
+    side: float,
+    stack: wp.array(dtype=wp.int32),
+):
+    """The envelope of a line's voxels from `low` to before `high`, as seen from one side; returns its entries' number.
+
+    They begin in `stack` where these voxels do.
+    """
+    count = int(0)
+    site = int(0)
+    start = int(0)
+    height = float(0.0)
+    ahead = heights[base + low * stride]
+    for u in range(low, high):
+        g = height_for(ahead, side)
+        if u + 1 < high:
+            ahead = heights[base + (u + 1) * stride]
+        if g < wp.inf:
+            popping = count > 0
+            while popping:
+                popping = cost(start, site, height, weight, half) > cost(start, u, g, weight, half)
+                if popping:
+                    count = count - 1
+                    popping = count > 0
+                    if popping:
+                        entry = stack[base + (low + count - 1) * stride]
+                        site = entry & _LOW
+                        start = entry >> 16
+                        height = height_for(heights[base + site * stride], side)
+            won = int(0)
+            if count > 0:
+                # Never before the one below it: costs within a rounding of each other may disagree.
+                won = wp.max(first_won(site, height, u, g, weight, half), start + 1)
+            if won < length:
+                site = u
+                start = won
+                height = g
+                stack[base + (low + count) * stride] = site | (start << 16)
+                count = count + 1
+    return count
 
 
 @wp.kernel
-def nearest_on_line(
+def find_envelopes(
     begin: int,
     lines: int,
     pieces: int,
@@ -67,92 +123,18 @@ def nearest_on_line(
     stride: int,
     weight: float,
     half: float,
-    sides: int,
-    scale: float,
-    missing: float,
-    marks: Marks,
-    following: Marks,
-    across: int,
+    side: float,
+    far: wp.array(dtype=wp.int32),
     stack: wp.array(dtype=wp.int32),
-    out: wp.array(dtype=wp.float32),
+    counts: wp.array(dtype=wp.int32),
 ):
-    """One line: out[x] = min over i of heights[i] + cost(x - i), for the voxels outside, then for those inside.
-
-    A height below zero belongs to a voxel inside: seen from outside it is zero, and the other way round. With a
-    `scale` above zero the result is no longer squared. The lines of the next pass, `across` of which this one's voxels
-    are the first, second, ... voxels, are marked in `following`. There are `pieces` threads a line.
-    """
+    """For each piece of the lines that are `far`, the envelope of its voxels; `counts` are (pieces, lines)."""
     thread = begin + wp.tid()
     piece = thread / lines
     line = thread - piece * lines
-    outer = line / stride
-    base = outer * stride * length + (line - outer * stride)
-    # The line of the next pass through x = 0; they are a stride apart.
-    crossing = outer / across * stride * length + (line - outer * stride)
-    if marks.far[line] == 0:
-        for x in range(piece * length / pieces, (piece + 1) * length / pieces):
-            near = from_neighbours(heights, base, stride, length, x, weight, half)
-            mark(following, crossing + x * stride, near)
-            side_of = wp.where(near < 0.0, -1.0, 1.0)
-            out[base + x * stride] = side_of * finished(wp.abs(near), scale, missing)
-        return
-    if piece > 0:
-        return
-    inside = int(0)
-    for turn in range(sides):
-        side = float(1.0)
-        if turn == 1:
-            side = -1.0
-        if turn == 0 or inside > 0:
-            count = int(0)
-            site = int(0)
-            start = int(0)
-            height = float(0.0)
-            ahead = heights[base]
-            for u in range(length):
-                value = ahead
-                if u + 1 < length:
-                    ahead = heights[base + (u + 1) * stride]
-                if value < 0.0:
-                    inside = inside + 1
-                g = wp.max(side * value, 0.0)
-                if g < wp.inf:
-                    popping = count > 0
-                    while popping:
-                        popping = cost(start, site, height, weight, half) > cost(start, u, g, weight, half)
-                        if popping:
-                            count = count - 1
-                            popping = count > 0
-                            if popping:
-                                entry = stack[base + (count - 1) * stride]
-                                site = entry & _LOW
-                                start = entry >> 16
-                                height = wp.max(side * heights[base + site * stride], 0.0)
-                    won = int(0)
-                    if count > 0:
-                        # Never before the one below it: costs within a rounding of each other may disagree.
-                        won = wp.max(first_won(site, height, u, g, weight, half), start + 1)
-                    if won < length:
-                        site = u
-                        start = won
-                        height = g
-                        stack[base + count * stride] = site | (start << 16)
-                        count = count + 1
-            for back in range(length):
-                x = length - 1 - back
-                value = heights[base + x * stride]
-                if value * side > 0.0 or (value == 0.0 and turn == 0):
-                    best = float(wp.inf)
-                    if count > 0:
-                        best = cost(x, site, height, weight, half)
-                    if value == 0.0:
-                        best = 0.0
-                    mark(following, crossing + x * stride, best)
-                    out[base + x * stride] = side * finished(best, scale, missing)
-                if count > 0 and x == start:
-                    count = count - 1
-                    if count > 0:
-                        entry = stack[base + (count - 1) * stride]
-                        site = entry & _LOW
-                        start = entry >> 16
-                        height = wp.max(side * heights[base + site * stride], 0.0)
+    if far[line] != 0:
+        outer = line / stride
+        base = outer * stride * length + (line - outer * stride)
+        low = first_of(piece, pieces, length)
+        high = first_of(piece + 1, pieces, length)
+        counts[thread] = find_envelope(heights, base, stride, length, low, high, weight, half, side, stack)

@@ -23,17 +23,20 @@ def cost(x: int, site: int, height: float, weight: float, half: float):
 
 @wp.struct
 class Marks:
-    """Which lines have a voxel that is far from the other class."""
+    """Which lines have a voxel that is far from the other class: one for each line of a pass, not zero where it has."""
 
-    far: wp.array(dtype=wp.int32)  # one for each line of a pass: not zero where it has
+    outside: wp.array(dtype=wp.int32)
+    inside: wp.array(dtype=wp.int32)  # of a signed transform
     limit: float  # squared distances beyond this one are far
 
 
 @wp.func
 def mark(marks: Marks, line: int, height: float):
-    """Note that a line of the next pass has a voxel with this height."""
-    if wp.abs(height) > marks.limit:
-        marks.far[line] = 1
+    """Note that a line of the next pass has a voxel with this height, which is below zero inside."""
+    if height > marks.limit:
+        marks.outside[line] = 1
+    elif -height > marks.limit:
+        marks.inside[line] = 1
 
 
 @wp.func

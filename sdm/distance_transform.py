@@ -30,18 +30,20 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
     count, nx, ny, nz = mask.shape
     largest = nx * ny * max(nz, _LANES)
     chunk = max(1, min(count, MOST_VOXELS // largest))
-    between = torch.empty(chunk * nx * ny * nz, dtype=torch.float32, device=mask.device)
-    stack = torch.empty_like(between, dtype=torch.int32)
-    far = torch.empty(chunk * (nx + ny) * nz, dtype=torch.int32, device=mask.device)
     sizes = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
     with on_current_stream(mask, mask):
         for begin in range(0, count, chunk):
             part = mask[begin : begin + chunk]
-            marks = far[: part.shape[0] * (nx + ny) * nz].zero_()
-            room = (as_warp(between, wp.float32), as_warp(stack, wp.int32), as_warp(marks, wp.int32))
+            shape = (part.shape[0], nx, ny, nz)
+            kept = {
+                name: torch.empty(length, dtype=torch.int32, device=mask.device)
+                for name, length in edt.room_for(shape, signed).items()
+            }
+            kept["marks"].zero_()
+            room = {name: as_warp(tensor, wp.int32) for name, tensor in kept.items()}
+            room["between"] = as_warp(kept["between"].view(torch.float32), wp.float32)
             source = as_warp(part.view(torch.uint8).reshape(-1), wp.uint8)
             result = as_warp(out[begin : begin + chunk].reshape(-1), wp.float32)
-            shape = (part.shape[0], nx, ny, nz)
             edt.transform(source, shape, sizes, half, signed, missing, room, result, launch)
     return out
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from sdm.distance_transform import euclidean_distance_transform
+from sdm.kernels import edt
 
 # Weights, their products and two sums are rounded before the root, which halves that; the root, the largest spacing
 # and their product after it.
@@ -51,7 +52,14 @@ def test_to_centres(mask, spacing):
     np.testing.assert_allclose(values, expected, rtol=ROUNDINGS, atol=0)
 
 
-@settings(max_examples=40)
+@pytest.fixture(params=[1, 3, 8])
+def pieces(request, monkeypatch):
+    """So many envelopes a line, as a GPU has."""
+    monkeypatch.setitem(edt.PIECES, "cpu", request.param)
+
+
+@pytest.mark.usefixtures("pieces")
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32 - 1), spacing=SPACINGS, surface=st.sampled_from(["centres", "faces"]))
 def test_lines_near_and_far(seed, spacing, surface):
     """Noise in one box of each volume: some lines are settled among neighbours, some need all their voxels."""

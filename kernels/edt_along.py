@@ -1,0 +1,191 @@
+"""Later passes of the distance transform: each voxel of a line takes the best that neighbours or envelopes offer.
+
+Voxels of a line without one far from the other class ask their neighbours (see `edt_near`), the others the envelopes of
+the line's pieces (see `edt_lines`), the nearest first: a piece further away than what all voxels of a tile have found
+is not asked.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.edt_lines import find_envelope, first_of, height_for
+from sdm.kernels.edt_near import Marks, cost, from_neighbours, mark
+from sdm.kernels.lanes import on_cpu
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels that ask together.
+TILE = 8
+_TILE = wp.constant(TILE)
+_LOW = wp.constant((1 << 16) - 1)
+Tile = wp.types.vector(length=TILE, dtype=wp.float32)
+
+
+@wp.func
+def finished(squared: float, scale: float, missing: float):
+    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
+    if scale > 0.0:
+        return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
+    return squared
+
+
+@wp.func
+def is_on(value: float, side: float):
+    """Whether a voxel of this value is on a side. Zero is what is inside of a transform without signs."""
+    return value * side > 0.0 or (value == 0.0 and side > 0.0)
+
+
+@wp.func
+def largest(tile: Tile):
+    most = float(0.0)
+    for i in range(TILE):
+        most = wp.max(most, tile[i])
+    return most
+
+
+@wp.func
+def entry_at(x: int, stack: wp.array(dtype=wp.int32), first: int, count: int, stride: int):
+    """The last of `count` > 0 entries from `stack[first]` that begins at x or before; the first one begins at 0."""
+    low = int(0)
+    high = int(count - 1)
+    while low < high:
+        middle = (low + high + 1) / 2
+        if (stack[first + middle * stride] >> 16) <= x:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@wp.func
+def lessened(
+    best: Tile,
+    x: int,
+    stack: wp.array(dtype=wp.int32),
+    first: int,
+    count: int,
+    entry: int,
+    heights: wp.array(dtype=wp.float32),
+    base: int,
+    stride: int,
+    length: int,
+    weight: float,
+    half: float,
+    side: float,
+):
+    """`best` of the voxels from x, and what the `count` > 0 entries from `stack[first]` offer them, from one before x.
+
+    Also gives the last entry that was looked at.
+    """
+    site = stack[first + entry * stride] & _LOW
+    height = height_for(heights[base + site * stride], side)
+    following = int(length)
+    if entry + 1 < count:
+        following = stack[first + (entry + 1) * stride] >> 16
+    for i in range(TILE):
+        while following <= x + i and entry + 1 < count:
+            entry = entry + 1
+            site = stack[first + entry * stride] & _LOW
+            following = length
+            if entry + 1 < count:
+                following = stack[first + (entry + 1) * stride] >> 16
+            if following > x + i:
+                height = height_for(heights[base + site * stride], side)
+        best[i] = wp.min(best[i], cost(x + i, site, height, weight, half))
+    return best, entry
+
+
+@wp.kernel
+def nearest_on_line(
+    begin: int,
+    lines: int,
+    pieces: int,
+    heights: wp.array(dtype=wp.float32),
+    length: int,
+    stride: int,
+    weight: float,
+    half: float,
+    side: float,
+    scale: float,
+    missing: float,
+    far: wp.array(dtype=wp.int32),
+    other_far: wp.array(dtype=wp.int32),
+    stack: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    following: Marks,
+    across: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """Voxels of one side (1 outside, -1 inside) on each line: out[x] = min over i of height of i + cost(x - i).
+
+    Lines that are `far` on one side have envelopes for it. On the first side, outside, the voxels of lines that are not
+    `other_far` are measured for both sides, and on the other only those of lines that are `far`.
+
+    A height below zero belongs to a voxel inside: seen from outside it is zero, and the other way round. With a
+    `scale` above zero the result is no longer squared. The lines of the next pass, `across` of which this one's voxels
+    are the first, second, ... voxels, are marked in `following`. There are `pieces` threads a line.
+    """
+    thread = begin + wp.tid()
+    piece = thread / lines
+    line = thread - piece * lines
+    outer = line / stride
+    base = outer * stride * length + (line - outer * stride)
+    # The line of the next pass through x = 0; they are a stride apart.
+    crossing = outer / across * stride * length + (line - outer * stride)
+    begin_at = first_of(piece, pieces, length)
+    x = int(begin_at)
+    end = first_of(piece + 1, pieces, length)
+    if far[line] == 0 and side < 0.0:
+        return
+    near_here = far[line] == 0
+    near_there = other_far[line] == 0 and side > 0.0
+    if near_here or near_there:
+        for u in range(x, end):
+            value = heights[base + u * stride]
+            if (near_here and is_on(value, side)) or (near_there and value < 0.0):
+                near = from_neighbours(heights, base, stride, length, u, weight, half)
+                mark(following, crossing + u * stride, near)
+                out[base + u * stride] = wp.where(value < 0.0, -1.0, 1.0) * finished(wp.abs(near), scale, missing)
+    if near_here:
+        return
+    if on_cpu() and pieces == 1:
+        # Here, where the line is at hand, and not in a launch of its own.
+        counts[line] = find_envelope(heights, base, stride, length, 0, length, weight, half, side, stack)
+    # Where the envelope of the own piece was left.
+    here = int(0)
+    while x < end:
+        # What is not on this side has nothing to gain.
+        best = Tile()
+        for i in range(TILE):
+            value = float(0.0)
+            if x + i < end:
+                value = heights[base + (x + i) * stride]
+            best[i] = wp.where(x + i < end and is_on(value, side), wp.abs(value), -1.0)
+        most = largest(best)
+        turn = int(0)
+        while turn < 2 * pieces - 1 and most > 0.0:
+            away = (turn + 1) / 2
+            other = piece + wp.where((turn & 1) != 0, -away, away)
+            if other >= 0 and other < pieces:
+                low = first_of(other, pieces, length)
+                high = first_of(other + 1, pieces, length)
+                gap = wp.max(wp.max(low - (x + _TILE - 1), x - (high - 1)), 0)
+                count = counts[other * lines + line]
+                if count > 0 and cost(gap, 0, 0.0, weight, half) < most:
+                    pile = base + low * stride
+                    entry = here
+                    if turn > 0 or x == begin_at:
+                        entry = entry_at(x, stack, pile, count, stride)
+                    best, entry = lessened(
+                        best, x, stack, pile, count, entry, heights, base, stride, length, weight, half, side
+                    )
+                    if turn == 0:
+                        here = entry
+                    most = largest(best)
+            turn = turn + 1
+        for i in range(TILE):
+            if best[i] >= 0.0:
+                mark(following, crossing + (x + i) * stride, side * best[i])
+                out[base + (x + i) * stride] = side * finished(best[i], scale, missing)
+        x = x + _TILE
