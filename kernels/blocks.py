@@ -20,7 +20,6 @@ from sdm.kernels.lists import (
     NEXT_BLOCK,
     NEXT_SLICED,
     SLICED,
-    WHOLE,
     Lists,
     Reader,
     cell_start,
@@ -31,6 +30,7 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.octants import octants_of
 from sdm.kernels.parts import Parts
+from sdm.kernels.plan import whole_blocks
 from sdm.kernels.rows import rows_of
 from sdm.kernels.selection import block_of
 from sdm.kernels.stacks import small_stack_of
@@ -43,7 +43,7 @@ wp.set_module_options({"enable_backward": False})
 FACES, EDGES, CORNERS = 0, 64, 128
 
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
+_COARSE, _SLICED = wp.constant(COARSE), wp.constant(SLICED)
 _NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
 _VOXELS = wp.constant(VOXELS)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -156,7 +156,7 @@ def _measure_blocks(
     lane = thread % lanes
     worker = thread / lanes
     bricks = 8 * lists.counts[_COARSE]
-    total = bricks + lists.counts[_WHOLE]
+    total = bricks + whole_blocks(lists)
     item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
     while item < total:
         block, _number, known = block_of(tree, slab, lists, item, bricks)

@@ -16,7 +16,7 @@ from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
 from sdm.kernels.least import VOXELS
-from sdm.kernels.lists import CELL, CHUNK, COUNTS, REGION, Lists
+from sdm.kernels.lists import CELL, CHUNK, COUNTS, LENGTHS, REGION, Lists
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import CELL_BITS, PLAN_BLOCKS, plan_blocks
 from sdm.kernels.regions import REGION_BLOCKS, list_regions
@@ -166,7 +166,8 @@ def query_slab(
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
     # Each slice but the last of a list is full.
     slices = 8 * most + lists.chunks * CHUNK // slice_length
-    lists.whole = empty(slices, wp.int32)
+    lists.slices = slices
+    lists.whole = empty(LENGTHS * slices, wp.int32)
     lists.coarse = empty(slices, wp.int32)
     lists.sliced = empty(8 * most, wp.int32)
     lists.part_heads = empty(9 * slices, wp.int32)

@@ -17,7 +17,7 @@ import warp as wp
 
 from sdm.kernels.edt_along import nearest_on_line
 from sdm.kernels.edt_lines import find_envelopes
-from sdm.kernels.edt_near import NEIGHBOURS, Marks
+from sdm.kernels.edt_near import NEIGHBOURS, Marks, nearest_among_neighbours
 from sdm.kernels.edt_rows import nearest_in_row
 from sdm.kernels.lanes import GPU_LANES
 
@@ -84,13 +84,15 @@ def transform(
     for lines, heights, length, stride, weight, scale, marks, following, across, to in passes:
         # Never more threads than voxels, which are counted in 32 bits.
         pieces = min(PIECES["cuda" if device.is_cuda else "cpu"], length)
+        line = [lines, pieces, heights, length, stride, weight, half]
+        ends = [scale, missing, following, across, to]
+        launch(nearest_among_neighbours, lines * pieces, [*line, marks, *ends], device, BLOCK_DIM)
         piles = [room["stack"], room["counts"]]
-        for side, far, other in ((1.0, marks.outside, marks.inside), (-1.0, marks.inside, marks.outside))[:sides]:
-            line = [lines, pieces, heights, length, stride, weight, half, side]
+        for side, far in ((1.0, marks.outside), (-1.0, marks.inside))[:sides]:
+            inputs = [*line, side, far, *piles]
             if device.is_cuda or pieces > 1:
-                launch(find_envelopes, lines * pieces, [*line, far, *piles], device, BLOCK_DIM)
-            inputs = [*line, scale, missing, far, other, *piles, following, across, to]
-            launch(nearest_on_line, lines * pieces, inputs, device, BLOCK_DIM)
+                launch(find_envelopes, lines * pieces, inputs, device, BLOCK_DIM)
+            launch(nearest_on_line, lines * pieces, [*inputs, *ends], device, BLOCK_DIM)
 
 
 def _marks(far: wp.array, sides: int, weight: float, half: float) -> Any:

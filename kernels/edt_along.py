@@ -1,16 +1,15 @@
-"""Later passes of the distance transform: each voxel of a line takes the best that neighbours or envelopes offer.
+"""Later passes of the distance transform: each voxel of a far line takes the best that envelopes offer.
 
-Voxels of a line without one far from the other class ask their neighbours (see `edt_near`), the others the envelopes of
-the line's pieces (see `edt_lines`), the nearest first: a piece further away than what all voxels of a tile have found
-is not asked.
+It asks those of the line's pieces (see `edt_lines`), the nearest first: a piece further away than what all voxels of a
+tile have found is not asked.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_lines import find_envelope, first_of, height_for
-from sdm.kernels.edt_near import Marks, cost, from_neighbours, mark
+from sdm.kernels.edt_lines import find_envelope, height_for
+from sdm.kernels.edt_near import Marks, cost, finished, first_of, mark
 from sdm.kernels.lanes import on_cpu
 
 wp.set_module_options({"enable_backward": False})
@@ -20,14 +19,6 @@ TILE = 8
 _TILE = wp.constant(TILE)
 _LOW = wp.constant((1 << 16) - 1)
 Tile = wp.types.vector(length=TILE, dtype=wp.float32)
-
-
-@wp.func
-def finished(squared: float, scale: float, missing: float):
-    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
-    if scale > 0.0:
-        return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
-    return squared
 
 
 @wp.func
@@ -107,20 +98,16 @@ def nearest_on_line(
     weight: float,
     half: float,
     side: float,
-    scale: float,
-    missing: float,
     far: wp.array(dtype=wp.int32),
-    other_far: wp.array(dtype=wp.int32),
     stack: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
+    scale: float,
+    missing: float,
     following: Marks,
     across: int,
     out: wp.array(dtype=wp.float32),
 ):
-    """Voxels of one side (1 outside, -1 inside) on each line: out[x] = min over i of height of i + cost(x - i).
-
-    Lines that are `far` on one side have envelopes for it. On the first side, outside, the voxels of lines that are not
-    `other_far` are measured for both sides, and on the other only those of lines that are `far`.
+    """Voxels of one side (1 outside, -1 inside) on each far line: out[x] = min over i of height of i + cost(x - i).
 
     A height below zero belongs to a voxel inside: seen from outside it is zero, and the other way round. With a
     `scale` above zero the result is no longer squared. The lines of the next pass, `across` of which this one's voxels
@@ -129,26 +116,14 @@ def nearest_on_line(
     thread = begin + wp.tid()
     piece = thread / lines
     line = thread - piece * lines
+    if far[line] == 0:
+        return
     outer = line / stride
     base = outer * stride * length + (line - outer * stride)
-    # The line of the next pass through x = 0; they are a stride apart.
     crossing = outer / across * stride * length + (line - outer * stride)
     begin_at = first_of(piece, pieces, length)
     x = int(begin_at)
     end = first_of(piece + 1, pieces, length)
-    if far[line] == 0 and side < 0.0:
-        return
-    near_here = far[line] == 0
-    near_there = other_far[line] == 0 and side > 0.0
-    if near_here or near_there:
-        for u in range(x, end):
-            value = heights[base + u * stride]
-            if (near_here and is_on(value, side)) or (near_there and value < 0.0):
-                near = from_neighbours(heights, base, stride, length, u, weight, half)
-                mark(following, crossing + u * stride, near)
-                out[base + u * stride] = wp.where(value < 0.0, -1.0, 1.0) * finished(wp.abs(near), scale, missing)
-    if near_here:
-        return
     if on_cpu() and pieces == 1:
         # Here, where the line is at hand, and not in a launch of its own.
         counts[line] = find_envelope(heights, base, stride, length, 0, length, weight, half, side, stack)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_near import cost
+from sdm.kernels.edt_near import cost, first_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -54,12 +54,6 @@ def first_won(site: int, height: float, later: int, later_height: float, weight:
 def height_for(value: float, side: float):
     """A voxel's height as seen from one side (1 for outside, -1 for inside): those of the other are at zero."""
     return wp.max(side * value, 0.0)
-
-
-@wp.func
-def first_of(piece: int, pieces: int, length: int):
-    """The first voxel of a piece of a line."""
-    return piece * length / pieces
 
 
 @wp.func

@@ -1,7 +1,7 @@
 """Lines of the distance transform whose voxels are all close to the other class, as in noise.
 
 There each voxel asks its few neighbours on the line instead of all. The pass before knows which lines these are: it
-marks the others.
+marks the others. A line may be near on one side and far on the other.
 """
 
 from __future__ import annotations
@@ -60,3 +60,54 @@ def from_neighbours(
         k = k + 1
         added = cost(k, 0, 0.0, weight, half)
     return side * best
+
+
+@wp.func
+def finished(squared: float, scale: float, missing: float):
+    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
+    if scale > 0.0:
+        return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
+    return squared
+
+
+@wp.func
+def first_of(piece: int, pieces: int, length: int):
+    """The first voxel of a piece of a line."""
+    return piece * length / pieces
+
+
+@wp.kernel
+def nearest_among_neighbours(
+    begin: int,
+    lines: int,
+    pieces: int,
+    heights: wp.array(dtype=wp.float32),
+    length: int,
+    stride: int,
+    weight: float,
+    half: float,
+    marks: Marks,
+    scale: float,
+    missing: float,
+    following: Marks,
+    across: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """Voxels of the sides on which a line is not far, by `pieces` threads a line: see `edt_along` for the rest."""
+    thread = begin + wp.tid()
+    piece = thread / lines
+    line = thread - piece * lines
+    outer = line / stride
+    base = outer * stride * length + (line - outer * stride)
+    # The line of the next pass through x = 0; they are a stride apart.
+    crossing = outer / across * stride * length + (line - outer * stride)
+    outside = marks.outside[line] == 0
+    inside = marks.inside[line] == 0
+    if outside or inside:
+        for x in range(first_of(piece, pieces, length), first_of(piece + 1, pieces, length)):
+            at = base + x * stride
+            value = heights[at]
+            if (value < 0.0 and inside) or (value >= 0.0 and outside):
+                near = from_neighbours(heights, base, stride, length, x, weight, half)
+                mark(following, crossing + x * stride, near)
+                out[at] = wp.where(value < 0.0, -1.0, 1.0) * finished(wp.abs(near), scale, missing)

@@ -23,8 +23,10 @@ CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
 NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK, NEXT_SLICED = range(7)
-NEXT_CHUNK, COARSE, WHOLE, SLICED = range(7, 11)
-COUNTS = 11
+NEXT_CHUNK, COARSE, SLICED, WHOLE = range(7, 11)
+# Blocks are counted by the length of their lists: of 2^i leaves and more, the last one of all that are longer.
+LENGTHS = 8
+COUNTS = WHOLE + LENGTHS
 
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
@@ -50,7 +52,8 @@ class Lists:
     witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) of regions, then cells, then bricks
     nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
     # Cells and which slice of their lists, see `plan`: those that are measured whole, and those brick by brick.
-    whole: wp.array(dtype=wp.int32)
+    whole: wp.array(dtype=wp.int32)  # (LENGTHS * slices)
+    slices: wp.int32  # room for so many blocks of each length
     coarse: wp.array(dtype=wp.int32)
     sliced: wp.array(dtype=wp.int32)  # (8 * count) the cells whose lists are cut into several slices
     part_heads: wp.array(dtype=wp.int32)  # of each block the parts that matter to it

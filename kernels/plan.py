@@ -1,7 +1,8 @@
 """Third stage of the dense query: what is one block, and which surface point its distances are taken from.
 
 A cell is a block by itself. If its list is long it is several, each with a slice of the list: then none is waited for.
-Of a cell that is too coarse for float32 the eight bricks are blocks.
+Of a cell that is too coarse for float32 the eight bricks are blocks. Blocks with long lists come first, so that those
+that are left to the end, when some of the device has nothing to do, are short.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from sdm.kernels.lanes import fetch_add, fetch_add_once, load4
 from sdm.kernels.lists import (
     CELL,
     COARSE,
+    LENGTHS,
     NEXT_PLAN,
     SLICED,
     WHOLE,
@@ -43,6 +45,7 @@ CELL_BITS, SLICE_BITS = 18, 6
 _CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
 _MOST_SLICES = wp.constant(1 << SLICE_BITS)
 _COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
+_LENGTHS = wp.constant(LENGTHS)
 _NEXT_PLAN = wp.constant(NEXT_PLAN)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
@@ -61,6 +64,35 @@ def slice_of(code: int):
 @wp.func
 def slices_of(code: int):
     return 1 + (code >> (_CELL_BITS + _SLICE_BITS))
+
+
+@wp.func
+def whole_blocks(lists: Lists):
+    """How many blocks are whole cells, or slices of their lists."""
+    total = int(0)
+    for length in range(LENGTHS):
+        total = total + lists.counts[_WHOLE + length]
+    return total
+
+
+@wp.func
+def whole_block(lists: Lists, item: int):
+    """The code of one of them: those with the longest lists first."""
+    length = int(LENGTHS - 1)
+    left = int(item)
+    while left >= lists.counts[_WHOLE + length]:
+        left = left - lists.counts[_WHOLE + length]
+        length = length - 1
+    return lists.whole[length * lists.slices + left]
+
+
+@wp.func
+def length_class(length: int):
+    """Which of the lengths a list has: the power of two that is in it."""
+    power = int(0)
+    while power < _LENGTHS - 1 and (length >> (power + 1)) > 0:
+        power = power + 1
+    return power
 
 
 @wp.func
@@ -142,15 +174,14 @@ def share_out(
     slab: Slab,
     lists: Lists,
     out: Output,
-    blocks: wp.array(dtype=wp.int32),
-    count: int,
+    whole: bool,
     number: int,
     length: int,
     slice_length: int,
     lane: int,
     lanes: int,
 ):
-    """Note a cell in `blocks`, once for each slice of its list; returns the unclear voxels that were written.
+    """Note a cell, `whole` or brick by brick, once for each slice of its list; returns the unclear voxels written.
 
     Where there are several slices, they need a distance to lessen: an infinite one, with its sign.
     """
@@ -167,9 +198,16 @@ def share_out(
     if lane == 0:
         if slices > 1:
             lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
-        first = fetch_add(lists.counts, count, slices)
-        for i in range(slices):
-            blocks[first + i] = number | (i << _CELL_BITS) | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+        code = number | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+        if whole:
+            kind = length_class(wp.min(length, slice_length))
+            first = kind * lists.slices + fetch_add(lists.counts, _WHOLE + kind, slices)
+            for i in range(slices):
+                lists.whole[first + i] = code | (i << _CELL_BITS)
+        else:
+            first = fetch_add(lists.counts, _COARSE, slices)
+            for i in range(slices):
+                lists.coarse[first + i] = code | (i << _CELL_BITS)
     return unclear
 
 
@@ -198,13 +236,13 @@ def _plan_blocks(
             unclear = int(0)
             if is_coarse(cell):
                 note_brick_witnesses(lists, number, cell, known, lane, lanes)
-                unclear = share_out(slab, lists, out, lists.coarse, _COARSE, number, length, slice_length, lane, lanes)
+                unclear = share_out(slab, lists, out, False, number, length, slice_length, lane, lanes)
             else:
                 if length > 0:
                     known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)
                 if lane == 0:
                     write_witness(lists.witnesses, lists.count + number, known)
-                unclear = share_out(slab, lists, out, lists.whole, _WHOLE, number, length, slice_length, lane, lanes)
+                unclear = share_out(slab, lists, out, True, number, length, slice_length, lane, lanes)
             if unclear > 0:
                 fetch_add(out.ambiguous, mesh, unclear)
         number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)

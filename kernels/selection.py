@@ -24,7 +24,6 @@ from sdm.kernels.lists import (
     COARSE,
     NEXT_CHUNK,
     NEXT_SELECT,
-    WHOLE,
     Chain,
     Lists,
     append,
@@ -39,7 +38,16 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.plan import brick_witness, cell_of, middle_of_octant, nearest_in_list, slice_of, slices_of
+from sdm.kernels.plan import (
+    brick_witness,
+    cell_of,
+    middle_of_octant,
+    nearest_in_list,
+    slice_of,
+    slices_of,
+    whole_block,
+    whole_blocks,
+)
 from sdm.kernels.regions import node_matters
 from sdm.kernels.stacks import stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
@@ -49,7 +57,7 @@ from sdm.kernels.witness import read_witness, write_witness
 wp.set_module_options({"enable_backward": False})
 
 _LEAVES, _SLOTS, _PARTS = wp.constant(LEAVES), wp.constant(SLOTS), wp.constant(PARTS)
-_COARSE, _WHOLE = wp.constant(COARSE), wp.constant(WHOLE)
+_COARSE = wp.constant(COARSE)
 _NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
@@ -66,7 +74,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
     if item < bricks:
         code = lists.coarse[item / 8]
     else:
-        code = lists.whole[item - bricks]
+        code = whole_block(lists, item - bricks)
     number = cell_of(code)
     mesh, start = cell_start(lists, number)
     scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
@@ -207,7 +215,7 @@ def _select_parts(
     thread = begin + wp.tid()
     lane = thread % lanes
     bricks = 8 * lists.counts[_COARSE]
-    total = bricks + lists.counts[_WHOLE]
+    total = bricks + whole_blocks(lists)
     stack = stack_of(stacks, thread / lanes)
     item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
     while item < total:

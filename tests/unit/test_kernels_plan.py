@@ -17,7 +17,7 @@ from bench.meshes import load_case, sphere
 from sdm.kernels import dense
 from sdm.kernels.lanes import shrink
 from sdm.kernels.launch import launch
-from sdm.kernels.lists import COARSE, WHOLE
+from sdm.kernels.lists import COARSE, LENGTHS, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from tests.exactness import ROUNDING, assert_exact, scale_of
 
@@ -70,7 +70,9 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     def spy(*inputs: Any) -> None:
         lists = inputs[3]
         counts = lists.counts.numpy()
-        whole, coarse = decoded(lists.whole.numpy()[: counts[WHOLE]]), decoded(lists.coarse.numpy()[: counts[COARSE]])
+        piles = lists.whole.numpy().reshape(LENGTHS, lists.slices)
+        whole = decoded(np.concatenate([pile[:count] for pile, count in zip(piles, counts[WHOLE:], strict=True)]))
+        coarse = decoded(lists.coarse.numpy()[: counts[COARSE]])
         # Nothing is known of cells outside of the grid.
         planned = np.unique(np.concatenate([whole[:, 0], coarse[:, 0]]))
         found.whole.append(whole)
