@@ -28,14 +28,14 @@ from sdm.kernels.lists import (
     read_on,
     start_reading,
 )
-from sdm.kernels.regions import node_matters
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.regions import box_matters
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
-CELL_BLOCKS = 8
+CELL_BLOCKS = 6
 
 _NEXT_CELL = wp.constant(NEXT_CELL)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -79,10 +79,15 @@ def _list_cells(
                 leaf = upcoming
                 reader = read_on(lists, lists.region_heads, lists.region_lengths, reader, lanes)
                 upcoming = read_entry(lists, reader, lane)
-                known = nearer_of_leaves(tree, frames, mesh, base, leaf, cell.centre, known, lane)
+                # Read once, for both that follows.
+                low = wp.vec3()
+                high = wp.vec3()
+                if leaf >= 0:
+                    low, high = node_box(tree, base + leaves + leaf)
+                known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 keep = False
                 if leaf >= 0:
-                    keep = node_matters(cell, radius, known, tree, cones, base, leaves + leaf)
+                    keep = box_matters(cell, radius, known, tree, cones, base, leaves + leaf, low, high)
                 chain = append(lists, chain, keep, leaf, lane)
             if lane == 0:
                 write_witness(lists.nearest, item, known)

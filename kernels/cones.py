@@ -29,7 +29,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, ball_is_behind
-from sdm.kernels.lanes import GPU_LANES, load4, load_row, read4, wait_for_lanes, write4
+from sdm.kernels.lanes import GPU_LANES, about_root, load4, load_row, read4, wait_for_lanes, write4
 from sdm.kernels.tree import Tree, first_triangle
 
 wp.set_module_options({"enable_backward": False})
@@ -63,9 +63,10 @@ def cone_misses(cell: Cell, radius: float, middle: wp.vec3, extent: float, cone:
     axis = wp.vec3(cone[0], cone[1], cone[2])
     d = cell.centre - middle
     along = wp.dot(d, axis)
-    aside = wp.length(d - along * axis)
-    cosine = wp.sqrt(1.0 - cone[3] * cone[3])
-    room = DISTANCE_ROOM * (wp.abs(along) + aside + wp.length(cell.centre))
+    across = d - along * axis
+    aside = about_root(wp.dot(across, across))
+    cosine = about_root(1.0 - cone[3] * cone[3])
+    room = DISTANCE_ROOM * (wp.abs(along) + aside + about_root(wp.dot(cell.centre, cell.centre)))
     return aside * cosine - wp.abs(along) * cone[3] > (extent + radius) * (1.0 + DISTANCE_ROOM) + room
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.frames import Frame, Local
-from sdm.kernels.lanes import from_lane, lane_of_least
+from sdm.kernels.lanes import about_quotient, about_root, from_lane, lane_of_least
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,7 +57,7 @@ def is_behind(cell: Cell, known: Witness, u: wp.vec3, s: float):
     """Whether a convex set with min (c - v).u = s can be dropped for the cell."""
     if s <= wp.dot(cell.half, wp.vec3(wp.abs(u[0]), wp.abs(u[1]), wp.abs(u[2]))) * (1.0 + SLACK):
         return False
-    share = s / wp.dot(u, u)
+    share = about_quotient(s, wp.dot(u, u))
     far2 = s * share
     gap = share * u - known.to_surface
     spread = cell.half[0] * wp.abs(gap[0]) + cell.half[1] * wp.abs(gap[1]) + cell.half[2] * wp.abs(gap[2])
@@ -81,7 +81,7 @@ def ball_is_behind(cell: Cell, known: Witness, ball: wp.vec4):
     """`is_behind` for a ball: its centre and its radius."""
     u = cell.centre - wp.vec3(ball[0], ball[1], ball[2])
     d2 = wp.dot(u, u)
-    s = d2 - ball[3] * wp.sqrt(d2)
+    s = d2 - ball[3] * about_root(d2)
     return s > 0.0 and is_behind(cell, known, u, s)
 
 

@@ -240,6 +240,36 @@ def wait_for_lanes():
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return __fdividef(a, b);
+#else
+    return a / b;
+#endif
+"""
+)
+def about_quotient(a: float, b: float) -> float:
+    """a / b to within two roundings, and 0 where |b| is more than 2^126: a third of the instructions on a GPU."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    float root;
+    asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(x));
+    return root;
+#else
+    return sqrtf(x);
+#endif
+"""
+)
+def about_root(x: float) -> float:
+    """The square root to within two roundings."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return atomicAdd(counts.data + index, value);
 #else
     return __atomic_fetch_add(counts.data + index, value, __ATOMIC_RELAXED);

@@ -12,7 +12,8 @@ import warp as wp
 from sdm.kernels.cones import Cones, cone_misses, node_cone
 from sdm.kernels.cull import Cell, Witness, box_is_behind
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import ballot, fetch_add_once, members, rank, wait_for_lanes
+from sdm.kernels.lanes import about_root, ballot, fetch_add_once, members, rank, wait_for_lanes
+from sdm.kernels.leaves import push
 from sdm.kernels.lists import NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.stacks import STACK, stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
@@ -33,11 +34,27 @@ _SCALE = wp.constant(SCALE)
 def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
     """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
     low, high = node_box(tree, base + node)
+    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
+
+
+@wp.func
+def box_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    cones: Cones,
+    base: int,
+    node: int,
+    low: wp.vec3,
+    high: wp.vec3,
+):
+    """`node_matters` of a node whose box is known."""
     if box_is_behind(cell, known, low, high):
         return False
-    return not cone_misses(
-        cell, radius, 0.5 * (low + high), 0.5 * wp.length(high - low), node_cone(tree, cones, base, node)
-    )
+    across = high - low
+    extent = 0.5 * about_root(wp.dot(across, across))
+    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
 
 
 @wp.kernel(launch_bounds=(128, REGION_BLOCKS))
@@ -82,36 +99,38 @@ def _list_regions(
         while waiting + ripe > 0 and chain.chunk < lists.chunks:
             # Inner nodes are taken until the leaves that were found fill all lanes.
             if waiting > 0 and ripe < lanes:
-                taken = wp.min(lanes, waiting)
+                # Two lanes for a node: its children lie side by side in memory.
+                taken = wp.min(wp.max(lanes / 2, 1), waiting)
                 waiting = waiting - taken
                 node = int(0)
-                if lane < taken:
-                    node = stack[waiting + lane]
+                i = lane
+                kept = int(0)
+                if lane < 2 * taken:
+                    node = stack[waiting + lane / 2]
                 wait_for_lanes()
-                for side in range(2):
-                    child = 2 * node + side
+                while i - lane < 2 * taken:
+                    child = 2 * node + (i & 1)
                     keep = False
                     if node > 0:
                         keep = node_matters(cell, radius, known, tree, cones, base, child)
-                    mask = ballot(keep and child < leaves)
-                    if keep and child < leaves:
-                        stack[waiting + rank(mask, lane)] = child
-                    waiting = waiting + members(mask)
+                    kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
                     mask = ballot(keep and child >= leaves)
                     if keep and child >= leaves:
                         stack[_STACK - 1 - ripe - rank(mask, lane)] = child
                     ripe = ripe + members(mask)
+                    i = i + lanes
+                waiting = waiting + kept
             else:
                 taken = wp.min(lanes, ripe)
                 ripe = ripe - taken
                 leaf = int(-1)
+                low = wp.vec3()
+                high = wp.vec3()
                 if lane < taken:
                     leaf = stack[_STACK - 1 - ripe - lane] - leaves
-                known = nearer_of_leaves(tree, frames, mesh, base, leaf, cell.centre, known, lane)
-                keep = False
-                if leaf >= 0:
-                    keep = node_matters(cell, radius, known, tree, cones, base, leaves + leaf)
-                chain = append(lists, chain, keep, leaf, lane)
+                    low, high = node_box(tree, base + leaves + leaf)
+                known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
+                chain = append(lists, chain, leaf >= 0, leaf, lane)
             wait_for_lanes()
         if lane == 0:
             lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, item, -1)

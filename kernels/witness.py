@@ -16,7 +16,7 @@ from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, fetch_add_once, load4, members, write4
 from sdm.kernels.lists import CELL, NEXT_WITNESS, REGION, Lists, cell_start, is_within, make_cell, region_start
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, box_distance2, first_triangle, node_distance2
 
 wp.set_module_options({"enable_backward": False})
 
@@ -71,19 +71,18 @@ def nearer_of_leaves(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     mesh: int,
-    base: int,
     leaf: int,
+    low: wp.vec3,
+    high: wp.vec3,
     centre: wp.vec3,
     known: Witness,
     lane: int,
 ):
-    """What was known of a centre, or a nearer triangle of the lanes' leaves (-1 for none).
+    """What was known of a centre, or a nearer triangle of the lanes' leaves (-1 for none) with these boxes.
 
     Only the first triangle of a leaf is looked at, and only if its box is nearer than what is known: few are.
     """
-    nearer = False
-    if leaf >= 0:
-        nearer = node_distance2(tree, base + (1 << tree.depth) + leaf, centre) < known.distance2
+    nearer = leaf >= 0 and box_distance2(centre, low, high) < known.distance2
     if members(ballot(nearer)) == 0:
         return known
     mine = known
