@@ -35,6 +35,8 @@ Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
 # Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 2 GiB on a GPU, of which they take at most a 32nd.
 CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 29
 POOL_SHARE = 32
+# More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
+POOL_ROOM = 1.6
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
 # cell, for that: of a batch's maps they are as many as of one alone, where fewer, longer chains would be faster.
@@ -58,6 +60,18 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
     From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
     """
     return 1.4 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+
+
+def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_cell: int) -> float:
+    """Entries of the pool that a region and its cells take, on average: a fit to the same meshes.
+
+    Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
+    last one is not full, and of the parts.
+    """
+    length = expected_list(triangles, shape)
+    leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
+    half = CHUNK / 2
+    return 4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half)
 
 
 def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
@@ -148,9 +162,7 @@ def query_slab(
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
     slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > FEW_CELLS)]
     lists.region_shares, lists.shares = shares_of(tree.count, shape) if gpu else (1, 1)
-    # A pass has room for a quarter more than is expected, and every list for one more chunk.
-    cells = expected_list(tree.count, shape)
-    expected = 8 * (3.0 * cells + CHUNK * (1 + lists.shares)) + 4 * cells + 2 * CHUNK * lists.region_shares
+    expected = POOL_ROOM * expected_entries(tree.count, shape, lists.region_shares, lists.shares)
     # A large pool takes memory, several passes take time, as each waits for its longest lists.
     wanted = max(SMALLEST_POOL, math.ceil(expected * total))
     room = min(wanted, largest_pool(values.device)) if gpu else CPU_POOL

@@ -23,7 +23,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell
-from sdm.kernels.lanes import unknown
+from sdm.kernels.lanes import load2, load4, unknown
 from sdm.kernels.octants import Octants, octants_below
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
 from sdm.kernels.rows import (
@@ -50,6 +50,7 @@ _EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
 _ENDS, _OFFSETS = wp.constant(ENDS), wp.constant(OFFSETS)
 _CORNER_BITS, _EDGE_BITS, _FACE_BITS = wp.constant(CORNER_BITS), wp.constant(EDGE_BITS), wp.constant(FACE_BITS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
+_ROWS = wp.constant(PARTS_FLOATS // 4)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
 
@@ -95,18 +96,25 @@ def add_corner(
     """Row `number` of the corners: corner code % 4 of triangle code / 4."""
     slot = code / 4
     k = code % 4
-    after = wp.where(k == 2, 0, k + 1)
     before = wp.where(k == 0, 2, k - 1)
-    corner = tree.corners[code]
+    # All rows at once, four numbers at a time.
+    first, second, third, _normal = load_corners(tree, slot)
+    r2 = load4(parts.rows, _ROWS * slot + 2)
+    r3 = load4(parts.rows, _ROWS * slot + 3)
+    r4 = load4(parts.rows, _ROWS * slot + 4)
+    over_ab = wp.vec3(r2[1], r2[2], r2[3])
+    over_bc = wp.vec3(r3[0], r3[1], r3[2])
+    over_ca = wp.vec3(r3[3], r4[0], r4[1])
+    corner = one_of(k, first, second, third, third)
     a = wp.vec3d(corner) - wp.vec3d(cell.centre)
     v = -2.0 * wp.vec3(a)
     write_row(rows, number, v[0], v[1], v[2], float(wp.dot(a, a) - wp.float64(radius2)))
-    # Behind its two edges, and behind the neighbours' edges there. All are read first, see `add_face`.
+    # Behind its two edges, and behind the neighbours' edges there.
     q = corner - cell.centre
-    to_next = tree.corners[4 * slot + after] - corner
-    to_last = tree.corners[4 * slot + before] - corner
-    beyond = row_vector(parts, slot, 9 + 3 * k) - corner
-    behind = row_vector(parts, slot, 9 + 3 * before) - corner
+    to_next = one_of(k, second, third, first, first) - corner
+    to_last = one_of(before, first, second, third, third) - corner
+    beyond = one_of(k, over_ab, over_bc, over_ca, over_ca) - corner
+    behind = one_of(before, over_ab, over_bc, over_ca, over_ca) - corner
     bits = octants.there
     directions = unknown(4)
     for i in range(directions):
@@ -161,23 +169,22 @@ def add_face(
 ):
     """Rows of face `number`: triangle code / 4."""
     slot = code / 4
-    inverses = wp.vec4d()
     # All at once: loads one after the other wait for each other.
-    for k in range(4):
-        inverses[k] = parts.inverses[_INVERSES * slot + k]
+    first_two = load2(parts.inverses, 2 * slot)
+    last_two = load2(parts.inverses, 2 * slot + 1)
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     a = wp.vec3d(corner_a) - wp.vec3d(cell.centre)
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
     row = _FACE_ROW + number
-    h = -wp.dot(wp.cross(ab, -ca), a) * inverses[3]
+    h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
     write_row(rows, row, normal[0], normal[1], normal[2], 2.0 * float(h))
     write_number(rows, _OFFSETS + number, float(h * h - wp.float64(radius2)))
     bits = octants.there
-    inverse = inverses[0]
-    then = inverses[1]
-    last = inverses[2]
+    inverse = first_two[0]
+    then = first_two[1]
+    last = last_two[0]
     edges = unknown(3)
     for k in range(edges):
         # The point of the edge's line that is closest to the centre: rounding is in units of its distance.

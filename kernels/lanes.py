@@ -392,6 +392,22 @@ def load4_of_vectors(data: wp.array(dtype=wp.vec3), index: int) -> wp.vec4:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    double2 v = __ldg(reinterpret_cast<const double2*>(data.data) + index);
+    return wp::vec2d(v.x, v.y);
+#else
+    const double* v = data.data + 2 * index;
+    return wp::vec2d(v[0], v[1]);
+#endif
+"""
+)
+def load2(data: wp.array(dtype=wp.float64), index: int) -> wp.vec2d:
+    """Two float64 at 2 * index in one 16-byte access; the array must not be written meanwhile."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     int4 v = __ldg(reinterpret_cast<const int4*>(data.data) + index);
     return wp::vec4i(v.x, v.y, v.z, v.w);
 #else

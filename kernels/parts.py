@@ -209,10 +209,11 @@ def _make_parts(
     a = wp.vec3d(corner_a)
     b = wp.vec3d(corner_b)
     c = wp.vec3d(corner_c)
-    parts.inverses[_INVERSES * slot] = inverse_length(b - a)
-    parts.inverses[_INVERSES * slot + 1] = inverse_length(c - b)
-    parts.inverses[_INVERSES * slot + 2] = inverse_length(a - c)
-    parts.inverses[_INVERSES * slot + 3] = inverse_length(wp.cross(b - a, c - a))
+    at = _INVERSES * slot
+    parts.inverses[at] = inverse_length(b - a)
+    parts.inverses[at + 1] = inverse_length(c - b)
+    parts.inverses[at + 2] = inverse_length(a - c)
+    parts.inverses[at + 3] = inverse_length(wp.cross(b - a, c - a))
 
 
 def make_parts(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import torch
@@ -38,14 +39,16 @@ def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) ->
         raise DeviceError(f"there is no device called {wanted!r}; use cpu, cuda or cuda:N") from None
     if device.type not in ("cpu", "cuda"):
         raise DeviceError(f"the device {wanted} is not supported; use cpu, cuda or cuda:N")
-    if device.type == "cuda":
+    # Where a tensor is, there is a device. To look for it takes as long as a few kernels.
+    there = any(t is not None and t.is_cuda and device.index in (None, t.device.index) for t in tensors)
+    if device.type == "cuda" and not there:
         count = torch.cuda.device_count() if torch.cuda.is_available() else 0
         if count == 0:
             raise DeviceError(f"the device {wanted} was asked for, but no CUDA device is there; use cpu")
         if device.index is not None and device.index >= count:
             raise DeviceError(f"the device {wanted} was asked for, but there are only cuda:0 to cuda:{count - 1}")
-        if device.index is None:
-            device = torch.device("cuda", torch.cuda.current_device())
+    if device.type == "cuda" and device.index is None:
+        device = torch.device("cuda", torch.cuda.current_device())
     return device
 
 
@@ -75,6 +78,12 @@ def require_memory(needed: int, device: torch.device, what: str) -> None:
     _refuse_beyond(free_memory(device), needed, device, what)
 
 
+@cache
+def total_memory(device: torch.device) -> int:
+    """Bytes that a GPU has."""
+    return torch.cuda.get_device_properties(device).total_memory
+
+
 @contextmanager
 def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
     """Refuse what cannot fit, as `require_memory`, but of a GPU's memory only what is large is asked about beforehand.
@@ -85,7 +94,7 @@ def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
         require_memory(needed, device, what)
         yield
         return
-    if needed > torch.cuda.get_device_properties(device).total_memory // SHARE_UNASKED:
+    if needed > total_memory(device) // SHARE_UNASKED:
         require_memory(needed, device, what)
     try:
         yield

@@ -71,6 +71,8 @@ def serves(tensor: Tensor) -> bool:
         return False
     if tensor.requires_grad and torch.is_grad_enabled():
         return False
+    if tensor.device.index == torch.cuda.current_device():
+        return not torch.cuda.is_current_stream_capturing()
     with torch.cuda.device(tensor.device):
         return not torch.cuda.is_current_stream_capturing()
 
