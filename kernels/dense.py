@@ -32,9 +32,9 @@ from sdm.kernels.witness import find_witnesses
 
 # Gives a context whose result makes what comes after it wait for what was launched in it.
 Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
-# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 2 GiB on a GPU, of which they take at most a 32nd.
-CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 29
-POOL_SHARE = 32
+# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 4 GiB on a GPU, of which they take at most a 16th.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 30
+POOL_SHARE = 16
 # More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
 POOL_ROOM = 1.6
 MOST_REGIONS = 1 << (CELL_BITS - 3)

@@ -99,19 +99,25 @@ def _list_regions(
         while waiting + ripe > 0 and chain.chunk < lists.chunks:
             # Inner nodes are taken until the leaves that were found fill all lanes.
             if waiting > 0 and ripe < lanes:
-                # Two lanes for a node: its children lie side by side in memory.
-                taken = wp.min(wp.max(lanes / 2, 1), waiting)
+                # Four lanes for a node, one for each of its grandchildren, which lie side by side in memory: what
+                # their parents' tests would drop, their own do too.
+                taken = wp.min(wp.max(lanes / 4, 1), waiting)
                 waiting = waiting - taken
                 node = int(0)
                 i = lane
                 kept = int(0)
-                if lane < 2 * taken:
-                    node = stack[waiting + lane / 2]
+                if lane < 4 * taken:
+                    node = stack[waiting + lane / 4]
                 wait_for_lanes()
-                while i - lane < 2 * taken:
-                    child = 2 * node + (i & 1)
+                while i - lane < 4 * taken:
+                    child = 4 * node + (i & 3)
+                    there = node > 0
+                    if 2 * node >= leaves:
+                        # Above the leaves there are only two children.
+                        child = 2 * node + (i & 1)
+                        there = there and (i & 3) < 2
                     keep = False
-                    if node > 0:
+                    if there:
                         keep = node_matters(cell, radius, known, tree, cones, base, child)
                     kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
                     mask = ballot(keep and child >= leaves)
