@@ -24,6 +24,9 @@ wp.set_module_options({"enable_backward": False})
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
 REGION_BLOCKS = 6
 
+# With more shares each has too few nodes to fill its lanes from.
+MOST_WITH_GRANDCHILDREN = wp.constant(8)
+
 _STACK = wp.constant(STACK)
 _NEXT_REGION = wp.constant(NEXT_REGION)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -72,6 +75,9 @@ def _list_regions(
     lane = thread % lanes
     stack = stack_of(stacks, thread / lanes)
     leaves = 1 << tree.depth
+    # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
+    # parents' tests would drop, their own do too. Either lie side by side in memory.
+    fan = wp.where(lists.region_shares > MOST_WITH_GRANDCHILDREN, 2, 4)
     item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
     while item < lists.count * lists.region_shares:
         region = item / lists.region_shares
@@ -99,23 +105,21 @@ def _list_regions(
         while waiting + ripe > 0 and chain.chunk < lists.chunks:
             # Inner nodes are taken until the leaves that were found fill all lanes.
             if waiting > 0 and ripe < lanes:
-                # Four lanes for a node, one for each of its grandchildren, which lie side by side in memory: what
-                # their parents' tests would drop, their own do too.
-                taken = wp.min(wp.max(lanes / 4, 1), waiting)
+                taken = wp.min(wp.max(lanes / fan, 1), waiting)
                 waiting = waiting - taken
                 node = int(0)
                 i = lane
                 kept = int(0)
-                if lane < 4 * taken:
-                    node = stack[waiting + lane / 4]
+                if lane < fan * taken:
+                    node = stack[waiting + lane / fan]
                 wait_for_lanes()
-                while i - lane < 4 * taken:
-                    child = 4 * node + (i & 3)
+                while i - lane < fan * taken:
+                    child = fan * node + (i & (fan - 1))
                     there = node > 0
                     if 2 * node >= leaves:
                         # Above the leaves there are only two children.
                         child = 2 * node + (i & 1)
-                        there = there and (i & 3) < 2
+                        there = there and (i & (fan - 1)) < 2
                     keep = False
                     if there:
                         keep = node_matters(cell, radius, known, tree, cones, base, child)
