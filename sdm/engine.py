@@ -140,8 +140,7 @@ class MeshIndex:
 
         The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid
         that lists of triangles outgrow their memory, and equally near triangles are then told apart in another order.
-        Beyond a slab, up to 400 MiB of scratch
-        memory are used at a time on a GPU, 100 MiB on a CPU.
+        Beyond a slab, scratch memory is used as by `sdm.signed_distance_map`.
         """
         for begin, end in slabs_of(grid, min(max_bytes // 4, LARGEST_SLAB)):
             values, unclear = self._slab(grid, begin, end)
@@ -174,9 +173,10 @@ def signed_distance_map(
         DeviceError: The device is not there.
         GridError: The map does not fit into memory.
 
-    Memory beyond the map itself: about 350 bytes a triangle and scratch of up to 400 MiB on a GPU, 100 MiB on a CPU,
-    whatever the grid. Maps larger than memory: `MeshIndex.slabs`. On a GPU calls of one kind are recorded and replayed,
-    which keeps some of that memory: see `sdm.replay`.
+    Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU; on a GPU 150 to 600 MiB for
+    meshes of up to 100,000 triangles, more for finer ones, at most a 14th of the GPU's memory and 4.5 GiB. Maps larger
+    than memory: `MeshIndex.slabs`. On a GPU calls of one kind are recorded and replayed, which keeps some of that
+    memory: see `sdm.replay`.
     """
     if orient == "keep":
         mesh = mesh.to(choose_device(device, mesh.vertices))

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from sdm.kernels.dense import search_is_faster, shares_of
+from sdm.kernels.effort import (
+    LARGEST_POOL,
+    POOL_ROOM,
+    SMALLEST_POOL,
+    expected_entries,
+    passes_for,
+    pool_for,
+    search_is_faster,
+    shares_of,
+)
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
@@ -34,3 +43,35 @@ def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
     of_region, of_cell = shares_of(triangles, [n] * 3)
     assert of_region % of_cell == 0
     assert of_region & (of_region - 1) == of_cell & (of_cell - 1) == 0
+
+
+class Device:
+    """As much of one as is asked about."""
+
+    is_cuda = True
+
+    def __init__(self, gib: int) -> None:
+        self.total_memory = gib << 30
+
+
+@pytest.mark.parametrize("n", [64, 128, 256, 512, 1024])
+@pytest.mark.parametrize("triangles", [12, 20_000, 100_000, 1_000_000, 5_000_000])
+@pytest.mark.parametrize("gib", [8, 80])
+def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
+    shape, regions = [n] * 3, (n // 16) ** 3
+    expected = POOL_ROOM * expected_entries(triangles, shape, *shares_of(triangles, shape))
+    room = pool_for(expected, regions, Device(gib))
+    passes = passes_for(expected, regions, room)
+    assert SMALLEST_POOL <= room <= LARGEST_POOL
+    assert 4 * room <= max(gib << 26, 4 * SMALLEST_POOL)
+    each = -(-regions // passes)
+    assert each <= 16 or expected * each <= room + expected
+    if regions <= 1 << 15 and expected * regions <= SMALLEST_POOL:
+        assert passes == 1
+
+
+def test_ordinary_maps_take_one_pass():
+    for triangles, n in ((20_000, 64), (100_000, 256), (100_000, 512), (1_000_000, 256), (1_000_000, 512)):
+        shape, regions = [n] * 3, (n // 16) ** 3
+        expected = POOL_ROOM * expected_entries(triangles, shape, *shares_of(triangles, shape))
+        assert passes_for(expected, regions, pool_for(expected, regions, Device(80))) == 1

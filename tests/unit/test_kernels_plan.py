@@ -14,7 +14,7 @@ import warp as wp
 import sdm
 import sdm.ops
 from bench.meshes import load_case, sphere
-from sdm.kernels import dense
+from sdm.kernels import dense, effort
 from sdm.kernels.lanes import shrink
 from sdm.kernels.launch import launch
 from sdm.kernels.lists import COARSE, LENGTHS, WHOLE
@@ -146,7 +146,7 @@ def test_codes_hold_the_largest_numbers():
     assert codes.max() < 1 << 31
     np.testing.assert_array_equal(decoded(codes), wanted)
     # Every cell of the largest pass has a number that fits.
-    assert cells >= 8 * dense.MOST_REGIONS
+    assert cells >= 8 * effort.MOST_REGIONS
 
 
 @pytest.mark.parametrize("slice_length", [20, 300, 10**6])

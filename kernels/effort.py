@@ -1,0 +1,97 @@
+"""What a map is expected to take, and what follows: how it is computed, by whom, in how much memory.
+
+All of it from numbers of triangles and voxels, so that every slab of a grid, and every map of a batch, is treated in
+the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from sdm.kernels.lists import CELL, CHUNK, REGION
+from sdm.kernels.plan import CELL_BITS
+
+# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 4 GiB on a GPU, of which they take at most a 16th.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 30
+POOL_SHARE = 16
+# More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
+POOL_ROOM = 1.6
+MOST_REGIONS = 1 << (CELL_BITS - 3)
+# Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
+# cell, for that: of a batch's maps they are as many as of one alone, where fewer, longer chains would be faster.
+FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 32, 8
+# Triangles of a cell's list, on average, up to which all lists are about as short.
+SHORT = 64
+# Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
+# share the list of a region, and of a cell, for that.
+LONG_SHARE = 256
+MOST_OF_REGION, MOST_OF_CELL = 64, 16
+# Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
+LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
+
+
+def expected_list(triangles: int, shape: Sequence[int]) -> float:
+    """Triangles in the list of a cell, on average: a fit to bunny, rocker-arm, nefertiti and tori.
+
+    From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
+    """
+    return 1.4 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+
+
+def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_cell: int) -> float:
+    """Entries of the pool that a region and its cells take, on average: a fit to the same meshes.
+
+    Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
+    last one is not full, and of the parts.
+    """
+    length = expected_list(triangles, shape)
+    leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
+    half = CHUNK / 2
+    return 4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half)
+
+
+def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
+    """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
+    return expected_list(triangles, shape) > LONGEST_LIST["cuda" if gpu else "cpu"]
+
+
+def shares_of(triangles: int, shape: Sequence[int]) -> tuple[int, int]:
+    """Groups of lanes that make each list of a region, and of a cell, on a GPU: so many that none is waited for.
+
+    From the slab's cross-section alone, as `expected_list`. Powers of two: a level of the tree is shared out. A cell's
+    are no more than its region's, whose chains they share out.
+    """
+    regions = max(1, -(-max(shape[1:]) // int(REGION))) ** 3
+    length = expected_list(triangles, shape)
+    of_region = of_cell = 1
+    while (of_region < MOST_FOR_REGION and 2 * of_region * regions <= FULL) or (
+        of_region < MOST_OF_REGION and of_region * LONG_SHARE < 2.0 * length
+    ):
+        of_region *= 2
+    # Lists of very different lengths need more groups than those that are all short.
+    enough = FULL if length < SHORT else 8 * FULL
+    while (of_cell < MOST_FOR_CELL and 2 * of_cell * 8 * regions <= enough) or (
+        of_cell < MOST_OF_CELL and of_cell * LONG_SHARE < length
+    ):
+        of_cell *= 2
+    return of_region, min(of_cell, of_region)
+
+
+def largest_pool(device: Any) -> int:
+    """Entries of the largest pool of lists on this device."""
+    return min(LARGEST_POOL, max(SMALLEST_POOL, int(device.total_memory) // POOL_SHARE // 4))
+
+
+def pool_for(expected: float, regions: int, device: Any) -> int:
+    """Entries of the pool of lists for so many regions, of which each takes so many entries."""
+    if not device.is_cuda:
+        return CPU_POOL
+    return min(max(SMALLEST_POOL, math.ceil(expected * regions)), largest_pool(device))
+
+
+def passes_for(expected: float, regions: int, room: int) -> int:
+    """How many passes over so many regions have room. Each waits for its longest lists."""
+    fit = regions if expected * regions <= room else max(16, int(room / expected))
+    return -(-regions // min(regions, MOST_REGIONS, fit))
