@@ -229,7 +229,7 @@ def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = values_of(mesh, grid)
     assert seen.without_room == 0
-    monkeypatch.setattr(dense, "CPU_POOL", room)
+    monkeypatch.setattr(effort, "CPU_POOL", room)
     slice_lists(monkeypatch, 13)
     share_lists(monkeypatch, shares)
     scarce = values_of(mesh, grid)
