@@ -10,9 +10,10 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add, fetch_add_once
 from sdm.kernels.features import Counts, add_corner, add_edge, add_face, has_room
 from sdm.kernels.grid import Output, Slab, index_of
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add, fetch_add_once, wait_for_lanes
+from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.least import VOXELS
 from sdm.kernels.leaves import push
 from sdm.kernels.lists import (

@@ -10,9 +10,9 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import fetch_add_once
 from sdm.kernels.lists import (
     CELL,
     NEXT_CELL,

@@ -29,8 +29,9 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, ball_is_behind
-from sdm.kernels.lanes import GPU_LANES, about_root, load4, load_row, read4, wait_for_lanes, write4
+from sdm.kernels.lanes import GPU_LANES, about_root, wait_for_lanes
 from sdm.kernels.tree import Tree, first_triangle
+from sdm.kernels.wide import load4, load_row, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 

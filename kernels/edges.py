@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.lanes import fetch_add, keep_least
+from sdm.kernels.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
 

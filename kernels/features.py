@@ -23,7 +23,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell
-from sdm.kernels.lanes import load2, load4, unknown
+from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import Octants, octants_below
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
 from sdm.kernels.rows import (
@@ -42,6 +42,7 @@ from sdm.kernels.rows import (
     write_row,
 )
 from sdm.kernels.tree import Tree, load_corners
+from sdm.kernels.wide import load2, load4
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,8 +11,8 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, write4
 from sdm.kernels.tree import Tree, load_corners
+from sdm.kernels.wide import load4, write4
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,13 +11,15 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.caps import is_far, may_cover, view_caps
 from sdm.kernels.closest import exact_hit
 from sdm.kernels.cull import Cell, no_witness
 from sdm.kernels.descent import SCRATCH
-from sdm.kernels.lanes import fetch_add_once, least_of_lanes, load4, write4
+from sdm.kernels.lanes import least_of_lanes
 from sdm.kernels.together import nearest_together
 from sdm.kernels.tree import SCALE, Tree
+from sdm.kernels.wide import load4, write4
 from sdm.kernels.winding import CLOSED, SOUP, Winding
 from sdm.kernels.witness import write_witness
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add
 from sdm.kernels.boundary import Boundary, boundary_part
 from sdm.kernels.caps import count_caps, doubt, is_far, is_sure, see_caps, share_of_turn, view_caps
 from sdm.kernels.grid import Slab, unravel, voxel
@@ -19,7 +20,6 @@ from sdm.kernels.lanes import (
     GPU_BLOCKS,
     GPU_LANES,
     ballot,
-    fetch_add,
     first_member,
     gpu_workers,
     sum_of_four,

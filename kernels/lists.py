@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cull import Cell
 from sdm.kernels.grid import Slab, unravel, voxel
-from sdm.kernels.lanes import ballot, fetch_add_once, members, rank
+from sdm.kernels.lanes import ballot, members, rank
 
 wp.set_module_options({"enable_backward": False})
 

@@ -24,8 +24,8 @@ import warp as wp
 
 from sdm.kernels.cull import Cell
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import load4, load_row, write4
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
+from sdm.kernels.wide import load4, load_row, write4
 
 wp.set_module_options({"enable_backward": False})
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add, fetch_add_once
 from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
 from sdm.kernels.grid import Output, Slab, index_of, write_distance
-from sdm.kernels.lanes import fetch_add, fetch_add_once, load4
 from sdm.kernels.lists import (
     CELL,
     COARSE,
@@ -33,6 +33,7 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.parts import Parts
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
+from sdm.kernels.wide import load4
 from sdm.kernels.witness import read_witness, seen_from, write_witness
 
 wp.set_module_options({"enable_backward": False})

@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.caps import count_caps
 from sdm.kernels.crossings import count_on_ray, crossing_on_ray, ray_from
 from sdm.kernels.cull import Cell
@@ -28,7 +29,7 @@ from sdm.kernels.groups import (
     point_or_middle,
     read_box,
 )
-from sdm.kernels.lanes import fetch_add_once, wait_for_lanes
+from sdm.kernels.lanes import wait_for_lanes
 from sdm.kernels.shortlist import keep_covering, own_slot
 from sdm.kernels.tree import Tree, node_box, to_lattice
 from sdm.kernels.voxels import LARGEST_SQUARE

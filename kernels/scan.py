@@ -11,12 +11,13 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add
 from sdm.kernels.boundary import Boundary, boundary_winding
 from sdm.kernels.caps import cap_lattice
 from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
 from sdm.kernels.holes import open_caps
-from sdm.kernels.lanes import GPU_LANES, fetch_add
+from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
 from sdm.kernels.winding import CLOSED, MANY, OPEN, SOUP, Winding

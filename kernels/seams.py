@@ -12,8 +12,9 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add
 from sdm.kernels.edges import LEFT_OVER, OUT_OF_RANGE
-from sdm.kernels.lanes import GPU_LANES, fetch_add, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
+from sdm.kernels.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
 
 wp.set_module_options({"enable_backward": False})
 

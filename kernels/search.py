@@ -6,9 +6,9 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add
 from sdm.kernels.closest import exact_hit, nearest_slot
 from sdm.kernels.grid import Output, Slab, index_of, unravel, voxel, write_distance
-from sdm.kernels.lanes import fetch_add
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
 wp.set_module_options({"enable_backward": False})

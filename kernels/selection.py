@@ -13,10 +13,11 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
 from sdm.kernels.cull import Witness, moved
 from sdm.kernels.grid import Slab, index_of
-from sdm.kernels.lanes import GPU_BLOCKS, fetch_add_once, wait_for_lanes
+from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.leaves import LEAVES, PARTS, SLOTS, full_of_leaves, push, push_parts, triangles_that_matter
 from sdm.kernels.lists import (
     BRICK,

@@ -12,8 +12,9 @@ from sdm.kernels.board import board_of_group, nearest_shown, show, show_whole, s
 from sdm.kernels.closest import moved_square, room_at, slot_part
 from sdm.kernels.crossings import lattice_box
 from sdm.kernels.descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
-from sdm.kernels.lanes import ballot, first_member, load4
+from sdm.kernels.lanes import ballot, first_member
 from sdm.kernels.tree import Tree
+from sdm.kernels.wide import load4
 
 wp.set_module_options({"enable_backward": False})
 

@@ -16,19 +16,11 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import lessen
 from sdm.kernels.curve import curve_bits, curve_code
 from sdm.kernels.geometry import unit_normal
-from sdm.kernels.lanes import (
-    GPU_LANES,
-    least_of_lanes,
-    lessen,
-    load4,
-    load4_of_vectors,
-    read4,
-    wait_for_lanes,
-    write4,
-    write4_of_vectors,
-)
+from sdm.kernels.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
+from sdm.kernels.wide import load4, load4_of_vectors, read4, write4, write4_of_vectors
 
 wp.set_module_options({"enable_backward": False})
 

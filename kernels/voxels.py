@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add, shrink
 from sdm.kernels.cull import Cell
 from sdm.kernels.features import Counts
 from sdm.kernels.grid import Output, Slab, along, voxel, write_signed
-from sdm.kernels.lanes import fetch_add, on_cpu, shrink
+from sdm.kernels.lanes import on_cpu
 from sdm.kernels.least import OCTANT, VOXELS, is_near, least_distance, least_values, lessen_values
 from sdm.kernels.lists import is_within, octant_at
 from sdm.kernels.octants import Octants, note_lattice

@@ -11,12 +11,14 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import ballot, fetch_add_once, load4, members, write4
+from sdm.kernels.lanes import ballot, members
 from sdm.kernels.lists import CELL, NEXT_WITNESS, REGION, Lists, cell_start, is_within, make_cell, region_start
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, box_distance2, first_triangle, node_distance2
+from sdm.kernels.wide import load4, write4
 
 wp.set_module_options({"enable_backward": False})
 

@@ -15,8 +15,8 @@ from bench.meshes import sphere
 from sdm.hierarchy import build, unpack
 from sdm.kernels.cones import LEVELS, MOST_AROUND, Cones, cone_misses, merged
 from sdm.kernels.cull import Cell
-from sdm.kernels.lanes import load4
 from sdm.kernels.tree import Tree, node_box
+from sdm.kernels.wide import load4
 from tests import oracle
 
 wp.set_module_options({"enable_backward": False})

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 import sdm.hierarchy  # noqa: F401 (starts Warp quietly)
-from sdm.kernels.lanes import fetch_add_once
+from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.lists import (
     CHUNK,
     COUNTS,

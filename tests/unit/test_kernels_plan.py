@@ -15,7 +15,7 @@ import sdm
 import sdm.ops
 from bench.meshes import load_case, sphere
 from sdm.kernels import dense, effort
-from sdm.kernels.lanes import shrink
+from sdm.kernels.atomics import shrink
 from sdm.kernels.launch import launch
 from sdm.kernels.lists import COARSE, LENGTHS, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
