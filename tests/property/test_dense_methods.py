@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import sdm
 import sdm.ops
 from bench.meshes import cube, load_case, sphere
-from sdm.kernels import dense
+from sdm.kernels import effort
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
 
@@ -65,7 +65,7 @@ def test_when_the_pool_of_lists_runs_out(monkeypatch):
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = index.signed_distance_map(grid).values
     for room in (1 << 13, 1 << 14, 1 << 16):
-        monkeypatch.setattr(dense, "CPU_POOL", room)
+        monkeypatch.setattr(effort, "CPU_POOL", room)
         scarce = index.signed_distance_map(grid).values
         assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
         assert torch.equal(plenty < 0, scarce < 0)
