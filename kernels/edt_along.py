@@ -87,6 +87,47 @@ def lessened(
     return best, entry
 
 
+@wp.func
+def walk(
+    heights: wp.array(dtype=wp.float32),
+    base: int,
+    stride: int,
+    length: int,
+    weight: float,
+    half: float,
+    side: float,
+    stack: wp.array(dtype=wp.int32),
+    count: int,
+    scale: float,
+    missing: float,
+    following: Marks,
+    crossing: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """A line with one envelope, of `count` entries: from voxel to voxel and entry to entry."""
+    entry = int(0)
+    site = int(0)
+    height = float(wp.inf)
+    until = int(length)
+    if count > 0:
+        until = 0
+        entry = -1
+    for x in range(length):
+        while until <= x:
+            entry = entry + 1
+            site = stack[base + entry * stride] & _LOW
+            height = height_for(heights[base + site * stride], side)
+            until = length
+            if entry + 1 < count:
+                until = stack[base + (entry + 1) * stride] >> 16
+        at = base + x * stride
+        value = heights[at]
+        if is_on(value, side):
+            best = wp.min(wp.abs(value), cost(x, site, height, weight, half))
+            mark(following, crossing + x * stride, side * best)
+            out[at] = side * finished(best, scale, missing)
+
+
 @wp.kernel
 def nearest_on_line(
     begin: int,
@@ -126,7 +167,9 @@ def nearest_on_line(
     end = first_of(piece + 1, pieces, length)
     if on_cpu() and pieces == 1:
         # Here, where the line is at hand, and not in a launch of its own.
-        counts[line] = find_envelope(heights, base, stride, length, 0, length, weight, half, side, stack)
+        found = find_envelope(heights, base, stride, length, 0, length, weight, half, side, stack)
+        walk(heights, base, stride, length, weight, half, side, stack, found, scale, missing, following, crossing, out)
+        return
     # Where the envelope of the own piece was left.
     here = int(0)
     while x < end:
