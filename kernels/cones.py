@@ -29,7 +29,8 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, ball_is_behind
-from sdm.kernels.lanes import GPU_LANES, about_root, wait_for_lanes
+from sdm.kernels.lanes import GPU_LANES, wait_for_lanes
+from sdm.kernels.rough import about_root
 from sdm.kernels.tree import Tree, first_triangle
 from sdm.kernels.wide import load4, load_row, read4, write4
 

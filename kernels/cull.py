@@ -19,7 +19,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.frames import Frame, Local
-from sdm.kernels.lanes import about_quotient, about_root, from_lane, lane_of_least
+from sdm.kernels.lanes import from_lane, lane_of_least
+from sdm.kernels.rough import about_quotient, about_root
 
 wp.set_module_options({"enable_backward": False})
 

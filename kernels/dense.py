@@ -11,7 +11,7 @@ import warp as wp
 from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
-from sdm.kernels.effort import POOL_ROOM, expected_entries, passes_for, pool_for, search_is_faster, shares_of
+from sdm.kernels.effort import expected_entries, passes_for, pool_for, search_is_faster, shares_of
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
@@ -93,7 +93,7 @@ def query_slab(
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
     slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > FEW_CELLS)]
     lists.region_shares, lists.shares = shares_of(tree.count, shape) if gpu else (1, 1)
-    expected = POOL_ROOM * expected_entries(tree.count, shape, lists.region_shares, lists.shares)
+    expected = expected_entries(tree.count, shape, lists.region_shares, lists.shares)
     room = pool_for(expected, total, values.device)
     passes = passes_for(expected, total, room)
     most = -(-total // passes)

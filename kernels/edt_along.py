@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_lines import find_envelope, height_for
-from sdm.kernels.edt_near import Marks, cost, finished, first_of, mark
+from sdm.kernels.edt_lines import find_envelope, height_for, site_of, start_of
+from sdm.kernels.edt_near import Marks, cost, finished, first_crossing, first_of, first_voxel, mark
 from sdm.kernels.lanes import on_cpu
 
 wp.set_module_options({"enable_backward": False})
@@ -17,7 +17,6 @@ wp.set_module_options({"enable_backward": False})
 # Voxels that ask together.
 TILE = 8
 _TILE = wp.constant(TILE)
-_LOW = wp.constant((1 << 16) - 1)
 Tile = wp.types.vector(length=TILE, dtype=wp.float32)
 
 
@@ -42,7 +41,7 @@ def entry_at(x: int, stack: wp.array(dtype=wp.int32), first: int, count: int, st
     high = int(count - 1)
     while low < high:
         middle = (low + high + 1) / 2
-        if (stack[first + middle * stride] >> 16) <= x:
+        if start_of(stack[first + middle * stride]) <= x:
             low = middle
         else:
             high = middle - 1
@@ -69,18 +68,18 @@ def lessened(
 
     Also gives the last entry that was looked at.
     """
-    site = stack[first + entry * stride] & _LOW
+    site = site_of(stack[first + entry * stride])
     height = height_for(heights[base + site * stride], side)
     following = int(length)
     if entry + 1 < count:
-        following = stack[first + (entry + 1) * stride] >> 16
+        following = start_of(stack[first + (entry + 1) * stride])
     for i in range(TILE):
         while following <= x + i and entry + 1 < count:
             entry = entry + 1
-            site = stack[first + entry * stride] & _LOW
+            site = site_of(stack[first + entry * stride])
             following = length
             if entry + 1 < count:
-                following = stack[first + (entry + 1) * stride] >> 16
+                following = start_of(stack[first + (entry + 1) * stride])
             if following > x + i:
                 height = height_for(heights[base + site * stride], side)
         best[i] = wp.min(best[i], cost(x + i, site, height, weight, half))
@@ -115,11 +114,11 @@ def walk(
     for x in range(length):
         while until <= x:
             entry = entry + 1
-            site = stack[base + entry * stride] & _LOW
+            site = site_of(stack[base + entry * stride])
             height = height_for(heights[base + site * stride], side)
             until = length
             if entry + 1 < count:
-                until = stack[base + (entry + 1) * stride] >> 16
+                until = start_of(stack[base + (entry + 1) * stride])
         at = base + x * stride
         value = heights[at]
         if is_on(value, side):
@@ -159,9 +158,8 @@ def nearest_on_line(
     line = thread - piece * lines
     if far[line] == 0:
         return
-    outer = line / stride
-    base = outer * stride * length + (line - outer * stride)
-    crossing = outer / across * stride * length + (line - outer * stride)
+    base = first_voxel(line, length, stride)
+    crossing = first_crossing(line, length, stride, across)
     begin_at = first_of(piece, pieces, length)
     x = int(begin_at)
     end = first_of(piece + 1, pieces, length)

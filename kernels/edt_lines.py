@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.edt_near import cost, first_of
+from sdm.kernels.edt_near import cost, first_of, first_voxel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -57,6 +57,18 @@ def height_for(value: float, side: float):
 
 
 @wp.func
+def site_of(entry: int):
+    """The voxel that an envelope's entry names."""
+    return entry & _LOW
+
+
+@wp.func
+def start_of(entry: int):
+    """The first place on the line where it is the closest."""
+    return entry >> 16
+
+
+@wp.func
 def find_envelope(
     heights: wp.array(dtype=wp.float32),
     base: int,
@@ -91,8 +103,8 @@ def find_envelope(
                     popping = count > 0
                     if popping:
                         entry = stack[base + (low + count - 1) * stride]
-                        site = entry & _LOW
-                        start = entry >> 16
+                        site = site_of(entry)
+                        start = start_of(entry)
                         height = height_for(heights[base + site * stride], side)
             won = int(0)
             if count > 0:
@@ -127,8 +139,7 @@ def find_envelopes(
     piece = thread / lines
     line = thread - piece * lines
     if far[line] != 0:
-        outer = line / stride
-        base = outer * stride * length + (line - outer * stride)
+        base = first_voxel(line, length, stride)
         low = first_of(piece, pieces, length)
         high = first_of(piece + 1, pieces, length)
         counts[thread] = find_envelope(heights, base, stride, length, low, high, weight, half, side, stack)

@@ -71,6 +71,20 @@ def finished(squared: float, scale: float, missing: float):
 
 
 @wp.func
+def first_voxel(line: int, length: int, stride: int):
+    """Where a line begins: lines side by side fill a stride, and then a whole length of strides."""
+    outer = line / stride
+    return outer * stride * length + (line - outer * stride)
+
+
+@wp.func
+def first_crossing(line: int, length: int, stride: int, across: int):
+    """The line of the next pass through a line's first voxel; those through the others are a stride apart."""
+    outer = line / stride
+    return outer / across * stride * length + (line - outer * stride)
+
+
+@wp.func
 def first_of(piece: int, pieces: int, length: int):
     """The first voxel of a piece of a line."""
     return piece * length / pieces
@@ -97,10 +111,8 @@ def nearest_among_neighbours(
     thread = begin + wp.tid()
     piece = thread / lines
     line = thread - piece * lines
-    outer = line / stride
-    base = outer * stride * length + (line - outer * stride)
-    # The line of the next pass through x = 0; they are a stride apart.
-    crossing = outer / across * stride * length + (line - outer * stride)
+    base = first_voxel(line, length, stride)
+    crossing = first_crossing(line, length, stride, across)
     outside = marks.outside[line] == 0
     inside = marks.inside[line] == 0
     if outside or inside:

@@ -41,7 +41,7 @@ def expected_list(triangles: int, shape: Sequence[int]) -> float:
 
 
 def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_cell: int) -> float:
-    """Entries of the pool that a region and its cells take, on average: a fit to the same meshes.
+    """Entries of the pool to have for a region and its cells, on average: a fit to the same meshes, and room to spare.
 
     Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
     last one is not full, and of the parts.
@@ -49,7 +49,7 @@ def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_ce
     length = expected_list(triangles, shape)
     leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
     half = CHUNK / 2
-    return 4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half)
+    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half))
 
 
 def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:

@@ -234,33 +234,3 @@ def int_from_lane(value: int, source: int) -> int:
 def wait_for_lanes():
     """What the group's lanes wrote before is there for all of them afterwards."""
     ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    return __fdividef(a, b);
-#else
-    return a / b;
-#endif
-"""
-)
-def about_quotient(a: float, b: float) -> float:
-    """a / b to within two roundings, and 0 where |b| is more than 2^126: a third of the instructions on a GPU."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    float root;
-    asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(x));
-    return root;
-#else
-    return sqrtf(x);
-#endif
-"""
-)
-def about_root(x: float) -> float:
-    """The square root to within two roundings."""
-    ...

@@ -13,9 +13,10 @@ from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones, cone_misses, node_cone
 from sdm.kernels.cull import Cell, Witness, box_is_behind
 from sdm.kernels.grid import Slab
-from sdm.kernels.lanes import about_root, ballot, members, rank, wait_for_lanes
+from sdm.kernels.lanes import ballot, members, rank, wait_for_lanes
 from sdm.kernels.leaves import push
 from sdm.kernels.lists import NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
+from sdm.kernels.rough import about_root
 from sdm.kernels.stacks import STACK, stack_of
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness

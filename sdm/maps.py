@@ -135,15 +135,12 @@ def _known_maps(
 def _closed_map(grid: Grid, say: replay.Say, vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     """The map (1,nx,ny,nz) of a mesh that is closed if the remarks are zero, and its neighbours (F,4)."""
     with beside(faces.device) as join:
-        remarks, left_over, shared = queue_pairing(faces, vertices.shape[0])
+        remarks, _, shared = queue_pairing(faces, vertices.shape[0])
         say(remarks)
     # The kernels after this trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, vertices.shape[0] - 1)
     none = faces.new_empty((0, 2))
-    made = _known_maps(grid, say, vertices[None], within, shared, none, none, join)[0]
-    # Memory of the branch stays until it was joined.
-    del remarks, left_over
-    return made, shared
+    return _known_maps(grid, say, vertices[None], within, shared, none, none, join)[0], shared
 
 
 def _open_map(
@@ -161,5 +158,4 @@ def _open_map(
         # As above.
         edges = bounds.clamp(0, last)
     values, ambiguous = _known_maps(grid, say, vertices[None], faces.clamp(0, last), shared, edges, around, join)
-    del found, left_over, remarks, bounds
     return values, ambiguous

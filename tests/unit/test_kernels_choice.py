@@ -6,7 +6,6 @@ import pytest
 
 from sdm.kernels.effort import (
     LARGEST_POOL,
-    POOL_ROOM,
     SMALLEST_POOL,
     expected_entries,
     passes_for,
@@ -59,7 +58,7 @@ class Device:
 @pytest.mark.parametrize("gib", [8, 80])
 def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
     shape, regions = [n] * 3, (n // 16) ** 3
-    expected = POOL_ROOM * expected_entries(triangles, shape, *shares_of(triangles, shape))
+    expected = expected_entries(triangles, shape, *shares_of(triangles, shape))
     room = pool_for(expected, regions, Device(gib))
     passes = passes_for(expected, regions, room)
     assert SMALLEST_POOL <= room <= LARGEST_POOL
@@ -73,5 +72,5 @@ def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
 def test_ordinary_maps_take_one_pass():
     for triangles, n in ((20_000, 64), (100_000, 256), (100_000, 512), (1_000_000, 256), (1_000_000, 512)):
         shape, regions = [n] * 3, (n // 16) ** 3
-        expected = POOL_ROOM * expected_entries(triangles, shape, *shares_of(triangles, shape))
+        expected = expected_entries(triangles, shape, *shares_of(triangles, shape))
         assert passes_for(expected, regions, pool_for(expected, regions, Device(80))) == 1
