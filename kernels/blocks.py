@@ -1,7 +1,8 @@
 """Fifth stage of the dense query: the distances themselves, block by block.
 
-One group of lanes takes one block, or a slice of its list of parts. It works the parts out for the block's centre, and
-measures each octant's voxels from those that matter to it.
+One group of lanes takes one block, or a slice of its list of parts. It works the parts out for the block's centre, one
+a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths of the
+octant; then measures one part in one eighth a lane. In the end all voxels are written.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.atomics import fetch_add, fetch_add_once
-from sdm.kernels.features import Counts, add_corner, add_edge, add_face, has_room
-from sdm.kernels.grid import Output, Slab, index_of
+from sdm.kernels.boxes import boxes_of
+from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face
+from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
-from sdm.kernels.least import VOXELS
+from sdm.kernels.least import clear_values, is_near, measure_item
 from sdm.kernels.leaves import push
 from sdm.kernels.lists import (
+    BLOCK,
     COARSE,
     NEXT_BLOCK,
-    NEXT_SLICED,
     SLICED,
     Lists,
     Reader,
@@ -29,34 +31,72 @@ from sdm.kernels.lists import (
     read_on,
     start_reading,
 )
-from sdm.kernels.octants import octants_of
+from sdm.kernels.mix import Mix, kind_of, taken_now
+from sdm.kernels.octants import octants_there
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import whole_blocks
-from sdm.kernels.rows import rows_of
+from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
+from sdm.kernels.rows import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
 from sdm.kernels.selection import block_of
 from sdm.kernels.stacks import small_stack_of
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.voxels import Block, Features, index_in, measure_voxels, note_places
+from sdm.kernels.tree import Tree
+from sdm.kernels.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
 
 wp.set_module_options({"enable_backward": False})
 
 # Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
 FACES, EDGES, CORNERS = 0, 64, 128
 
+_PAIRS, _ITEMS, _MOST_ITEMS = wp.constant(PAIRS), wp.constant(ITEMS), wp.constant(MOST_ITEMS)
+_PARTS = wp.constant(PARTS)
+_PART_BITS, _PAIR_BITS = wp.constant(PART_BITS), wp.constant(PAIR_BITS)
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
 _COARSE, _SLICED = wp.constant(COARSE), wp.constant(SLICED)
-_NEXT_BLOCK, _NEXT_SLICED = wp.constant(NEXT_BLOCK), wp.constant(NEXT_SLICED)
-_VOXELS = wp.constant(VOXELS)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
+_NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 
 
 @wp.func
-def ready(waiting: int, last: bool, lanes: int):
-    """How many of the parts that wait are to be taken now."""
-    if waiting >= lanes or last:
-        return wp.min(waiting, lanes)
-    return 0
+def measure_parts(
+    rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
+):
+    """Measure the lanes' parts, whose rows are noted, where they matter in the `octants` (bits) of the block.
+
+    Each step puts work in line for the next, so that all lanes have some.
+    """
+    there = wp.where(lane < mix.parts, octants, 0)
+    pairs = int(0)
+    items = int(0)
+    # The next of the pairs; before all of them, the parts themselves.
+    first = int(-1)
+    while first < pairs or items > 0:
+        if first < pairs and items + 8 * lanes <= _MOST_ITEMS:
+            level = wp.where(first < 0, 0, 1)
+            tag = int(lane)
+            among = int(there)
+            if level == 1:
+                among = wp.where(first + lane < pairs, 255, 0)
+                tag = in_line(rows, _PAIRS, wp.min(first + lane, pairs - 1))
+            boxes = int(0)
+            if among > 0:
+                # Tests that a box has to pass, and others of which one: see `add_corner` and those after it.
+                kind = kind_of(mix, tag & (_PARTS - 1))
+                boxes = among & boxes_of(rows, tag, level, 5 - kind, wp.where(kind > 0, kind + 1, 0))
+            begin = wp.where(level == 0, _PAIRS, _ITEMS)
+            bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
+            total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
+            if level == 0:
+                pairs = total
+                first = int(0)
+            else:
+                items = total
+                first = first + lanes
+        else:
+            taken = wp.min(lanes, items)
+            items = items - taken
+            if lane < taken:
+                item = in_line(rows, _ITEMS, items + lane)
+                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, near, turned)
+        wait_for_lanes()
 
 
 @wp.func
@@ -66,79 +106,64 @@ def measure_block(
     slab: Slab,
     lists: Lists,
     item: int,
-    features: Features,
-    stacks: wp.array(dtype=wp.int32),
-    worker: int,
+    rows: wp.uint64,
+    stack: wp.array(dtype=wp.int32),
     out: Output,
     block: Block,
     lane: int,
     lanes: int,
 ):
-    """Measure block `item` from its parts; without a list, every voxel is missed."""
-    rows = rows_of(features.rows, worker)
+    """Measure a block from the parts of list `item`; without one, every voxel is missed."""
     note_places(tree, slab, rows, block, lane, lanes)
-    scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
-    octants = octants_of(slab, block.start, block.bits, block.cell, scale)
+    clear_values(rows, lane, lanes)
+    read_windings(slab, out, rows, block, lane, lanes)
+    octants = octants_there(slab, block.start, block.bits)
+    radius2 = block.known.distance2
+    near = is_near(radius2, block.cell.half2)
+    room = NEAR_ENDS * (block.cell.half[0] + block.cell.half[1] + block.cell.half[2])
     wait_for_lanes()
     reader = Reader()
     if lists.part_heads[item] >= 0:
         reader = start_reading(lists.part_heads, lists.part_lengths, item, 1)
     # Each batch is read while the one before is worked out.
     upcoming = read_entry(lists, reader, lane)
-    counts = Counts()
-    waiting = Counts()
-    unclear = int(0)
-    again = bool(False)
-    stack = small_stack_of(stacks, worker)
-    more = bool(True)
-    while more:
-        full = waiting.faces >= lanes or waiting.edges >= lanes or waiting.corners >= lanes
-        if reader.left > 0 and not full:
+    corners = int(0)
+    edges = int(0)
+    faces = int(0)
+    while reader.left + corners + edges + faces > 0:
+        if reader.left > 0 and corners < lanes and edges < lanes and faces < lanes:
             part = upcoming
             reader = read_on(lists, lists.part_heads, lists.part_lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
-            kind = part & 7
+            which = part & 7
             code = 4 * (part >> 3)
-            corner = part >= 0 and kind < 3
-            edge = part >= 0 and kind >= 3 and kind < 6
-            face = part >= 0 and kind == 6
-            waiting.faces = waiting.faces + push(stack, _FACES + waiting.faces, face, code, lane)
-            waiting.edges = waiting.edges + push(stack, _EDGES + waiting.edges, edge, code + kind - 3, lane)
-            waiting.corners = waiting.corners + push(stack, _CORNERS + waiting.corners, corner, code + kind, lane)
+            corners = corners + push(stack, _CORNERS + corners, part >= 0 and which < 3, code + which, lane)
+            is_edge = part >= 0 and which >= 3 and which < 6
+            edges = edges + push(stack, _EDGES + edges, is_edge, code + which - 3, lane)
+            faces = faces + push(stack, _FACES + faces, part >= 0 and which == 6, code, lane)
         else:
-            # The parts that fill all lanes, or all that are left.
-            last = reader.left == 0
-            faces = ready(waiting.faces, last, lanes)
-            edges = ready(waiting.edges, last, lanes)
-            corners = ready(waiting.corners, last, lanes)
-            fits = has_room(counts, faces, edges, corners)
-            if fits:
-                waiting.faces = waiting.faces - faces
-                waiting.edges = waiting.edges - edges
-                waiting.corners = waiting.corners - corners
-                if lane < faces:
-                    code = stack[_FACES + waiting.faces + lane]
-                    add_face(rows, counts.faces + lane, tree, parts, code, block.cell, block.radius2, octants)
-                if lane < edges:
-                    code = stack[_EDGES + waiting.edges + lane]
-                    add_edge(rows, counts.edges + lane, tree, parts, code, block.cell, block.radius2, octants)
-                if lane < corners:
-                    code = stack[_CORNERS + waiting.corners + lane]
-                    add_corner(rows, counts.corners + lane, tree, parts, code, block.cell, block.radius2, octants)
-                counts.faces = counts.faces + faces
-                counts.edges = counts.edges + edges
-                counts.corners = counts.corners + corners
-                more = not (last and waiting.faces + waiting.edges + waiting.corners == 0)
-            if not (fits and more):
-                wait_for_lanes()
-                unclear = unclear + measure_voxels(
-                    tree, slab, out, features, worker, rows, counts, octants, block, again, not more, lane, lanes
-                )
-                counts = Counts()
-                again = True
+            mix = taken_now(corners, edges, faces, lanes)
+            corners = corners - mix.corners
+            edges = edges - mix.edges
+            faces = faces - (mix.parts - mix.corners - mix.edges)
+            which = kind_of(mix, lane)
+            if lane < mix.parts:
+                if which == CORNER_KIND:
+                    code = stack[_CORNERS + corners + lane]
+                    add_corner(rows, lane, tree, parts, code, block.cell, radius2)
+                elif which == EDGE_KIND:
+                    code = stack[_EDGES + edges + lane - mix.corners]
+                    add_edge(rows, lane, tree, parts, code, block.cell, radius2)
+                else:
+                    code = stack[_FACES + faces + lane - mix.corners - mix.edges]
+                    add_face(rows, lane, tree, parts, code, block.cell, radius2)
+            wait_for_lanes()
+            measure_parts(rows, mix, octants, room, near, slab.turned != 0, lane, lanes)
         wait_for_lanes()
+    unclear = settle_voxels(slab, out, rows, block, lane, lanes)
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)
+    wait_for_lanes()
 
 
 @wp.kernel(launch_bounds=(128, GPU_BLOCKS))
@@ -149,7 +174,7 @@ def _measure_blocks(
     parts: Parts,
     slab: Slab,
     lists: Lists,
-    features: Features,
+    rows: wp.array(dtype=wp.float32),
     stacks: wp.array(dtype=wp.int32),
     out: Output,
 ):
@@ -157,30 +182,62 @@ def _measure_blocks(
     lane = thread % lanes
     worker = thread / lanes
     bricks = 8 * lists.counts[_COARSE]
-    total = bricks + whole_blocks(lists)
+    # Cells of more voxels than a block are measured brick by brick.
+    times = wp.where(lists.cell > BLOCK, 8, 1)
+    total = bricks + times * whole_blocks(lists)
     item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
     while item < total:
-        block, _number, known = block_of(tree, slab, lists, item, bricks)
-        block.radius2 = known.distance2
+        listed = int(item)
+        part = int(-1)
+        if item >= bricks and times > 1:
+            listed = bricks + (item - bricks) / 8
+            part = (item - bricks) % 8
+        block, _number = block_of(tree, slab, lists, listed, bricks, part)
         if is_within(slab, block.start):
-            measure_block(tree, parts, slab, lists, item, features, stacks, worker, out, block, lane, lanes)
+            noted = rows_of(rows, worker)
+            stack = small_stack_of(stacks, worker)
+            measure_block(tree, parts, slab, lists, listed, noted, stack, out, block, lane, lanes)
         item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
 
 
+@wp.func
+def voxel_of_cell(lists: Lists, v: int):
+    """Voxel v of a cell, row by row: its indices from the cell's first."""
+    return wp.vec3i(v / (lists.cell * lists.cell), (v / lists.cell) % lists.cell, v % lists.cell)
+
+
 @wp.kernel
-def _count_missed(begin: int, lanes: int, slab: Slab, lists: Lists, out: Output):
-    lane = (begin + wp.tid()) % lanes
-    item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
-    while item < lists.counts[_SLICED]:
-        mesh, start = cell_start(lists, lists.sliced[item])
-        v = lane
-        while v < _VOXELS:
-            at = start + index_in(v)
-            if is_within(slab, at):
-                if not wp.abs(out.values[index_of(slab, mesh, at)]) < float(wp.inf):
-                    fetch_add(out.missed, 0, 1)
-            v = v + lanes
-        item = fetch_add_once(lists.counts, _NEXT_SLICED, 1, lane)
+def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
+    size = lists.cell * lists.cell * lists.cell
+    number = begin + wp.tid()
+    while number < size * lists.counts[_SLICED]:
+        mesh, start = cell_start(lists, lists.sliced[number / size])
+        at = start + voxel_of_cell(lists, number % size)
+        if is_within(slab, at):
+            index = index_of(slab, mesh, at)
+            winding = out.values[index]
+            out.values[index] = with_sign(float(wp.inf), winding)
+            if is_unclear(winding) != 0:
+                fetch_add(out.ambiguous, mesh, 1)
+        number = number + threads
+
+
+@wp.kernel
+def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """What voxels that several slices measure come to nobody knows before the last is done."""
+    size = lists.cell * lists.cell * lists.cell
+    number = begin + wp.tid()
+    while number < size * lists.counts[_SLICED]:
+        mesh, start = cell_start(lists, lists.sliced[number / size])
+        at = start + voxel_of_cell(lists, number % size)
+        if is_within(slab, at):
+            index = index_of(slab, mesh, at)
+            distance = out.values[index]
+            put_distance(distances_at(out), index, distance)
+            if not wp.abs(distance) < float(wp.inf):
+                fetch_add(out.missed, 0, 1)
+        number = number + threads
 
 
 def measure_blocks(
@@ -188,7 +245,7 @@ def measure_blocks(
     parts: Parts,
     slab: Slab,
     lists: Lists,
-    features: Features,
+    rows: wp.array,
     stacks: wp.array,
     out: Output,
     workers: int,
@@ -197,10 +254,10 @@ def measure_blocks(
 ) -> None:
     """Distances of every voxel of one pass, block by block, with `workers` groups of lanes.
 
-    `features` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
+    `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
     are counted in `out.missed`.
     """
-    inputs = [lanes, tree, parts, slab, lists, features, stacks, out]
-    launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)
-    # Whether voxels that several slices measure are missed nobody knows before the last is done.
-    launch(_count_missed, workers * lanes, [lanes, slab, lists, out], out.values.device, smallest=1)
+    device, threads = out.values.device, workers * lanes
+    launch(_begin_sliced, threads, [threads, slab, lists, out], device, smallest=1)
+    launch(_measure_blocks, threads, [lanes, tree, parts, slab, lists, rows, stacks, out], device, smallest=1)
+    launch(_end_sliced, threads, [threads, slab, lists, out], device, smallest=1)

@@ -1,4 +1,4 @@
-"""Second stage of the dense query: for each cell of 8^3 voxels, the leaves of the tree that matter to it.
+"""Second stage of the dense query: for each cell of voxels, the leaves of the tree that matter to it.
 
 One group of lanes takes one cell, or one share of its region's list. Triangles are not looked at here: where they are
 many, each would be tested for every cell, and a leaf's box and cone tell nearly as much about its four.
@@ -14,7 +14,6 @@ from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
 from sdm.kernels.grid import Slab
 from sdm.kernels.lists import (
-    CELL,
     NEXT_CELL,
     Chain,
     Lists,
@@ -29,7 +28,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.regions import box_matters
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
+from sdm.kernels.tree import Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
@@ -38,8 +37,6 @@ wp.set_module_options({"enable_backward": False})
 CELL_BLOCKS = 6
 
 _NEXT_CELL = wp.constant(NEXT_CELL)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 
 
 @wp.kernel(launch_bounds=(128, CELL_BLOCKS))
@@ -63,7 +60,7 @@ def _list_cells(
         first = (number / 8) * lists.region_shares + (item % lists.shares) * chains
         if is_within(slab, start):
             base = mesh * 2 * leaves
-            cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+            cell = make_cell(tree, slab, mesh, start, lists.cell)
             radius = wp.sqrt(cell.half2)
             known = read_witness(lists.witnesses, lists.count + number)
             chain = Chain()

@@ -28,7 +28,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, Witness, ball_is_behind
+from sdm.kernels.cull import Cell
 from sdm.kernels.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.rough import about_root
 from sdm.kernels.tree import Tree, first_triangle
@@ -70,17 +70,6 @@ def cone_misses(cell: Cell, radius: float, middle: wp.vec3, extent: float, cone:
     cosine = about_root(1.0 - cone[3] * cone[3])
     room = DISTANCE_ROOM * (wp.abs(along) + aside + about_root(wp.dot(cell.centre, cell.centre)))
     return aside * cosine - wp.abs(along) * cone[3] > (extent + radius) * (1.0 + DISTANCE_ROOM) + room
-
-
-@wp.func
-def ball_matters(cell: Cell, radius: float, known: Witness, balls: wp.array(dtype=wp.float32), cones: Cones, slot: int):
-    """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its ball and its cone alone."""
-    ball = load4(balls, slot)
-    # Both loads before the tests, or the second waits for the first.
-    cone = load4(cones.triangles, slot)
-    if ball_is_behind(cell, known, ball):
-        return False
-    return not cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone)
 
 
 @wp.func

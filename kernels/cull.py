@@ -1,17 +1,27 @@
-"""Which triangles can be nearest to some voxel of a cell: one test, valid for any convex set.
+"""Which points can be nearest to some voxel of a cell: one test, and what follows from it for triangles and boxes.
 
-A cell has a centre c and half-widths a (of voxel centres, per axis). Let y be any known point of the surface, T a
-convex set (a triangle, a box of triangles), u any vector, and s = min over T of (c - v).u: T lies behind the plane
-at height s/|u| below c. At c + d, |d_i| <= a_i, the distance from T is at least that from the plane,
-(s + d.u)/|u|, if that is positive; the distance from the surface is at most |c + d - y|. Squared and subtracted:
+A cell has a centre c and half-widths a (of voxel centres, per axis). Let y be any known point of the surface, the
+witness. A point x is nearer to a voxel p than y only where
 
-    s^2/|u|^2 + 2 (s/|u|^2) d.u + (d.u)^2/|u|^2  -  |c - y|^2 - 2 d.(c - y) - |d|^2
-      >=  s^2/|u|^2 - |c - y|^2 - 2 sum_i a_i |(s/|u|^2) u - (c - y)|_i - sum_i a_i^2.
+    D(p, x) = |p - x|^2 - |p - y|^2 < 0.
 
-If the last line is positive and s > sum_i a_i |u_i|, no voxel of the cell is nearest to T, and T is dropped. The
-best u points from T's closest point to c; a rounded one only weakens the test, never breaks it. Distance alone
-(drop T if it is 2|a| further away than y) would keep every triangle of a surface that is nearly equidistant, as
-most are from afar; the direction u tells apart what can be nearest within the cell from what cannot.
+The square of p cancels, so D is linear in p, and its least value over the cell is exactly
+
+    |c - x|^2 - |c - y|^2 - 2 sum_i a_i |x_i - y_i|.
+
+If that is positive, x is nearest to no voxel of the cell. From this:
+
+- A segment or a triangle. Let x = sum_j l_j x_j be a mean of its corners. |p - x|^2 is the same mean of |p - x_j|^2,
+  less the sum over pairs of corners of l_j l_k |x_j - x_k|^2. So D(p, x) is at least the least D(p, x_j) of its
+  corners, less L^2/4 for two corners and L^2/3 for three, with L the longest edge.
+- A box. D is a sum over the axes of (p_i - x_i)^2 - (p_i - y_i)^2. The least over all x_i from low to high is
+  e^2 - (p_i - y_i)^2, with e how far p_i is from that interval. As a function of p_i this is concave (e^2 curves up at
+  most as much as the other square curves down), so its least is at one of the cell's two ends. The test is exact.
+
+Distance alone (drop what is 2|a| further from c than y) would keep every triangle of a surface that is nearly
+equidistant, as most are from afar; D knows directions, since x_i - y_i is small for the points that remain.
+
+Nothing here asks more of a triangle than its corners: slivers and soups are treated like all others.
 """
 
 from __future__ import annotations
@@ -20,12 +30,15 @@ import warp as wp
 
 from sdm.kernels.frames import Frame, Local
 from sdm.kernels.lanes import from_lane, lane_of_least
-from sdm.kernels.rough import about_quotient, about_root
 
 wp.set_module_options({"enable_backward": False})
 
-# Relative room for rounding in the two squares, about 16 float32 roundings in each distance.
-SLACK = wp.constant(2.0e-6)
+# Relative room for rounding in D, of the squares that it is a difference of: about 64 float32 roundings.
+SLACK = wp.constant(4.0e-6)
+# Twice how far rounding may have put a witness off the surface, in units of the mesh's diagonal.
+OFF_SURFACE = wp.constant(1.0e-6)
+# Squares beyond this one may overflow.
+LARGEST_SQUARE = wp.constant(1.0e36)
 
 
 @wp.struct
@@ -43,6 +56,7 @@ class Cell:
     centre: wp.vec3
     half: wp.vec3
     half2: float  # |half|^2
+    diagonal: float  # of the mesh's bounding box: what a witness is rounded by is in units of it
 
 
 @wp.func
@@ -54,36 +68,72 @@ def no_witness():
 
 
 @wp.func
-def is_behind(cell: Cell, known: Witness, u: wp.vec3, s: float):
-    """Whether a convex set with min (c - v).u = s can be dropped for the cell."""
-    if s <= wp.dot(cell.half, wp.vec3(wp.abs(u[0]), wp.abs(u[1]), wp.abs(u[2]))) * (1.0 + SLACK):
-        return False
-    share = about_quotient(s, wp.dot(u, u))
-    far2 = s * share
-    gap = share * u - known.to_surface
-    spread = cell.half[0] * wp.abs(gap[0]) + cell.half[1] * wp.abs(gap[1]) + cell.half[2] * wp.abs(gap[2])
-    return far2 - known.distance2 - 2.0 * spread - cell.half2 > SLACK * (far2 + known.distance2)
+def sum_abs(u: wp.vec3):
+    return wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2])
 
 
 @wp.func
-def box_is_behind(cell: Cell, known: Witness, low: wp.vec3, high: wp.vec3):
-    """`is_behind` for a box."""
-    c = cell.centre
-    u = c - wp.vec3(wp.clamp(c[0], low[0], high[0]), wp.clamp(c[1], low[1], high[1]), wp.clamp(c[2], low[2], high[2]))
-    # The closest point of a box is its lowest one along u.
-    s = wp.dot(u, u)
-    if s == 0.0 or low[0] > high[0]:
-        return low[0] > high[0]
-    return is_behind(cell, known, u, s)
+def reach(half: wp.vec3, u: wp.vec3):
+    """The largest d.u over the box |d_i| <= half_i."""
+    return half[0] * wp.abs(u[0]) + half[1] * wp.abs(u[1]) + half[2] * wp.abs(u[2])
 
 
 @wp.func
-def ball_is_behind(cell: Cell, known: Witness, ball: wp.vec4):
-    """`is_behind` for a ball: its centre and its radius."""
-    u = cell.centre - wp.vec3(ball[0], ball[1], ball[2])
-    d2 = wp.dot(u, u)
-    s = d2 - ball[3] * about_root(d2)
-    return s > 0.0 and is_behind(cell, known, u, s)
+def doubt(cell: Cell, known: Witness):
+    """What rounding can add to D over the cell; infinite without a witness, or where squares may overflow."""
+    squares = known.distance2 + cell.half2
+    away = sum_abs(known.to_surface) + cell.half[0] + cell.half[1] + cell.half[2]
+    return wp.where(squares < LARGEST_SQUARE, SLACK * squares + OFF_SURFACE * cell.diagonal * away, float(wp.inf))
+
+
+@wp.func
+def least_lead(cell: Cell, known: Witness, q: wp.vec3):
+    """The least D over the cell of the point that is at q from its centre."""
+    return wp.dot(q, q) - known.distance2 - 2.0 * reach(cell.half, q + known.to_surface)
+
+
+@wp.func
+def lead_along(low: float, high: float, y: float, half: float):
+    """One axis of the least D of a box; all from the cell's centre."""
+    below = wp.max(wp.max(low + half, -half - high), 0.0)
+    above = wp.max(wp.max(low - half, half - high), 0.0)
+    return wp.min(below * below - (half + y) * (half + y), above * above - (half - y) * (half - y))
+
+
+@wp.func
+def box_is_farther(cell: Cell, known: Witness, low: wp.vec3, high: wp.vec3):
+    """Whether no point of a box is nearer to any voxel of the cell than the witness."""
+    if low[0] > high[0]:
+        return True
+    a = low - cell.centre
+    b = high - cell.centre
+    y = -known.to_surface
+    lead = lead_along(a[0], b[0], y[0], cell.half[0])
+    lead = lead + lead_along(a[1], b[1], y[1], cell.half[1])
+    lead = lead + lead_along(a[2], b[2], y[2], cell.half[2])
+    return lead > doubt(cell, known)
+
+
+@wp.func
+def triangle_is_farther(cell: Cell, known: Witness, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Whether no point of a triangle is nearer to any voxel of the cell than the witness."""
+    lead = wp.min(
+        least_lead(cell, known, a - cell.centre),
+        wp.min(least_lead(cell, known, b - cell.centre), least_lead(cell, known, c - cell.centre)),
+    )
+    return lead > bulge_of_triangle(b - a, c - b, a - c) + doubt(cell, known)
+
+
+@wp.func
+def bulge_of_edge(ab: wp.vec3):
+    """How much less D may be inside of an edge than at its ends."""
+    return 0.250001 * wp.dot(ab, ab)
+
+
+@wp.func
+def bulge_of_triangle(ab: wp.vec3, bc: wp.vec3, ca: wp.vec3):
+    """How much less D may be inside of a triangle than at its corners."""
+    return 0.333334 * wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
 
 
 @wp.func

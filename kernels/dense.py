@@ -11,12 +11,11 @@ import warp as wp
 from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
-from sdm.kernels.effort import expected_entries, passes_for, pool_for, search_is_faster, shares_of
+from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for, search_is_faster, shares_of
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
-from sdm.kernels.least import VOXELS
-from sdm.kernels.lists import CHUNK, COUNTS, LENGTHS, REGION, Lists
+from sdm.kernels.lists import CHUNK, COUNTS, LENGTHS, Lists
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import PLAN_BLOCKS, plan_blocks
 from sdm.kernels.regions import REGION_BLOCKS, list_regions
@@ -26,7 +25,6 @@ from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.selection import select_parts
 from sdm.kernels.stacks import stack_room
 from sdm.kernels.tree import Tree
-from sdm.kernels.voxels import Features
 from sdm.kernels.winding import Winding
 from sdm.kernels.witness import find_witnesses
 
@@ -46,6 +44,7 @@ def query_slab(
     slab: Slab,
     values: wp.array,
     ambiguous: wp.array,
+    address: wp.array | None,
     launch: Any,
     empty: Callable[[int, Any], wp.array],
     beside: Beside,
@@ -62,6 +61,8 @@ def query_slab(
         slab: Which voxels.
         values: (meshes, n, ny, nz) float32, filled: negative inside.
         ambiguous: (meshes,) int32: the number of voxels whose winding number is within 0.25 of 0.5 is added.
+        address: (1,) int64: where the distances go, if not to `values`, which then is scratch; known only when kernels
+            run.
         launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
         beside: What is launched in `with beside() as join:` may run beside what comes after it, until `join()`.
@@ -79,6 +80,8 @@ def query_slab(
     out.values = values.flatten()
     out.ambiguous = ambiguous
     out.missed = empty(1, wp.int32)
+    out.elsewhere = 0 if address is None else 1
+    out.address = empty(1, wp.int64) if address is None else address
     if method == "search":
         join()
         search_slab(tree, slab, out, meshes, launch)
@@ -89,11 +92,12 @@ def query_slab(
         return gpu_workers(blocks) if gpu else 16 * threads()
 
     lists = Lists()
-    lists.regions = wp.vec3i(*(-(-n // int(REGION)) for n in shape))
+    lists.cell = cell_for(tree.count, shape, gpu)
+    lists.regions = wp.vec3i(*(-(-n // (2 * lists.cell)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
     slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > FEW_CELLS)]
-    lists.region_shares, lists.shares = shares_of(tree.count, shape) if gpu else (1, 1)
-    expected = expected_entries(tree.count, shape, lists.region_shares, lists.shares)
+    lists.region_shares, lists.shares = shares_of(tree.count, shape, lists.cell) if gpu else (1, 1)
+    expected = expected_entries(tree.count, shape, lists.cell, lists.region_shares, lists.shares)
     room = pool_for(expected, total, values.device)
     passes = passes_for(expected, total, room)
     most = -(-total // passes)
@@ -115,10 +119,7 @@ def query_slab(
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(stack_room(workers(max(REGION_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
-    features = Features()
-    features.rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
-    features.points = empty(1 if gpu else workers(GPU_BLOCKS) * 3 * VOXELS, wp.float32)
-    features.least = empty(workers(GPU_BLOCKS) * VOXELS, wp.float32)
+    rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
     lists.step = passes
@@ -130,10 +131,10 @@ def query_slab(
         find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes, launch)
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes, launch)
         list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes, launch)
+        plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes, launch)
+        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(GPU_BLOCKS), lanes, launch)
         if first == 0:
             # From here on winding numbers are looked at.
             join()
-        plan_blocks(tree, frames, parts, slab, lists, slice_length, out, workers(PLAN_BLOCKS), lanes, launch)
-        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(GPU_BLOCKS), lanes, launch)
-        measure_blocks(tree, parts, slab, lists, features, stacks, out, workers(GPU_BLOCKS), lanes, launch)
+        measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes, launch)
     mend_slab(tree, slab, out, workers(GPU_BLOCKS) * lanes, launch)

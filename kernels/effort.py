@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from sdm.kernels.lists import CELL, CHUNK, REGION
+from sdm.kernels.lists import BLOCK, CHUNK
 from sdm.kernels.plan import CELL_BITS
 
 # Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 4 GiB on a GPU, of which they take at most a 16th.
@@ -20,10 +20,15 @@ POOL_SHARE = 16
 POOL_ROOM = 1.6
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
-# cell, for that: of a batch's maps they are as many as of one alone, where fewer, longer chains would be faster.
+# cell, for that. Of a batch's maps they are as many as of one alone, so that the batch does not matter to a map's bits.
 FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 32, 8
+# But maps of so few regions (64^3 voxels) mostly come in batches, where fewer, longer chains are faster.
+FEW_REGIONS, FEW_FOR_REGION, FEW_FOR_CELL = 64, 16, 2
 # Triangles of a cell's list, on average, up to which all lists are about as short.
 SHORT = 64
+# Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
+# parts that do not matter to a brick are worked out for it all the same.
+SHORT_FOR_WIDE = {"cuda": 40, "cpu": 0}
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256
@@ -32,21 +37,21 @@ MOST_OF_REGION, MOST_OF_CELL = 64, 16
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
 
 
-def expected_list(triangles: int, shape: Sequence[int]) -> float:
-    """Triangles in the list of a cell, on average: a fit to bunny, rocker-arm, nefertiti and tori.
+def expected_list(triangles: int, shape: Sequence[int], cell: int) -> float:
+    """Triangles in the list of a cell of so many voxels along its edge, on average: a fit to some meshes.
 
     From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
     """
-    return 1.4 * triangles * int(CELL) ** 2 / max(shape[1:]) ** 2
+    return 1.4 * triangles * cell**2 / max(shape[1:]) ** 2
 
 
-def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_cell: int) -> float:
+def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region: int, of_cell: int) -> float:
     """Entries of the pool to have for a region and its cells, on average: a fit to the same meshes, and room to spare.
 
     Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
     last one is not full, and of the parts.
     """
-    length = expected_list(triangles, shape)
+    length = expected_list(triangles, shape, cell)
     leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
     half = CHUNK / 2
     return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half))
@@ -54,25 +59,32 @@ def expected_entries(triangles: int, shape: Sequence[int], of_region: int, of_ce
 
 def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
     """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
-    return expected_list(triangles, shape) > LONGEST_LIST["cuda" if gpu else "cpu"]
+    return expected_list(triangles, shape, int(BLOCK)) > LONGEST_LIST["cuda" if gpu else "cpu"]
 
 
-def shares_of(triangles: int, shape: Sequence[int]) -> tuple[int, int]:
+def cell_for(triangles: int, shape: Sequence[int], gpu: bool) -> int:
+    """Voxels along the edge of a cell: 8, or 16 where the lists of such cells are expected to be short."""
+    return 16 if expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"] else 8
+
+
+def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int]:
     """Groups of lanes that make each list of a region, and of a cell, on a GPU: so many that none is waited for.
 
     From the slab's cross-section alone, as `expected_list`. Powers of two: a level of the tree is shared out. A cell's
     are no more than its region's, whose chains they share out.
     """
-    regions = max(1, -(-max(shape[1:]) // int(REGION))) ** 3
-    length = expected_list(triangles, shape)
+    regions = max(1, -(-max(shape[1:]) // (2 * cell))) ** 3
+    length = expected_list(triangles, shape, cell)
+    few = regions <= FEW_REGIONS
+    for_region, for_cell = (FEW_FOR_REGION, FEW_FOR_CELL) if few else (MOST_FOR_REGION, MOST_FOR_CELL)
     of_region = of_cell = 1
-    while (of_region < MOST_FOR_REGION and 2 * of_region * regions <= FULL) or (
+    while (of_region < for_region and 2 * of_region * regions <= FULL) or (
         of_region < MOST_OF_REGION and of_region * LONG_SHARE < 2.0 * length
     ):
         of_region *= 2
     # Lists of very different lengths need more groups than those that are all short.
     enough = FULL if length < SHORT else 8 * FULL
-    while (of_cell < MOST_FOR_CELL and 2 * of_cell * 8 * regions <= enough) or (
+    while (of_cell < for_cell and 2 * of_cell * 8 * regions <= enough) or (
         of_cell < MOST_OF_CELL and of_cell * LONG_SHARE < length
     ):
         of_cell *= 2

@@ -22,53 +22,24 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cull import Cell
+from sdm.kernels.cull import Cell, bulge_of_edge, bulge_of_triangle
 from sdm.kernels.lanes import unknown
-from sdm.kernels.octants import Octants, octants_below
+from sdm.kernels.octants import lattice_of, room_for, test_corner, test_direction
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
-from sdm.kernels.rows import (
-    CORNER_BITS,
-    CORNERS,
-    EDGE_BITS,
-    EDGE_ROW,
-    EDGES,
-    ENDS,
-    FACE_BITS,
-    FACE_ROW,
-    FACES,
-    OFFSETS,
-    write_byte,
-    write_number,
-    write_row,
-)
+from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load2, load4
 
 wp.set_module_options({"enable_backward": False})
 
-_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_EDGE_ROW, _FACE_ROW = wp.constant(EDGE_ROW), wp.constant(FACE_ROW)
-_ENDS, _OFFSETS = wp.constant(ENDS), wp.constant(OFFSETS)
-_CORNER_BITS, _EDGE_BITS, _FACE_BITS = wp.constant(CORNER_BITS), wp.constant(EDGE_BITS), wp.constant(FACE_BITS)
+# Kinds of parts.
+CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
+
+_PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 _ROWS = wp.constant(PARTS_FLOATS // 4)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
-
-
-@wp.struct
-class Counts:
-    """How many of each kind are in a block's lists."""
-
-    corners: wp.int32
-    edges: wp.int32
-    faces: wp.int32
-
-
-@wp.func
-def has_room(counts: Counts, faces: int, edges: int, corners: int):
-    """Whether so many more parts fit into the lists."""
-    return counts.faces + faces <= _FACES and counts.edges + edges <= _EDGES and counts.corners + corners <= _CORNERS
 
 
 @wp.func
@@ -80,21 +51,19 @@ def row_vector(parts: Parts, slot: int, first: int):
 
 @wp.func_native(
     snippet="""
-    return wp::vec3(i < 2 ? (i == 0 ? a[0] : b[0]) : (i == 2 ? c[0] : d[0]),
-                    i < 2 ? (i == 0 ? a[1] : b[1]) : (i == 2 ? c[1] : d[1]),
-                    i < 2 ? (i == 0 ? a[2] : b[2]) : (i == 2 ? c[2] : d[2]));
+    return wp::vec3(i == 0 ? a[0] : i == 1 ? b[0] : c[0], i == 0 ? a[1] : i == 1 ? b[1] : c[1],
+                    i == 0 ? a[2] : i == 1 ? b[2] : c[2]);
 """
 )
-def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3) -> wp.vec3:
+def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
     """The vector of number i."""
     ...
 
 
 @wp.func
-def add_corner(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Row `number` of the corners: corner code % 4 of triangle code / 4."""
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and five tests that a box has to pass."""
+    lattice = lattice_of(rows)
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
@@ -106,40 +75,31 @@ def add_corner(
     over_ab = wp.vec3(r2[1], r2[2], r2[3])
     over_bc = wp.vec3(r3[0], r3[1], r3[2])
     over_ca = wp.vec3(r3[3], r4[0], r4[1])
-    corner = one_of(k, first, second, third, third)
+    corner = one_of(k, first, second, third)
     a = wp.vec3d(corner) - wp.vec3d(cell.centre)
     v = -2.0 * wp.vec3(a)
     write_row(rows, number, v[0], v[1], v[2], float(wp.dot(a, a) - wp.float64(radius2)))
     # Behind its two edges, and behind the neighbours' edges there.
     q = corner - cell.centre
-    to_next = one_of(k, second, third, first, first) - corner
-    to_last = one_of(before, first, second, third, third) - corner
-    beyond = one_of(k, over_ab, over_bc, over_ca, over_ca) - corner
-    behind = one_of(before, over_ab, over_bc, over_ca, over_ca) - corner
-    bits = octants.there
-    directions = unknown(4)
-    for i in range(directions):
-        u = one_of(i, to_next, to_last, beyond, behind)
-        bits = bits & octants_below(rows, octants, cell, q, u)
-    write_byte(rows, _CORNER_BITS + number, bits)
+    room = room_for(cell, q)
+    test_direction(rows, lattice, 0, number, room, q, one_of(k, second, third, first) - corner)
+    test_direction(rows, lattice, 1, number, room, q, one_of(before, first, second, third) - corner)
+    test_direction(rows, lattice, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
+    test_direction(rows, lattice, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
+    test_corner(rows, lattice, 4, number, q, 0.0)
 
 
 @wp.func
-def add_edge(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Rows of edge `number`: from corner code % 4 of triangle code / 4 to the next."""
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next: four tests, and one of two."""
+    lattice = lattice_of(rows)
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
     inward = row_vector(parts, slot, 3 * k)
-    begin, end, third, normal = load_corners(tree, slot)
-    if k == 1:
-        begin = end
-        end = third
-    if k == 2:
-        end = begin
-        begin = third
+    first, second, third, normal = load_corners(tree, slot)
+    begin = one_of(k, first, second, third)
+    end = one_of(k, second, third, first)
     a = wp.vec3d(begin) - wp.vec3d(cell.centre)
     # Not of the two from the centre, which are alike if the triangle is very small for its distance.
     ab = wp.vec3d(end) - wp.vec3d(begin)
@@ -147,28 +107,27 @@ def add_edge(
     m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
     m2 = -2.0 * wp.vec3(m)
-    row = _EDGE_ROW + number
-    write_row(rows, row, m2[0], m2[1], m2[2], float(wp.dot(m, m) - wp.float64(radius2)))
-    write_row(rows, row + _EDGES, e[0], e[1], e[2], float(-along))
-    write_number(rows, _ENDS + number, float(wp.length(ab) - along))
+    write_row(rows, number, m2[0], m2[1], m2[2], float(wp.dot(m, m) - wp.float64(radius2)))
+    write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
+    write_number(rows, _NUMBERS + number, float(wp.length(ab) - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
-    q = begin - cell.centre
-    outward = wp.cross(normal, edge)
-    bits = octants.there
-    directions = unknown(4)
-    for i in range(directions):
-        bits = bits & octants_below(
-            rows, octants, cell, one_of(i, q, end - cell.centre, q, q), one_of(i, -edge, edge, outward, inward)
-        )
-    write_byte(rows, _EDGE_BITS + number, bits)
+    p = begin - cell.centre
+    q = end - cell.centre
+    room = room_for(cell, p)
+    test_direction(rows, lattice, 0, number, room, p, -edge)
+    test_direction(rows, lattice, 1, number, room_for(cell, q), q, edge)
+    test_direction(rows, lattice, 2, number, room, p, wp.cross(normal, edge))
+    test_direction(rows, lattice, 3, number, room, p, inward)
+    bulge = bulge_of_edge(edge)
+    test_corner(rows, lattice, 4, number, p, bulge)
+    test_corner(rows, lattice, 5, number, q, bulge)
 
 
 @wp.func
-def add_face(
-    rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float, octants: Octants
-):
-    """Rows of face `number`: triangle code / 4."""
+def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+    """`add_corner` for a face, of triangle code / 4: three tests, and one of three."""
+    lattice = lattice_of(rows)
     slot = code / 4
     # All at once: loads one after the other wait for each other.
     first_two = load2(parts.inverses, 2 * slot)
@@ -178,11 +137,10 @@ def add_face(
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
-    row = _FACE_ROW + number
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
-    write_row(rows, row, normal[0], normal[1], normal[2], 2.0 * float(h))
-    write_number(rows, _OFFSETS + number, float(h * h - wp.float64(radius2)))
-    bits = octants.there
+    write_row(rows, number, normal[0], normal[1], normal[2], 2.0 * float(h))
+    write_number(rows, _NUMBERS + number, float(h * h - wp.float64(radius2)))
+    bulge = bulge_of_triangle(corner_b - corner_a, corner_c - corner_b, corner_a - corner_c)
     inverse = first_two[0]
     then = first_two[1]
     last = last_two[0]
@@ -191,9 +149,10 @@ def add_face(
         # The point of the edge's line that is closest to the centre: rounding is in units of its distance.
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
-        write_row(rows, row + _FACES * (1 + k), u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
+        write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
         # On the inner side of the plane on this edge.
-        bits = bits & octants_below(rows, octants, cell, away, -u)
+        test_direction(rows, lattice, k, number, room_for(cell, away), away, -u)
+        test_corner(rows, lattice, 3 + k, number, wp.vec3(a), bulge)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab
@@ -202,4 +161,3 @@ def add_face(
         ca = first
         inverse = then
         then = last
-    write_byte(rows, _FACE_BITS + number, bits)

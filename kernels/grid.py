@@ -118,18 +118,49 @@ class Output:
     """Where distances go, voxel by voxel as `index_of` counts them: the values hold winding numbers before."""
 
     values: wp.array(dtype=wp.float32)
+    elsewhere: wp.int32  # 1 if distances do not take the winding numbers' place, but go to an address
+    address: wp.array(dtype=wp.int64)  # (1)
     ambiguous: wp.array(dtype=wp.int32)
     missed: wp.array(dtype=wp.int32)  # (1) voxels that were given an infinite distance, to be searched for later
 
 
+@wp.func_native(
+    snippet="""
+    return elsewhere ? (wp::uint64)address.data[0] : (wp::uint64)values.data;
+"""
+)
+def _choose(values: wp.array(dtype=wp.float32), elsewhere: int, address: wp.array(dtype=wp.int64)) -> wp.uint64: ...
+
+
+@wp.func
+def distances_at(out: Output):
+    """The address of the distances."""
+    return _choose(out.values, out.elsewhere, out.address)
+
+
+@wp.func_native(snippet="return reinterpret_cast<const float*>(address)[index];")
+def read_distance(address: wp.uint64, index: int) -> float: ...
+
+
+@wp.func_native(snippet="reinterpret_cast<float*>(address)[index] = distance;")
+def put_distance(address: wp.uint64, index: int, distance: float): ...
+
+
+@wp.func
+def with_sign(distance: float, winding: float):
+    """A signed distance: negative where the winding number says inside."""
+    return wp.where(winding > 0.5, -distance, distance)
+
+
+@wp.func
+def is_unclear(winding: float):
+    """1 if a winding number hardly tells inside from outside."""
+    return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
+
+
 @wp.func
 def write_distance(out: Output, index: int, distance: float):
-    """Replace a voxel's winding number by its signed distance; 1 if the winding number was unclear."""
-    return write_signed(out, index, distance, out.values[index])
-
-
-@wp.func
-def write_signed(out: Output, index: int, distance: float, winding: float):
-    """`write_distance` of a voxel whose winding number has been read."""
-    out.values[index] = wp.where(winding > 0.5, -distance, distance)
-    return wp.where(wp.abs(winding - 0.5) < 0.25, 1, 0)
+    """Write a voxel's signed distance; 1 if its winding number was unclear."""
+    winding = out.values[index]
+    put_distance(distances_at(out), index, with_sign(distance, winding))
+    return is_unclear(winding)

@@ -18,7 +18,7 @@ from sdm.kernels.cull import Cell, no_witness
 from sdm.kernels.descent import SCRATCH
 from sdm.kernels.lanes import least_of_lanes
 from sdm.kernels.together import nearest_together
-from sdm.kernels.tree import SCALE, Tree
+from sdm.kernels.tree import DIAGONAL, SCALE, Tree
 from sdm.kernels.wide import load4, write4
 from sdm.kernels.winding import CLOSED, SOUP, Winding
 from sdm.kernels.witness import write_witness
@@ -39,6 +39,7 @@ ROOM = wp.constant(1.0e-5)
 
 _GROUP, _SCRATCH = wp.constant(GROUP), wp.constant(SCRATCH)
 _SCALE = wp.constant(SCALE)
+_DIAGONAL = wp.constant(DIAGONAL)
 _NEXT_BOX = wp.constant(NEXT_BOX)
 _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
 
@@ -47,7 +48,7 @@ _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
 class Groups:
     """What is known of each of `count` groups."""
 
-    boxes: wp.array(dtype=wp.float32)  # (count * 8) centre (3), 0, half-widths (3), 0, scaled
+    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `Cell`: centre (3), diagonal, half (3), half2
     witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
@@ -105,6 +106,7 @@ def box_around(
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
     high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
     cell = Cell()
+    cell.diagonal = float(tree.frame[_DIAGONAL])
     cell.centre = 0.5 * low + 0.5 * high
     if is_finite(cell.centre):
         # A rounding more than the points need, so that none sticks out.
@@ -123,6 +125,7 @@ def read_box(groups: Groups, group: int):
     half = load4(groups.boxes, 2 * group + 1)
     cell = Cell()
     cell.centre = wp.vec3(centre[0], centre[1], centre[2])
+    cell.diagonal = centre[3]
     cell.half = wp.vec3(half[0], half[1], half[2])
     cell.half2 = half[3]
     return cell
@@ -160,7 +163,7 @@ def _look_around(
                 hint = hint + APART
         if lane == 0:
             half = cell.half
-            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], 0.0)
+            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], cell.diagonal)
             write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
             write_witness(groups.witnesses, group, known)
             groups.nearest[group] = slot

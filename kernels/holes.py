@@ -27,7 +27,7 @@ from sdm.kernels.lanes import (
     sum_of_lanes_in_double,
 )
 from sdm.kernels.launch import threads
-from sdm.kernels.lists import BRICK, CELL, is_within, make_cell, octant_at
+from sdm.kernels.lists import box_of_voxels, is_within, octant_at
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -35,6 +35,8 @@ wp.set_module_options({"enable_backward": False})
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 CELLS_OF_BLOCK = wp.constant(4)
+# Voxels along the edge of a cell, and of a brick.
+CELL, BRICK = wp.constant(8), wp.constant(4)
 # Voxels along the edge of what a group opens at a time.
 PIECE = wp.constant(2)
 # Lanes that share a voxel's caps on a GPU.
@@ -62,7 +64,7 @@ def _find_near_blocks(begin: int, tree: Tree, boundary: Boundary, slab: Slab, ne
     while item < total:
         mesh, at = unravel(item, near.blocks)
         size = CELLS_OF_BLOCK * CELL
-        cell = make_cell(slab, size * at, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+        cell = box_of_voxels(slab, size * at, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
         near.block[item] = wp.where(is_far(view_caps(boundary, mesh, cell, thread % lanes, lanes)), 0, 1)
         item = item + groups
 
@@ -80,12 +82,12 @@ def _find_near_bricks(
         block = ((mesh * near.blocks[0] + above[0]) * near.blocks[1] + above[1]) * near.blocks[2] + above[2]
         if near.block[block] != 0:
             scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-            if not is_far(view_caps(boundary, mesh, make_cell(slab, CELL * at, CELL, scale), lane, lanes)):
+            if not is_far(view_caps(boundary, mesh, box_of_voxels(slab, CELL * at, CELL, scale), lane, lanes)):
                 part = int(0)
                 while part < 8:
                     start = CELL * at + BRICK * octant_at(part)
                     if is_within(slab, start):
-                        view = view_caps(boundary, mesh, make_cell(slab, start, BRICK, scale), lane, lanes)
+                        view = view_caps(boundary, mesh, box_of_voxels(slab, start, BRICK, scale), lane, lanes)
                         if lane == 0 and not is_far(view):
                             near.bricks[fetch_add(near.count, 0, 1)] = 8 * item + part
                     part = part + 1
@@ -104,7 +106,7 @@ def open_piece(
     values: wp.array4d(dtype=wp.float32),
 ):
     """Open a piece as a whole, if that leaves no voxel in doubt; whether it did."""
-    view = view_caps(boundary, mesh, make_cell(slab, start, PIECE, scale), lane, lanes)
+    view = view_caps(boundary, mesh, box_of_voxels(slab, start, PIECE, scale), lane, lanes)
     if is_far(view):
         return True
     unsure = bool(False)

@@ -1,17 +1,23 @@
-"""The least value of each voxel over the parts of its octant: see `features` for what a value is."""
+"""The least value of each voxel over the parts that matter to its eighth: see `features` for what a value is.
+
+Each lane measures one part at the eight voxels of one eighth, which share most of the products. What it finds is less
+than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers in the order
+of the values.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import warp as wp
 
-from sdm.kernels.rows import CORNER_BITS, EDGE_BITS, EDGE_ROW, EDGES, ENDS, FACE_BITS, FACE_ROW, FACES, OFFSETS
+from sdm.kernels.rows import LATTICE_ROW, LEAST, NUMBERS, PARTS, PLACES, write_row
 
 wp.set_module_options({"enable_backward": False})
 
-# Voxels of the largest block, and of an octant.
-VOXELS, OCTANT = 512, 64
+# Voxels of the largest block.
+VOXELS = 512
+
+_LEAST_ROW = wp.constant(LEAST // 4)
+_ROWS = wp.constant(VOXELS // 4)
 
 
 @wp.func
@@ -20,213 +26,166 @@ def is_near(radius2: float, half2: float):
     return radius2 < 16.0 * half2
 
 
-def _each(count: str, bits: int, body: str) -> str:
-    """C++ that runs `body` for each part i of `count` that matters to `octant`, the same for all lanes.
-
-    On a GPU two at a time, so that one's rows are on their way while the other is measured; a last one alone is
-    measured twice.
-    """
-    return f"""
-#if defined(__CUDA_ARCH__)
-    for (int base = 0; base < {count}; base += 32) {{
-        const int mine = base + lane;
-        unsigned left = __ballot_sync(0xffffffffu, mine < {count} && (whole[{bits} + mine] >> octant & 1));
-        while (left) {{
-            const int one = base + __ffs(left) - 1;
-            left &= left - 1;
-            const int two = left ? base + __ffs(left) - 1 : one;
-            left &= left - 1;
-            {{ const int i = one; {body} }}
-            {{ const int i = two; {body} }}
-        }}
-    }}
-#else
-    for (int i = 0; i < {count}; ++i) {{
-        if (whole[{bits} + i] >> octant & 1) {{
-            {body}
-        }}
-    }}
-#endif
-"""
-
-
-# What measures one part: its rows, what voxels with the same y and z share, and what each takes, with an x of its own.
-# The same text for both devices, and for near and far blocks: a choice inside the loops would cost as much as a part.
+# What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees
+# what voxels of one eighth share. The same text for both devices, and for near and far blocks: a choice inside would
+# cost as much as a part.
 _CORNER = (
-    "const Row r = row[i];",
+    "const Row r = row[part];",
     """
-                const float dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
-                const float flat = NEAR ? dy * dy + dz * dz : r.w + (y * r.y + z * r.z);
-    """,
-    """
-                const float dx = x + 0.5f * r.x;
-                const float d = NEAR ? dx * dx + flat : x * r.x + flat;
-                best[v] = lesser(d, best[v]);
+            const float dx = x + 0.5f * r.x, dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
+            const float d = NEAR ? dx * dx + (dy * dy + dz * dz) : x * r.x + (r.w + (y * r.y + z * r.z));
+            const bool counts = true;
     """,
 )
 _EDGE = (
     f"""
-            const Row r = row[{EDGE_ROW} + i], e = row[{EDGE_ROW + EDGES} + i];
-            const float begin = e.w - room, end = number[{ENDS} + i] + room;
+        const Row r = row[part], e = row[{PARTS} + part];
+        const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
     """,
     """
-                const float dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
-                const float middle = y * e.y + z * e.z, level = r.w + (y * r.y + z * r.z);
-    """,
-    """
-                const float along = x * e.x + middle;
-                const float ex = x + 0.5f * r.x - along * e.x, ey = dy - along * e.y, ez = dz - along * e.z;
-                const float d = NEAR ? ex * ex + ey * ey + ez * ez : x * r.x + level - along * along;
-                best[v] = ((along >= begin) & (along <= end)) ? lesser(d, best[v]) : best[v];
+            const float along = x * e.x + (y * e.y + z * e.z);
+            const float ex = x + 0.5f * r.x - along * e.x, ey = y + 0.5f * r.y - along * e.y;
+            const float ez = z + 0.5f * r.z - along * e.z;
+            const float level = r.w + (y * r.y + z * r.z);
+            const float d = NEAR ? ex * ex + ey * ey + ez * ez : x * r.x + level - along * along;
+            const bool counts = (along >= begin) & (along <= end);
     """,
 )
 _FACE = (
     f"""
-            const Row r = row[{FACE_ROW} + i], a = row[{FACE_ROW + FACES} + i];
-            const Row b = row[{FACE_ROW + 2 * FACES} + i], c = row[{FACE_ROW + 3 * FACES} + i];
-            const float w = number[{OFFSETS} + i], in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
+        const Row r = row[part], a = row[{PARTS} + part], b = row[{2 * PARTS} + part], c = row[{3 * PARTS} + part];
+        const float w = number[{NUMBERS} + part], in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
     """,
     """
-                const float level = y * r.y + z * r.z;
-                const float flat_a = y * a.y + z * a.z, flat_b = y * b.y + z * b.z, flat_c = y * c.y + z * c.z;
-    """,
-    """
-                const float height = x * r.x + level, plain = height + 0.5f * r.w;
-                const float far = w + height * (r.w + height) - (x * x + y * y + z * z);
-                const float d = NEAR ? plain * plain : far;
-                const bool beside = (x * a.x + flat_a < in_a) | (x * b.x + flat_b < in_b) | (x * c.x + flat_c < in_c);
-                best[v] = !beside ? lesser(d, best[v]) : best[v];
+            const float height = x * r.x + (y * r.y + z * r.z), plain = height + 0.5f * r.w;
+            const float far = w + height * (r.w + height) - (x * x + y * y + z * z);
+            const float d = NEAR ? plain * plain : far;
+            const bool counts = !((x * a.x + (y * a.y + z * a.z) < in_a) | (x * b.x + (y * b.y + z * b.z) < in_b)
+                                  | (x * c.x + (y * c.y + z * c.z) < in_c));
     """,
 )
 
 
-def _alone(part: tuple[str, str, str]) -> str:
-    """C++ that measures `count` voxels, whatever their coordinates."""
-    rows, shared, own = part
+def _measure(part: tuple[str, str], places: str) -> str:
+    rows, own = part
     return f"""
-            {rows}
-            for (int v = 0; v < count; ++v) {{
+        {rows}
+        // Two times four voxels, as a multiprocessor's cache for instructions is small, see bench/NOTES.md.
+        #pragma unroll 1
+        for (int side = 0; side < 2; ++side) {{
+            {places}
+#if defined(__CUDA_ARCH__)
+            const int4 four = reinterpret_cast<const int4*>(best)[side];
+            const int known[4] = {{four.x, four.y, four.z, four.w}};
+#endif
+            #pragma unroll
+            for (int v = 0; v < 4; ++v) {{
                 const float x = xs[v], y = ys[v], z = zs[v];
-                {shared} {own}
+                {own}
+#if defined(__CUDA_ARCH__)
+                const int bits = __float_as_int(d);
+                const int value = bits ^ (bits >> 31 & 0x7fffffff);
+                if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);
+#else
+                best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];
+#endif
             }}
+        }}
 """
 
 
-def _together(part: tuple[str, str, str]) -> str:
-    """The same where each voxel has the y and z of the one `apart` before it, and only its x is another.
-
-    On a GPU these are a lane's voxels, on a CPU the four of an octant along x, for 16 at a time.
-    """
-    rows, shared, own = part
-    return f"""
-            {rows}
-            for (int first = 0; first < apart; ++first) {{
-                const float y = ys[first], z = zs[first];
-                {shared}
-                #pragma unroll
-                for (int k = 0; k < count / apart; ++k) {{
-                    const int v = first + k * apart;
-                    const float x = xs[v];
-                    {own}
-                }}
-            }}
+# Where the four voxels of one side of an eighth are: of most grids they share x, and each y and z with another.
+_STRAIGHT = f"""
+            const float x0 = number[{PLACES} + i + side];
+            const float xs[4] = {{x0, x0, x0, x0}}, ys[4] = {{y0, y0, y1, y1}}, zs[4] = {{z0, z1, z0, z1}};
+"""
+_TURNED = """
+            const float s = i + side;
+            const float ox = o.x + (s * di.x + j * dj.x + k * dk.x), oy = o.y + (s * di.y + j * dj.y + k * dk.y);
+            const float oz = o.z + (s * di.z + j * dj.z + k * dk.z);
+            const float xs[4] = {ox, ox + dk.x, ox + dj.x, ox + (dj.x + dk.x)};
+            const float ys[4] = {oy, oy + dk.y, oy + dj.y, oy + (dj.y + dk.y)};
+            const float zs[4] = {oz, oz + dk.z, oz + dj.z, oz + (dj.z + dk.z)};
 """
 
 
-def _measure(form: Callable[[tuple[str, str, str]], str]) -> str:
-    parts = (("corners", CORNER_BITS, _CORNER), ("edges", EDGE_BITS, _EDGE), ("faces", FACE_BITS, _FACE))
-    text = "".join(_each(count, bits, form(part)) for count, bits, part in parts)
-    return f"""
-    if (near) {{ {text.replace("NEAR", "true")} }}
-    else {{ {text.replace("NEAR", "false")} }}
-"""
+def _kinds(places: str) -> str:
+    def one(near: str) -> str:
+        corner, edge, face = (_measure(part, places).replace("NEAR", near) for part in (_CORNER, _EDGE, _FACE))
+        return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
+
+    return f"if (near) {{ {one('true')} }} else {{ {one('false')} }}"
 
 
-_ROWS = """
-    struct alignas(16) Row { float x, y, z, w; };
+@wp.func_native(
+    snippet=f"""
+    struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(rows);
     const float* number = reinterpret_cast<const float*>(rows);
-    const unsigned char* whole = reinterpret_cast<const unsigned char*>(rows);
+    const int part = item & {PARTS - 1}, eighth = item / {PARTS};
+    // The eighth's first voxel: its octant, and which one there.
+    const int octant = eighth & 7, in = eighth >> 3;
+    const int i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2), k = (octant << 2 & 4) + (in << 1 & 2);
+#if defined(__CUDA_ARCH__)
+    int* best = reinterpret_cast<int*>(rows) + {LEAST} + 64 * octant + 8 * in;
+#else
+    float* __restrict best = reinterpret_cast<float*>(rows) + {LEAST} + 64 * octant + 8 * in;
+#endif
+    if (turned) {{
+        const Row o = row[{LATTICE_ROW}], di = row[{LATTICE_ROW + 1}], dj = row[{LATTICE_ROW + 2}];
+        const Row dk = row[{LATTICE_ROW + 3}];
+        {_kinds(_TURNED)}
+    }} else {{
+        const float y0 = number[{PLACES + 8} + j], y1 = number[{PLACES + 9} + j];
+        const float z0 = number[{PLACES + 16} + k], z1 = number[{PLACES + 17} + k];
+        {_kinds(_STRAIGHT)}
+    }}
 """
+)
+def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
+    """Lessen the values of an eighth's voxels to those of a part, see `queues` for what an item is."""
+    ...
+
+
+@wp.func
+def clear_values(rows: wp.uint64, lane: int, lanes: int):
+    """No voxel of the block has a value yet."""
+    row = lane
+    while row < _ROWS:
+        write_row(rows, _LEAST_ROW + row, float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
+        row = row + lanes
 
 
 @wp.func_native(
     snippet=f"""
 #if defined(__CUDA_ARCH__)
-    {_ROWS}
-    constexpr int count = 2, apart = 1;
-    const float xs[count] = {{p[0], q[0]}}, ys[count] = {{p[1], q[1]}}, zs[count] = {{p[2], q[2]}};
-    float best[count] = {{least[0], least[1]}};
-    const auto lesser = [](float a, float b) {{ return fminf(a, b); }};
-    if (turned) {{ {_measure(_alone)} }}
-    else {{ {_measure(_together)} }}
-    return wp::vec2(best[0], best[1]);
+    const int value = reinterpret_cast<const int*>(rows)[{LEAST} + number];
+    return __int_as_float(value ^ (value >> 31 & 0x7fffffff));
 #else
-    return least;
+    return reinterpret_cast<const float*>(rows)[{LEAST} + number];
 #endif
 """
 )
-def least_values(
-    least: wp.vec2,
-    rows: wp.uint64,
-    corners: int,
-    edges: int,
-    faces: int,
-    p: wp.vec3,
-    q: wp.vec3,
-    room: float,
-    near: bool,
-    turned: bool,
-    octant: int,
-    lane: int,
-) -> wp.vec2:
-    """On a GPU: `least`, or the lesser values of a worker's rows for two voxels p and q of an octant.
-
-    If the grid is not `turned` they have the same y and z.
-    """
+def value_at(rows: wp.uint64, number: int) -> float:
+    """The least value of voxel `number` of the block, see `numbered`; infinite if no part was measured there."""
     ...
 
 
-@wp.func_native(
-    snippet=f"""
-#if !defined(__CUDA_ARCH__)
-    {_ROWS}
-    const float* __restrict xs = points.data + point;
-    const float* __restrict ys = xs + {VOXELS};
-    const float* __restrict zs = ys + {VOXELS};
-    float* __restrict best = least.data + value;
-    constexpr int count = {OCTANT}, apart = 16;
-    const auto lesser = [](float a, float b) {{ return a < b ? a : b; }};
-    if (turned) {{ {_measure(_alone)} }}
-    else {{ {_measure(_together)} }}
-#endif
-"""
-)
-def lessen_values(
-    rows: wp.uint64,
-    corners: int,
-    edges: int,
-    faces: int,
-    points: wp.array(dtype=wp.float32),
-    point: int,
-    least: wp.array(dtype=wp.float32),
-    value: int,
-    room: float,
-    near: bool,
-    turned: bool,
-    octant: int,
-):
-    """On a CPU: `least_values` for all voxels of an octant, in loops that a compiler turns into vectors.
-
-    Voxel v is at points[point + v], + VOXELS and + 2 * VOXELS; its value is least[value + v].
-    """
-    ...
+@wp.func
+def numbered(number: int):
+    """The indices of voxel `number` of a block: octant by octant, eighth by eighth, so that each bit is an index's."""
+    return wp.vec3i(
+        ((number >> 6) & 4) | ((number >> 4) & 2) | ((number >> 2) & 1),
+        ((number >> 5) & 4) | ((number >> 3) & 2) | ((number >> 1) & 1),
+        ((number >> 4) & 4) | ((number >> 2) & 2) | (number & 1),
+    )
 
 
 @wp.func
 def least_distance(value: float, p: wp.vec3, radius2: float, near: bool):
     """The distance of voxel p (from the block's centre) that belongs to its least value."""
-    if near:
-        return wp.sqrt(value)
-    # What is added to R^2 is small, and so is its rounding.
-    return wp.sqrt(wp.max(radius2 + (value + wp.dot(p, p)), 0.0))
+    square = float(value)
+    if not near:
+        # What is added to R^2 is small, and so is its rounding.
+        square = wp.max(radius2 + (value + wp.dot(p, p)), 0.0)
+    return wp.sqrt(square)

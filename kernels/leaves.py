@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cones import Cones, ball_matters
-from sdm.kernels.cull import Cell, Witness
+from sdm.kernels.cones import Cones, cone_misses
+from sdm.kernels.cull import Cell, Witness, triangle_is_farther
 from sdm.kernels.lanes import ballot, members, rank
 from sdm.kernels.parts import CORNER, EDGE, FACE
-from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
+from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
+from sdm.kernels.wide import load4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,6 +52,26 @@ def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int
 
 
 @wp.func
+def triangle_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    slot: int,
+):
+    """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its corners and its cone alone."""
+    ball = load4(balls, slot)
+    # All loads before the tests, or the second waits for the first.
+    cone = load4(cones.triangles, slot)
+    a, b, c, _normal = load_corners(tree, slot)
+    if cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone):
+        return False
+    return not triangle_is_farther(cell, known, a, b, c)
+
+
+@wp.func
 def triangles_that_matter(
     cell: Cell,
     radius: float,
@@ -68,7 +89,7 @@ def triangles_that_matter(
 ):
     """Push onto `slots` the triangles of the `taken` leaves from `leaves` that matter to a cell of this radius.
 
-    That is: whose ball and cone allow that they are nearest to one of its voxels. Returns how many.
+    That is: whose corners and cone allow that they are nearest to one of its voxels. Returns how many.
     """
     ripe = int(0)
     i = lane
@@ -80,7 +101,7 @@ def triangles_that_matter(
             t = first_triangle(tree, leaf) + i % _LEAF
             if t < first_triangle(tree, leaf + 1):
                 slot = mesh * tree.count + t
-                keep = ball_matters(cell, radius, known, balls, cones, slot)
+                keep = triangle_matters(cell, radius, known, tree, balls, cones, slot)
         ripe = ripe + push(stacks, slots + ripe, keep, slot, lane)
         i = i + lanes
     return ripe

@@ -1,8 +1,11 @@
 """Regions, cells and bricks of voxels, and lists of what may be nearest to each.
 
-A region has 16^3 voxels, a cell 8^3, a brick 4^3. Lists have no length known before, so they are chains of chunks from
-a pool. Whoever finds the pool empty is marked, and its voxels are searched one by one later: slower, never wrong.
-Where boxes are few, each list is made by several groups of lanes, of one share of the tree each: a chain for each.
+A cell has 8^3 voxels, a region 2^3 cells, and a brick is an eighth of a cell. Where the lists of larger cells are short
+as well, cells have 16^3 voxels, and their bricks, which then have 8^3, are measured from one list.
+
+Lists have no length known before, so they are chains of chunks from a pool. Whoever finds the pool empty is marked, and
+its voxels are searched one by one later: slower, never wrong. Where boxes are few, each list is made by several groups
+of lanes, of one share of the tree each: a chain for each.
 """
 
 from __future__ import annotations
@@ -13,22 +16,24 @@ from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cull import Cell
 from sdm.kernels.grid import Slab, unravel, voxel
 from sdm.kernels.lanes import ballot, members, rank
+from sdm.kernels.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
 
-# Voxels along the edge.
-REGION, CELL, BRICK = wp.constant(16), wp.constant(8), wp.constant(4)
+# Voxels along the edge of the largest block that is measured at a time.
+BLOCK = wp.constant(8)
 # Half-width of a box of voxels, scaled, beyond which it is not measured as a whole.
 COARSEST = wp.constant(0.125)
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK, NEXT_SLICED = range(7)
-NEXT_CHUNK, COARSE, SLICED, WHOLE = range(7, 11)
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK = range(6)
+NEXT_CHUNK, COARSE, SLICED, WHOLE = range(6, 10)
 # Blocks are counted by the length of their lists: of 2^i leaves and more, the last one of all that are longer.
 LENGTHS = 8
 COUNTS = WHOLE + LENGTHS
 
+_FRAME_SIZE, _SCALE, _DIAGONAL = wp.constant(FRAME_SIZE), wp.constant(SCALE), wp.constant(DIAGONAL)
 _CHUNK = wp.constant(CHUNK)
 _ROOM = wp.constant(ROOM)
 _NEXT_CHUNK = wp.constant(NEXT_CHUNK)
@@ -41,6 +46,7 @@ class Lists:
     regions: wp.vec3i  # regions along each axis of the slab
     first: wp.int32  # first region of this pass, counting through the meshes
     step: wp.int32  # from it to the next
+    cell: wp.int32  # voxels along the edge of a cell: 8 or 16
     count: wp.int32  # regions of this pass
     region_shares: wp.int32  # chains of each region's list
     shares: wp.int32  # and of each cell's: as many, or a power of two less
@@ -66,7 +72,7 @@ class Lists:
 
 
 @wp.func
-def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
+def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
     """The box of up to size^3 voxels from `start`, in scaled coordinates."""
     last = wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1)
     low = voxel(slab, start[0], start[1], start[2])
@@ -95,6 +101,15 @@ def make_cell(slab: Slab, start: wp.vec3i, size: int, scale: float):
 
 
 @wp.func
+def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
+    """The same for what is compared with a mesh's surface points."""
+    frame = mesh * _FRAME_SIZE
+    cell = box_of_voxels(slab, start, size, float(tree.frame[frame + _SCALE]))
+    cell.diagonal = float(tree.frame[frame + _DIAGONAL])
+    return cell
+
+
+@wp.func
 def is_coarse(cell: Cell):
     """Whether a box is so wide that float32 rounds a place in it too much."""
     return wp.max(cell.half) > COARSEST
@@ -104,7 +119,7 @@ def is_coarse(cell: Cell):
 def region_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a region."""
     mesh, at = unravel(lists.first + item * lists.step, lists.regions)
-    return mesh, REGION * at
+    return mesh, 2 * lists.cell * at
 
 
 @wp.func
@@ -117,7 +132,13 @@ def octant_at(item: int):
 def cell_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a cell."""
     mesh, start = region_start(lists, item / 8)
-    return mesh, start + CELL * octant_at(item)
+    return mesh, start + lists.cell * octant_at(item)
+
+
+@wp.func
+def brick_start(lists: Lists, start: wp.vec3i, item: int):
+    """The first voxel of brick `item` % 8 of a cell that starts there."""
+    return start + (lists.cell / 2) * octant_at(item)
 
 
 @wp.func

@@ -13,13 +13,13 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.closest import exact_distance2
 from sdm.kernels.cones import Cones
+from sdm.kernels.cull import LARGEST_SQUARE
 from sdm.kernels.descent import SCRATCH, TIES
 from sdm.kernels.gather import gather_near
 from sdm.kernels.groups import GROUP, NEXT_LIST, POINT_BLOCKS, Groups, group_end, point_or_middle, read_box
 from sdm.kernels.lanes import wait_for_lanes
 from sdm.kernels.shortlist import keep_nearest
 from sdm.kernels.tree import Tree
-from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.witness import read_witness
 
 wp.set_module_options({"enable_backward": False})

@@ -1,46 +1,38 @@
-"""Which octants of a block can a part be nearest to?
+"""Which octants of a block can a part be nearest to, and which eighths of those?
 
-A block of 8^3 voxels has eight octants of 4^3. All parts that matter to the block are worked out once, for its centre,
-and each octant is measured from those that matter to it. That is asked as for the block in `parts`: x being the point
-of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters to an
-octant of which no point fulfils one of these inequalities.
+A block of 8^3 voxels has eight octants of 4^3, each of which has eight eighths of 2^3. Parts that matter to the block
+are worked out once, for its centre, and measured where they matter. That is asked as for the block in `parts`: x being
+the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters
+to a box of which no point fulfils one of these inequalities.
 
 For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
-o.u - q.u - sum_i h_i |u_i|, so that all octants are compared with one number.
+o.u - q.u - sum_i h_i |u_i|, so that o.u is compared with q.u and what u and the box's size add to it.
+
+And no part matters to a box for all of whose voxels the block's witness y is nearer than any of the part's points.
+That is asked of its corners, as in `cull`: x at q can be nearer to a voxel around o, for g = y - q, if
+2 o.g - 2 sum_i h_i |g_i| <= |y|^2 - |q|^2, which is of the same form: the row of a test is (u, what o.u may be up to).
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cull import Cell
-from sdm.kernels.grid import Slab, place_of, reach_of
-from sdm.kernels.parts import ROOM, reach, sum_abs
-from sdm.kernels.rows import LATTICE_ROW, write_row
+from sdm.kernels.cull import Cell, Witness, doubt, sum_abs
+from sdm.kernels.grid import Slab, place_of
+from sdm.kernels.parts import ROOM
+from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
 
 wp.set_module_options({"enable_backward": False})
 
 # How much wider an octant may be than the first for rounding of its voxels' coordinates, in units of those.
 WIDER = wp.constant(5.0e-7)
-_LATTICE_ROW = wp.constant(LATTICE_ROW)
-
-
-@wp.struct
-class Octants:
-    """The octants of a block."""
-
-    half: wp.vec3  # half-widths of each
-    there: wp.int32  # one bit for each that has voxels
+_LATTICE_ROW, _WITNESS_ROW = wp.constant(LATTICE_ROW), wp.constant(WITNESS_ROW)
+_TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
 
 
 @wp.func
-def octants_of(slab: Slab, start: wp.vec3i, bits: int, cell: Cell, scale: wp.float64):
-    """The octants of a block (`cell`). One of 4^3 voxels has the first alone."""
-    octants = Octants()
-    half = wp.vec3(scale * reach_of(slab, wp.vec3d(wp.vec3(1.5, 1.5, 1.5))))
-    octants.half = half + WIDER * (
-        wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + half
-    )
+def octants_there(slab: Slab, start: wp.vec3i, bits: int):
+    """The octants of a block, as bits, that have voxels. One of 4^3 voxels has the first alone."""
     # The bits of octants on the far side of an axis go where that side has no voxels.
     there = int(255)
     if start[0] + 4 >= slab.shape[0]:
@@ -49,13 +41,12 @@ def octants_of(slab: Slab, start: wp.vec3i, bits: int, cell: Cell, scale: wp.flo
         there = there & 51
     if start[2] + 4 >= slab.shape[2]:
         there = there & 85
-    octants.there = wp.where(bits == 2, 1, there)
-    return octants
+    return wp.where(bits == 2, 1, there)
 
 
 @wp.func
 def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
-    """Note where a block's first voxel is, from its centre, and the steps from there to the next ones."""
+    """Note where a block's first voxel is, from its centre, the steps from there to the next ones, and their room."""
     first = wp.vec3d(wp.float64(start[0]), wp.float64(start[1]), wp.float64(start[2]))
     row = lane
     while row < 4:
@@ -66,34 +57,77 @@ def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale
             at = at - wp.vec3d(cell.centre)
         else:
             at = at - scale * place_of(slab, first)
-        write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), 0.0)
+        wider = WIDER * (
+            wp.max(wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + cell.half)
+        )
+        write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
         row = row + lanes
 
 
-@wp.func_native(
-    snippet=f"""
-    struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* row = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
-    const float i = row[1].x * x + row[1].y * y + row[1].z * z, j = row[2].x * x + row[2].y * y + row[2].z * z;
-    const float k = row[3].x * x + row[3].y * y + row[3].z * z;
-    // The middle of the first four voxels along each axis.
-    const float first = row[0].x * x + row[0].y * y + row[0].z * z + 1.5f * (i + j + k);
-    int found = 0;
-    for (int o = 0; o < 8; ++o) {{
-        const float at = first + (o & 4 ? 4.0f * i : 0.0f) + (o & 2 ? 4.0f * j : 0.0f) + (o & 1 ? 4.0f * k : 0.0f);
-        found |= (int)(at <= limit) << o;
-    }}
-    return found;
-"""
-)
-def octants_up_to(rows: wp.uint64, x: float, y: float, z: float, limit: float) -> int:
-    """The octants, as bits, whose centre o has o.(x, y, z) <= limit. The block's lattice is noted in the rows."""
-    ...
+@wp.struct
+class Lattice:
+    """A block's voxels, from its centre: the first, and the steps to the next ones."""
+
+    first: wp.vec3
+    i: wp.vec3
+    j: wp.vec3
+    k: wp.vec3
+    wider: float  # how far rounding may have put a voxel aside
 
 
 @wp.func
-def octants_below(rows: wp.uint64, octants: Octants, cell: Cell, q: wp.vec3, u: wp.vec3):
-    """The octants, as bits, some point p of which may have (p - x).u <= 0; x is at q from the block's centre."""
-    room = ROOM * (sum_abs(q) + cell.half[0] + cell.half[1] + cell.half[2])
-    limit = wp.dot(q, u) + reach(octants.half, u) + room * sum_abs(u)
-    return octants_up_to(rows, u[0], u[1], u[2], limit) & octants.there
+def lattice_of(rows: wp.uint64):
+    """The lattice that is noted."""
+    r0 = read_row(rows, _LATTICE_ROW)
+    r1 = read_row(rows, _LATTICE_ROW + 1)
+    r2 = read_row(rows, _LATTICE_ROW + 2)
+    r3 = read_row(rows, _LATTICE_ROW + 3)
+    lattice = Lattice()
+    lattice.first = wp.vec3(r0[0], r0[1], r0[2])
+    lattice.i = wp.vec3(r1[0], r1[1], r1[2])
+    lattice.j = wp.vec3(r2[0], r2[1], r2[2])
+    lattice.k = wp.vec3(r3[0], r3[1], r3[2])
+    lattice.wider = r0[3]
+    return lattice
+
+
+@wp.func
+def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
+    """Note a block's witness, seen from its centre, and its square with room for rounding."""
+    if lane == 0:
+        u = known.to_surface
+        write_row(rows, _WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(cell, known))
+
+
+@wp.func
+def note_test(rows: wp.uint64, lattice: Lattice, test: int, number: int, u: wp.vec3, most: float):
+    """Note test `test` of part `number`: whether some point p of a box, from the block's centre, may have p.u <= most.
+
+    In steps of the lattice from its first voxel, so that boxes are found by adding.
+    """
+    limit = most + lattice.wider * sum_abs(u) - wp.dot(lattice.first, u)
+    row = _TEST_ROW + _PARTS * test + number
+    write_row(rows, row, wp.dot(lattice.i, u), wp.dot(lattice.j, u), wp.dot(lattice.k, u), limit)
+
+
+@wp.func
+def test_direction(rows: wp.uint64, lattice: Lattice, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
+    """Note whether some point p may have (p - x).u <= 0; x is at q from the block's centre."""
+    note_test(rows, lattice, test, number, u, wp.dot(q, u) + room * sum_abs(u))
+
+
+@wp.func
+def test_corner(rows: wp.uint64, lattice: Lattice, test: int, number: int, q: wp.vec3, bulge: float):
+    """Note whether for some voxel the point at q may be nearer than the witness.
+
+    Or if it is a corner of several: what is between them, which may be nearer by `bulge`, see `cull`.
+    """
+    witness = read_row(rows, _WITNESS_ROW)
+    gap = wp.vec3(witness[0], witness[1], witness[2]) - q
+    note_test(rows, lattice, test, number, gap, 0.5 * (witness[3] + bulge - wp.dot(q, q)))
+
+
+@wp.func
+def room_for(cell: Cell, q: wp.vec3):
+    """Room for rounding in the directions from a point at q, in units of their lengths."""
+    return ROOM * (sum_abs(q) + cell.half[0] + cell.half[1] + cell.half[2])

@@ -22,7 +22,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.cull import Cell
+from sdm.kernels.cull import Cell, Witness, bulge_of_edge, bulge_of_triangle, doubt, least_lead, reach, sum_abs
 from sdm.kernels.geometry import unit_normal
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
 from sdm.kernels.wide import load4, load_row, write4
@@ -54,25 +54,14 @@ class Parts:
 
 
 @wp.func
-def reach(half: wp.vec3, u: wp.vec3):
-    """The largest d.u over the box |d_i| <= half_i."""
-    return half[0] * wp.abs(u[0]) + half[1] * wp.abs(u[1]) + half[2] * wp.abs(u[2])
-
-
-@wp.func
-def sum_abs(u: wp.vec3):
-    return wp.abs(u[0]) + wp.abs(u[1]) + wp.abs(u[2])
-
-
-@wp.func
 def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
     """Whether (p - x).u <= 0 for some p of a box, x being at q from its centre."""
     return -wp.dot(q, u) - reach(half, u) <= room * sum_abs(u)
 
 
 @wp.func
-def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
-    """The owned parts of a triangle that can be nearest to some point of the cell, as bits."""
+def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot: int):
+    """The owned parts of a triangle that can be nearest to some voxel of the cell, as bits."""
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     r0 = load4(parts.rows, _ROWS * slot)
     r1 = load4(parts.rows, _ROWS * slot + 1)
@@ -95,6 +84,28 @@ def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
     ca = corner_a - corner_c
     result = int(0)
 
+    # Which of the corners, edges and the face the witness leaves, see `cull`.
+    lead_a = least_lead(cell, known, a)
+    lead_b = least_lead(cell, known, b)
+    lead_c = least_lead(cell, known, c)
+    most = doubt(cell, known)
+    left = int(0)
+    if wp.min(lead_a, wp.min(lead_b, lead_c)) <= most + bulge_of_triangle(ab, bc, ca):
+        left = FACE
+    if wp.min(lead_a, lead_b) <= most + bulge_of_edge(ab):
+        left = left | EDGE
+    if wp.min(lead_b, lead_c) <= most + bulge_of_edge(bc):
+        left = left | (2 * EDGE)
+    if wp.min(lead_c, lead_a) <= most + bulge_of_edge(ca):
+        left = left | (4 * EDGE)
+    if lead_a <= most:
+        left = left | CORNER
+    if lead_b <= most:
+        left = left | (2 * CORNER)
+    if lead_c <= most:
+        left = left | (4 * CORNER)
+    owned = (owned | FACE) & left
+
     # Heights above the three planes on the edges, at the cell's centre and how they vary.
     u = wp.cross(normal, ab)
     height_ab = -wp.dot(a, u)
@@ -107,7 +118,7 @@ def parts_that_matter(cell: Cell, tree: Tree, parts: Parts, slot: int):
     reach_ca = reach(half, u) + room * sum_abs(u)
     if height_ab + reach_ab >= 0.0 and height_bc + reach_bc >= 0.0 and height_ca + reach_ca >= 0.0:
         if wp.dot(normal, normal) > 0.5:
-            result = FACE
+            result = owned & FACE
 
     # Each edge: outside of the face, outside of the neighbour, between the ends.
     along_ab = -wp.dot(a, ab)

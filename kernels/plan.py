@@ -1,7 +1,8 @@
 """Third stage of the dense query: what is one block, and which surface point its distances are taken from.
 
-A cell is a block by itself. If its list is long it is several, each with a slice of the list: then none is waited for.
-Of a cell that is too coarse for float32 the eight bricks are blocks. Blocks with long lists come first, so that those
+A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
+there are several, each with a slice of it: then none is waited for. Of a cell that is too coarse for float32 the eight
+bricks are blocks with lists of their own. Blocks with long lists come first, so that those
 that are left to the end, when some of the device has nothing to do, are short.
 """
 
@@ -13,15 +14,16 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add, fetch_add_once
 from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
-from sdm.kernels.grid import Output, Slab, index_of, write_distance
+from sdm.kernels.grid import Slab
 from sdm.kernels.lists import (
-    CELL,
+    BLOCK,
     COARSE,
     LENGTHS,
     NEXT_PLAN,
     SLICED,
     WHOLE,
     Lists,
+    brick_start,
     cell_start,
     is_coarse,
     is_within,
@@ -32,7 +34,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, first_triangle, node_distance2
+from sdm.kernels.tree import Tree, first_triangle, node_distance2
 from sdm.kernels.wide import load4
 from sdm.kernels.witness import read_witness, seen_from, write_witness
 
@@ -48,8 +50,6 @@ _MOST_SLICES = wp.constant(1 << SLICE_BITS)
 _COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
 _LENGTHS = wp.constant(LENGTHS)
 _NEXT_PLAN = wp.constant(NEXT_PLAN)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 
 
 @wp.func
@@ -149,67 +149,44 @@ def nearest_of_cell(lists: Lists, number: int):
 
 
 @wp.func
-def middle_of_octant(cell: Cell, octant: int):
-    """About the centre of one of a cell's bricks."""
-    half = 0.5 * cell.half
-    return cell.centre + wp.vec3(
-        wp.where((octant & 4) != 0, half[0], -half[0]),
-        wp.where((octant & 2) != 0, half[1], -half[1]),
-        wp.where((octant & 1) != 0, half[2], -half[2]),
-    )
-
-
-@wp.func
-def note_brick_witnesses(lists: Lists, number: int, cell: Cell, known: Witness, lane: int, lanes: int):
-    """A surface point near each of a cell's bricks, seen from the middle of its octant: for now the cell's."""
+def note_brick_witnesses(
+    tree: Tree,
+    slab: Slab,
+    lists: Lists,
+    mesh: int,
+    number: int,
+    start: wp.vec3i,
+    cell: Cell,
+    known: Witness,
+    lane: int,
+    lanes: int,
+):
+    """A surface point near each of a cell's bricks, seen from its centre: the cell's."""
     o = lane
     while o < 8:
-        write_witness(
-            lists.witnesses, brick_witness(lists, number, o), moved(known, middle_of_octant(cell, o) - cell.centre)
-        )
+        first = brick_start(lists, start, o)
+        if is_within(slab, first):
+            centre = make_cell(tree, slab, mesh, first, lists.cell / 2).centre
+            write_witness(lists.witnesses, brick_witness(lists, number, o), moved(known, centre - cell.centre))
         o = o + lanes
 
 
 @wp.func
-def share_out(
-    slab: Slab,
-    lists: Lists,
-    out: Output,
-    whole: bool,
-    number: int,
-    length: int,
-    slice_length: int,
-    lane: int,
-    lanes: int,
-):
-    """Note a cell, `whole` or brick by brick, once for each slice of its list; returns the unclear voxels written.
-
-    Where there are several slices, they need a distance to lessen: an infinite one, with its sign.
-    """
+def share_out(lists: Lists, whole: bool, number: int, length: int, slice_length: int):
+    """Note a cell, `whole` or brick by brick, once for each slice of its list."""
     slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
-    unclear = int(0)
     if slices > 1:
-        mesh, start = cell_start(lists, number)
-        v = lane
-        while v < CELL * CELL * CELL:
-            at = start + wp.vec3i(v / (CELL * CELL), (v / CELL) % CELL, v % CELL)
-            if is_within(slab, at):
-                unclear = unclear + write_distance(out, index_of(slab, mesh, at), float(wp.inf))
-            v = v + lanes
-    if lane == 0:
-        if slices > 1:
-            lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
-        code = number | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
-        if whole:
-            kind = length_class(wp.min(length, slice_length))
-            first = kind * lists.slices + fetch_add(lists.counts, _WHOLE + kind, slices)
-            for i in range(slices):
-                lists.whole[first + i] = code | (i << _CELL_BITS)
-        else:
-            first = fetch_add(lists.counts, _COARSE, slices)
-            for i in range(slices):
-                lists.coarse[first + i] = code | (i << _CELL_BITS)
-    return unclear
+        lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
+    code = number | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+    if whole:
+        kind = length_class(wp.min(length, slice_length))
+        first = kind * lists.slices + fetch_add(lists.counts, _WHOLE + kind, slices)
+        for i in range(slices):
+            lists.whole[first + i] = code | (i << _CELL_BITS)
+    else:
+        first = fetch_add(lists.counts, _COARSE, slices)
+        for i in range(slices):
+            lists.coarse[first + i] = code | (i << _CELL_BITS)
 
 
 @wp.kernel(launch_bounds=(128, PLAN_BLOCKS))
@@ -222,30 +199,28 @@ def _plan_blocks(
     parts: Parts,
     slab: Slab,
     lists: Lists,
-    out: Output,
 ):
     lane = (begin + wp.tid()) % lanes
     number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
     while number < 8 * lists.count:
         mesh, start = cell_start(lists, number)
         if is_within(slab, start):
-            cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+            cell = make_cell(tree, slab, mesh, start, lists.cell)
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
             known = no_witness()
             if length > 0:
                 known = nearest_of_cell(lists, number)
-            unclear = int(0)
             if is_coarse(cell):
-                note_brick_witnesses(lists, number, cell, known, lane, lanes)
-                unclear = share_out(slab, lists, out, False, number, length, slice_length, lane, lanes)
+                note_brick_witnesses(tree, slab, lists, mesh, number, start, cell, known, lane, lanes)
             else:
                 if length > 0:
                     known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)
                 if lane == 0:
                     write_witness(lists.witnesses, lists.count + number, known)
-                unclear = share_out(slab, lists, out, True, number, length, slice_length, lane, lanes)
-            if unclear > 0:
-                fetch_add(out.ambiguous, mesh, unclear)
+                if lists.cell > BLOCK:
+                    note_brick_witnesses(tree, slab, lists, mesh, number, start, cell, known, lane, lanes)
+            if lane == 0:
+                share_out(lists, not is_coarse(cell), number, length, slice_length)
         number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
 
 
@@ -256,7 +231,6 @@ def plan_blocks(
     slab: Slab,
     lists: Lists,
     slice_length: int,
-    out: Output,
     workers: int,
     lanes: int,
     launch: Any,
@@ -265,5 +239,5 @@ def plan_blocks(
 
     One group of lanes takes up to `slice_length` leaves of a cell's list.
     """
-    inputs = [lanes, slice_length, tree, frames, parts, slab, lists, out]
+    inputs = [lanes, slice_length, tree, frames, parts, slab, lists]
     launch(_plan_blocks, workers * lanes, inputs, frames.device, smallest=1)

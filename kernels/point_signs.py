@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.caps import count_caps
 from sdm.kernels.crossings import count_on_ray, crossing_on_ray, ray_from
-from sdm.kernels.cull import Cell
+from sdm.kernels.cull import LARGEST_SQUARE, Cell
 from sdm.kernels.descent import OWN_ROOM, SCRATCH
 from sdm.kernels.gather import gather_on_rays
 from sdm.kernels.groups import (
@@ -32,7 +32,6 @@ from sdm.kernels.groups import (
 from sdm.kernels.lanes import wait_for_lanes
 from sdm.kernels.shortlist import keep_covering, own_slot
 from sdm.kernels.tree import Tree, node_box, to_lattice
-from sdm.kernels.voxels import LARGEST_SQUARE
 from sdm.kernels.winding import Winding
 
 wp.set_module_options({"enable_backward": False})

@@ -1,4 +1,4 @@
-"""First stage of the dense query: for each region of 16^3 voxels, the leaves of the tree that matter to it.
+"""First stage of the dense query: for each region of voxels, the leaves of the tree that matter to it.
 
 One group of lanes descends the tree for one region, or one share of the tree, a batch of nodes at a time.
 """
@@ -11,14 +11,14 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones, cone_misses, node_cone
-from sdm.kernels.cull import Cell, Witness, box_is_behind
+from sdm.kernels.cull import Cell, Witness, box_is_farther
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, members, rank, wait_for_lanes
 from sdm.kernels.leaves import push
-from sdm.kernels.lists import NEXT_REGION, REGION, Chain, Lists, append, make_cell, region_start
+from sdm.kernels.lists import NEXT_REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.rough import about_root
 from sdm.kernels.stacks import STACK, stack_of
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, node_box
+from sdm.kernels.tree import Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness
 
 wp.set_module_options({"enable_backward": False})
@@ -31,8 +31,6 @@ MOST_WITH_GRANDCHILDREN = wp.constant(8)
 
 _STACK = wp.constant(STACK)
 _NEXT_REGION = wp.constant(NEXT_REGION)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 
 
 @wp.func
@@ -55,7 +53,7 @@ def box_matters(
     high: wp.vec3,
 ):
     """`node_matters` of a node whose box is known."""
-    if box_is_behind(cell, known, low, high):
+    if box_is_farther(cell, known, low, high):
         return False
     across = high - low
     extent = 0.5 * about_root(wp.dot(across, across))
@@ -85,7 +83,7 @@ def _list_regions(
         region = item / lists.region_shares
         mesh, start = region_start(lists, region)
         base = mesh * 2 * leaves
-        cell = make_cell(slab, start, REGION, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+        cell = make_cell(tree, slab, mesh, start, 2 * lists.cell)
         radius = wp.sqrt(cell.half2)
         known = read_witness(lists.witnesses, region)
         chain = Chain()

@@ -1,9 +1,11 @@
-"""Where a worker notes the parts that it measures a block from: on a GPU in shared memory, ten times nearer.
+"""What a worker notes while it measures a block: on a GPU in shared memory, ten times nearer.
 
-Rows of four floats: corners (-2m, w); edges (-2m, w) (e, where it begins along it); faces (n, 2h) and three planes
-(inward, height), see `features`; the block's lattice, see `octants`. All parts' first rows lie behind each other, then
-their second ones, so that lanes do not wait for each other. Then single numbers: where each edge ends, w of each face,
-24 coordinates of voxels. Then bytes: for each part one bit for each octant that it matters to.
+Up to 32 parts of one kind are worked out at a time, one a lane. Of each there are up to four rows of four floats that
+measure it, see `features`: corner (-2m, w); edge (-2m, w) (e, where it begins along it); face (n, 2h) and three planes
+(inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every part's first rows lie
+side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice and its
+witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the least value of each of
+512 voxels; and the queues of `queues`.
 """
 
 from __future__ import annotations
@@ -12,18 +14,20 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Room of each list: what waits for a batch of lanes must fit into empty ones.
-FACES, EDGES, CORNERS = 64, 112, 112
-EDGE_ROW = CORNERS
-FACE_ROW = EDGE_ROW + 2 * EDGES
-LATTICE_ROW = FACE_ROW + 4 * FACES
-ENDS = 4 * (LATTICE_ROW + 4)
-OFFSETS = ENDS + EDGES
-PLACES = OFFSETS + FACES
-CORNER_BITS = 4 * (PLACES + 24)
-EDGE_BITS = CORNER_BITS + CORNERS
-FACE_BITS = EDGE_BITS + EDGES
-ROWS = (FACE_BITS + FACES) // 16
+# Parts worked out at a time; rows that measure each, and rows that test it.
+PARTS, VALUE_ROWS, TESTS = 32, 4, 6
+TEST_ROW = VALUE_ROWS * PARTS
+LATTICE_ROW = TEST_ROW + TESTS * PARTS
+WITNESS_ROW = LATTICE_ROW + 4
+NUMBERS = 4 * (WITNESS_ROW + 1)
+PLACES = NUMBERS + PARTS
+LEAST = PLACES + 24
+# Octants of the parts, and eighths of those: bytes and numbers of 16 bits.
+WINDING = LEAST + 512
+PAIRS = 4 * (WINDING + 512)
+MOST_PAIRS, MOST_ITEMS = 8 * PARTS, 384
+ITEMS = PAIRS + MOST_PAIRS * 2
+ROWS = (ITEMS + 2 * MOST_ITEMS) // 16
 # Blocks of threads have four groups of lanes.
 _GROUPS = 4
 
@@ -52,13 +56,19 @@ def rows_of(rows: wp.array(dtype=wp.float32), worker: int) -> wp.uint64:
 def write_row(rows: wp.uint64, index: int, x: float, y: float, z: float, w: float): ...
 
 
+@wp.func_native(
+    snippet="""
+    struct alignas(16) Row { float x, y, z, w; };
+    const Row row = reinterpret_cast<const Row*>(rows)[index];
+    return wp::vec4(row.x, row.y, row.z, row.w);
+"""
+)
+def read_row(rows: wp.uint64, index: int) -> wp.vec4: ...
+
+
 @wp.func_native(snippet="reinterpret_cast<float*>(rows)[index] = value;")
 def write_number(rows: wp.uint64, index: int, value: float): ...
 
 
 @wp.func_native(snippet="return reinterpret_cast<const float*>(rows)[index];")
 def read_number(rows: wp.uint64, index: int) -> float: ...
-
-
-@wp.func_native(snippet="reinterpret_cast<unsigned char*>(rows)[index] = (unsigned char)value;")
-def write_byte(rows: wp.uint64, index: int, value: int): ...

@@ -8,7 +8,17 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add
 from sdm.kernels.closest import exact_hit, nearest_slot
-from sdm.kernels.grid import Output, Slab, index_of, unravel, voxel, write_distance
+from sdm.kernels.grid import (
+    Output,
+    Slab,
+    distances_at,
+    index_of,
+    put_distance,
+    read_distance,
+    unravel,
+    voxel,
+    write_distance,
+)
 from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -78,12 +88,13 @@ def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
     number = begin + wp.tid()
     if out.missed[0] == 0:
         return
+    address = distances_at(out)
     while number < out.values.shape[0]:
-        value = out.values[number]
+        value = read_distance(address, number)
         if value == wp.inf or value == -wp.inf:
             mesh, at = unravel(number, slab.shape)
             distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
-            out.values[number] = wp.where(value < 0.0, -distance, distance)
+            put_distance(address, number, wp.where(value < 0.0, -distance, distance))
         number = number + step
 
 

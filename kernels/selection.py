@@ -15,25 +15,23 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
-from sdm.kernels.cull import Witness, moved
+from sdm.kernels.cull import LARGEST_SQUARE
 from sdm.kernels.grid import Slab, index_of
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.leaves import LEAVES, PARTS, SLOTS, full_of_leaves, push, push_parts, triangles_that_matter
 from sdm.kernels.lists import (
-    BRICK,
-    CELL,
     COARSE,
     NEXT_CHUNK,
     NEXT_SELECT,
     Chain,
     Lists,
     append,
+    brick_start,
     cell_start,
     is_coarse,
     is_within,
     list_length,
     make_cell,
-    octant_at,
     read_entry,
     read_on,
     start_reading,
@@ -42,7 +40,6 @@ from sdm.kernels.parts import Parts, parts_that_matter
 from sdm.kernels.plan import (
     brick_witness,
     cell_of,
-    middle_of_octant,
     nearest_in_list,
     slice_of,
     slices_of,
@@ -51,8 +48,8 @@ from sdm.kernels.plan import (
 )
 from sdm.kernels.regions import node_matters
 from sdm.kernels.stacks import stack_of
-from sdm.kernels.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
-from sdm.kernels.voxels import LARGEST_SQUARE, Block
+from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree
+from sdm.kernels.voxels import Block
 from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
@@ -61,43 +58,41 @@ _LEAVES, _SLOTS, _PARTS = wp.constant(LEAVES), wp.constant(SLOTS), wp.constant(P
 _COARSE = wp.constant(COARSE)
 _NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
 
 
 @wp.func
-def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int):
-    """Block `item`, its cell's number, and a surface point seen from its centre.
+def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part: int):
+    """Block `item`, and its cell's number. The first `bricks` items are bricks of coarse cells.
 
-    The first `bricks` items are bricks of coarse cells.
+    If `part` is not negative: that brick of a cell which is measured brick by brick from one list.
     """
     code = int(0)
+    slot = int(0)
     if item < bricks:
         code = lists.coarse[item / 8]
     else:
         code = whole_block(lists, item - bricks)
     number = cell_of(code)
     mesh, start = cell_start(lists, number)
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    size = int(lists.cell)
+    slot = lists.count + number
+    brick = wp.where(item < bricks, item % 8, part)
+    if brick >= 0:
+        start = brick_start(lists, start, brick)
+        size = size / 2
+        slot = brick_witness(lists, number, brick)
     block = Block()
     block.mesh = mesh
     block.start = start
-    block.bits = 3
+    block.bits = wp.where(size == 4, 2, wp.where(size == 8, 3, 4))
     block.slice = slice_of(code)
     block.slices = slices_of(code)
     block.unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
-    block.cell = make_cell(slab, start, CELL, scale)
-    known = Witness()
-    if item < bricks:
-        middle = middle_of_octant(block.cell, item % 8)
-        block.bits = 2
-        block.start = start + BRICK * octant_at(item)
-        block.cell = make_cell(slab, block.start, BRICK, scale)
-        known = moved(read_witness(lists.witnesses, brick_witness(lists, number, item % 8)), block.cell.centre - middle)
-    else:
-        known = read_witness(lists.witnesses, lists.count + number)
-    block.index = index_of(slab, mesh, block.start)
-    return block, number, known
+    block.cell = make_cell(tree, slab, mesh, start, size)
+    block.known = read_witness(lists.witnesses, slot)
+    block.index = index_of(slab, mesh, start)
+    return block, number
 
 
 @wp.func
@@ -105,12 +100,10 @@ def find_brick_witness(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     parts: Parts,
-    slab: Slab,
     lists: Lists,
     item: int,
     number: int,
     block: Block,
-    known: Witness,
     lane: int,
     lanes: int,
 ):
@@ -118,12 +111,10 @@ def find_brick_witness(
 
     Of several slices each finds the same.
     """
-    mesh, start = cell_start(lists, number)
-    known = nearest_in_list(tree, frames, parts, lists, number, mesh, block.cell.centre, known, lane, lanes)
+    centre = block.cell.centre
+    known = nearest_in_list(tree, frames, parts, lists, number, block.mesh, centre, block.known, lane, lanes)
     if lane == 0:
-        cell = make_cell(slab, start, CELL, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
-        middle = middle_of_octant(cell, item % 8)
-        write_witness(lists.witnesses, brick_witness(lists, number, item % 8), moved(known, middle - block.cell.centre))
+        write_witness(lists.witnesses, brick_witness(lists, number, item % 8), known)
     return known
 
 
@@ -135,7 +126,6 @@ def select_for(
     lists: Lists,
     number: int,
     block: Block,
-    known: Witness,
     stack: wp.array(dtype=wp.int32),
     chain: Chain,
     lane: int,
@@ -167,7 +157,7 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[_SLOTS + ripe + lane]
-                which = parts_that_matter(block.cell, tree, parts, slot)
+                which = parts_that_matter(block.cell, block.known, tree, parts, slot)
             found = found + push_parts(stack, _PARTS + found, slot, which, lane)
         elif waiting >= full_of_leaves(lanes) or reader.left == 0:
             taken = wp.min(full_of_leaves(lanes), waiting)
@@ -175,7 +165,7 @@ def select_for(
             ripe = ripe + triangles_that_matter(
                 block.cell,
                 radius,
-                known,
+                block.known,
                 tree,
                 parts.balls,
                 cones,
@@ -192,9 +182,9 @@ def select_for(
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
             keep = leaf >= 0 and batch % block.slices == block.slice
-            if keep and block.bits == 2:
+            if keep and (1 << block.bits) < lists.cell:
                 # For the cell it has been tested.
-                keep = node_matters(block.cell, radius, known, tree, cones, base, leaves + leaf)
+                keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
             waiting = waiting + push(stack, _LEAVES + waiting, keep, leaf, lane)
             batch = batch + 1
         wait_for_lanes()
@@ -220,17 +210,15 @@ def _select_parts(
     stack = stack_of(stacks, thread / lanes)
     item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
     while item < total:
-        block, number, known = block_of(tree, slab, lists, item, bricks)
+        block, number = block_of(tree, slab, lists, item, bricks, -1)
         head = int(-1)
         chain = Chain()
         chain.chunk = lists.chunks
         length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
-        if is_within(slab, block.start) and length > 0 and known.distance2 < LARGEST_SQUARE:
+        if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
             if not is_coarse(block.cell):
                 if item < bricks:
-                    known = find_brick_witness(
-                        tree, frames, parts, slab, lists, item, number, block, known, lane, lanes
-                    )
+                    block.known = find_brick_witness(tree, frames, parts, lists, item, number, block, lane, lanes)
                 head = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
@@ -240,7 +228,6 @@ def _select_parts(
                     lists,
                     number,
                     block,
-                    known,
                     stack,
                     chain,
                     lane,

@@ -35,9 +35,10 @@ LATTICE_SLACK = wp.constant(wp.float64(2.0**-27))
 LARGEST_SCALE = wp.constant(wp.float64(2.0**126))
 
 # Entries of a mesh's frame.
-SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 8
+SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, DIAGONAL, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 6, 8
 _SCALE = wp.constant(SCALE)
 _UNSCALE = wp.constant(UNSCALE)
+_DIAGONAL = wp.constant(DIAGONAL)
 _LOW_X = wp.constant(LOW_X)
 _LATTICE = wp.constant(LATTICE)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -203,12 +204,15 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     frame[base + _SCALE] = scale
     frame[base + _UNSCALE] = wp.float64(1.0) / scale
     extent = wp.float64(0.0)
+    diagonal2 = wp.float64(0.0)
     for axis in range(3):
         low = wp.float64(bounds[6 * mesh + axis]) * scale
         high = wp.float64(bounds[6 * mesh + 3 + axis]) * scale
         frame[base + _LOW_X + axis] = low
         if axis > 0:
             extent = wp.max(extent, high - low)
+        diagonal2 = diagonal2 + (high - low) * (high - low)
+    frame[base + _DIAGONAL] = wp.sqrt(diagonal2)
     frame[base + _LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
 
 

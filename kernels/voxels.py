@@ -1,75 +1,53 @@
-"""The voxels of one block: where they are, how they are measured from the rows of parts, what is written.
-
-On a GPU each lane holds two voxels, so that each row is loaded once for both; on a CPU they lie in arrays, for loops
-that a compiler turns into vectors.
-"""
+"""The voxels of one block: where they are, and what is written."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from sdm.kernels.atomics import fetch_add, shrink
-from sdm.kernels.cull import Cell
-from sdm.kernels.features import Counts
-from sdm.kernels.grid import Output, Slab, along, voxel, write_signed
-from sdm.kernels.lanes import on_cpu
-from sdm.kernels.least import OCTANT, VOXELS, is_near, least_distance, least_values, lessen_values
-from sdm.kernels.lists import is_within, octant_at
-from sdm.kernels.octants import Octants, note_lattice
-from sdm.kernels.rows import PLACES, read_number, write_number
+from sdm.kernels.cull import LARGEST_SQUARE, Cell, Witness
+from sdm.kernels.grid import Output, Slab, along, distances_at, is_unclear, with_sign
+from sdm.kernels.lanes import wait_for_lanes
+from sdm.kernels.least import is_near, least_distance, numbered, value_at
+from sdm.kernels.lists import is_within
+from sdm.kernels.octants import lattice_of, note_lattice, note_witness
+from sdm.kernels.rows import PLACES, WINDING, read_number, write_number
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
 
-# Squares beyond this one may overflow.
-LARGEST_SQUARE = wp.constant(1.0e36)
-
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
 
-_VOXELS, _OCTANT, _PLACES = wp.constant(VOXELS), wp.constant(OCTANT), wp.constant(PLACES)
+_PLACES, _WINDING = wp.constant(PLACES), wp.constant(WINDING)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
 
 @wp.struct
 class Block:
-    """Up to 8^3 or 4^3 voxels of a mesh's map."""
+    """Up to 8^3 or 4^3 voxels of a mesh's map, or 16^3 whose bricks have one list."""
 
     mesh: wp.int32
     start: wp.vec3i  # its first voxel
-    bits: wp.int32  # 3 or 2: the voxels along each edge are 2^bits
+    bits: wp.int32  # 2 to 4: the voxels along each edge are 2^bits
     slice: wp.int32  # which part of its cell's list counts: every `slices`-th batch of the lanes' entries
     slices: wp.int32
     index: wp.int32  # of its first voxel, see `index_of`
     unscale: float  # from scaled distances to the mesh's unit
     cell: Cell
-    radius2: float  # squared distance of its centre from the surface
-
-
-@wp.struct
-class Features:
-    """What all workers note, each in its own part; the rows are in shared memory on a GPU."""
-
-    rows: wp.array(dtype=wp.float32)  # (workers * ROWS * 4) on a CPU
-    points: wp.array(dtype=wp.float32)  # (workers * 3 * 512) x, y and z of a block's voxels from its centre, on a CPU
-    least: wp.array(dtype=wp.float32)  # (workers * 512) the least values of a block's voxels so far
-
-
-@wp.func
-def index_in(v: int):
-    """Voxel v of a block, octant by octant: its indices from the block's first."""
-    return 4 * octant_at(v >> 6) + wp.vec3i((v >> 4) & 3, (v >> 2) & 3, v & 3)
+    known: Witness  # the surface point nearest to its centre
 
 
 @wp.func
 def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple.
 
-    And where they would be if they were not rounded, of any grid.
+    And where they would be if they were not rounded, of any grid, and the block's witness.
     """
     scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
     note_lattice(slab, rows, block.start, block.cell, scale, lane, lanes)
+    note_witness(rows, block.cell, block.known, lane)
     at = lane
     while at < 8:
         for axis in range(3):
@@ -79,12 +57,11 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
 
 
 @wp.func
-def local_voxel(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, at: wp.vec3i):
+def local_voxel(slab: Slab, rows: wp.uint64, at: wp.vec3i):
     """The voxel `at` from a block's first, from the block's centre."""
     if slab.turned != 0:
-        scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
-        p = voxel(slab, block.start[0] + at[0], block.start[1] + at[1], block.start[2] + at[2])
-        return wp.vec3(scale * wp.vec3d(p) - wp.vec3d(block.cell.centre))
+        lattice = lattice_of(rows)
+        return lattice.first + (float(at[0]) * lattice.i + float(at[1]) * lattice.j + float(at[2]) * lattice.k)
     x = read_number(rows, _PLACES + at[0])
     y = read_number(rows, _PLACES + 8 + at[1])
     return wp.vec3(x, y, read_number(rows, _PLACES + 16 + at[2]))
@@ -98,121 +75,135 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
     return block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
 
 
-@wp.func
-def winding_in(out: Output, index: int):
-    """The winding number of a voxel that will be settled: read before it is measured, as it takes a while to come.
-
-    Of one beyond the slab, another's: to choose here would be to wait.
-    """
-    return out.values[wp.max(index, 0)]
-
-
-@wp.func
-def settle_voxel(out: Output, block: Block, index: int, winding: float, p: wp.vec3, least: float):
-    """Write the distance of a voxel; 1 if its winding number is unclear.
-
-    It is infinite where none was found.
-    """
-    distance = float(wp.inf)
-    if least < LARGEST_SQUARE:
-        near = is_near(block.radius2, block.cell.half2)
-        distance = block.unscale * least_distance(least, p, block.radius2, near)
-    if index < 0:
-        return 0
-    if block.slices > 1:
-        if distance < float(wp.inf):
-            shrink(out.values, index, distance)
-        return 0
-    if not distance < float(wp.inf):
-        # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
-        distance = float(wp.inf)
-        fetch_add(out.missed, 0, 1)
-    return write_signed(out, index, distance, winding)
-
-
-@wp.func
-def measure_voxels(
-    tree: Tree,
-    slab: Slab,
-    out: Output,
-    features: Features,
-    worker: int,
-    rows: wp.uint64,
-    counts: Counts,
-    octants: Octants,
-    block: Block,
-    again: bool,
-    last: bool,
-    lane: int,
-    lanes: int,
+@wp.func_native(
+    snippet=f"""
+    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 4 * four;
+    const float* from = values.data + index;
+#if defined(__CUDA_ARCH__)
+    const unsigned there = (unsigned)__cvta_generic_to_shared(to);
+    if (together) {{
+        asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" :: "r"(there), "l"(from) : "memory");
+    }} else {{
+        #pragma unroll 1
+        for (int i = 0; i < count; ++i)
+            asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" :: "r"(there + 4 * i), "l"(from + i) : "memory");
+    }}
+#else
+    for (int i = 0; i < count; ++i) to[i] = from[i];
+#endif
+"""
+)
+def begin_reading(
+    rows: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
 ):
-    """Measure all voxels of a block from the parts listed now, and those before if `again`.
+    """Have up to four values copied to the rows while other work goes on, until `end_reading`.
 
-    What was found is written if this is the `last` time, else noted. Returns the unclear voxels that were written.
+    `together`: there are four, and they lie at a multiple of 16 bytes.
+    """
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    asm volatile("cp.async.wait_all;" ::: "memory");
+#endif
+"""
+)
+def end_reading():
+    """What this lane began to read is there."""
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    const float* from = reinterpret_cast<const float*>(rows) + {WINDING} + 4 * four;
+    float* to = reinterpret_cast<float*>(address) + index;
+#if defined(__CUDA_ARCH__)
+    if (together) {{
+        *reinterpret_cast<float4*>(to) = *reinterpret_cast<const float4*>(from);
+        return;
+    }}
+#endif
+    #pragma unroll 1
+    for (int i = 0; i < count; ++i) to[i] = from[i];
+"""
+)
+def write_back(rows: wp.uint64, four: int, address: wp.uint64, index: int, count: int, together: bool):
+    """Write what stands where `begin_reading` had put them; `together` as there."""
+    ...
+
+
+@wp.func
+def fours_of(block: Block):
+    """How many times four voxels, next to each other along z, a block has."""
+    return 1 << (3 * block.bits - 2)
+
+
+@wp.func
+def four_at(block: Block, four: int):
+    """The indices of the first of four voxels, from the block's first."""
+    along = block.bits - 2
+    last = (1 << block.bits) - 1
+    return wp.vec3i(four >> (along + block.bits), (four >> along) & last, 4 * (four & ((1 << along) - 1)))
+
+
+@wp.func
+def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+    """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
+    four = lane
+    while four < fours_of(block):
+        at = four_at(block, four)
+        index = place_in_map(slab, block, at)
+        if index >= 0:
+            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
+            begin_reading(rows, four, out.values, index, count, slab.shape[2] % 4 == 0)
+        four = four + lanes
+
+
+@wp.func
+def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+    """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
+
+    They are infinite where none was found.
     """
     unclear = int(0)
-    near = is_near(block.radius2, block.cell.half2)
-    half = block.cell.half
-    room = NEAR_ENDS * (half[0] + half[1] + half[2])
-    turned = slab.turned != 0
-    first = _VOXELS * worker
-    octant = int(0)
-    while (octants.there >> octant) != 0:
-        if ((octants.there >> octant) & 1) != 0:
-            begin = _OCTANT * octant
-            if on_cpu():
-                if not again:
-                    for v in range(begin, begin + _OCTANT):
-                        p = local_voxel(tree, slab, rows, block, index_in(v))
-                        for axis in range(3):
-                            features.points[3 * first + axis * _VOXELS + v] = p[axis]
-                        features.least[first + v] = float(wp.inf)
-                lessen_values(
-                    rows,
-                    counts.corners,
-                    counts.edges,
-                    counts.faces,
-                    features.points,
-                    3 * first + begin,
-                    features.least,
-                    first + begin,
-                    room,
-                    near,
-                    turned,
-                    octant,
-                )
-                if last:
-                    for v in range(begin, begin + _OCTANT):
-                        at = 3 * first + v
-                        p = wp.vec3(
-                            features.points[at], features.points[at + _VOXELS], features.points[at + 2 * _VOXELS]
-                        )
-                        index = place_in_map(slab, block, index_in(v))
-                        winding = winding_in(out, index)
-                        unclear = unclear + settle_voxel(out, block, index, winding, p, features.least[first + v])
+    missed = int(0)
+    near = is_near(block.known.distance2, block.cell.half2)
+    end_reading()
+    wait_for_lanes()
+    number = lane
+    while number < (1 << (3 * block.bits)):
+        at = numbered(number)
+        place = _WINDING + ((((at[0] << block.bits) + at[1]) << block.bits) + at[2])
+        winding = read_number(rows, place)
+        least = value_at(rows, number)
+        p = local_voxel(slab, rows, at)
+        distance = float(wp.inf)
+        if least < LARGEST_SQUARE:
+            distance = block.unscale * least_distance(least, p, block.known.distance2, near)
+        if is_within(slab, block.start + at):
+            if block.slices > 1:
+                if distance < float(wp.inf):
+                    shrink(out.values, place_in_map(slab, block, at), distance)
             else:
-                # Two voxels each lane, two apart along x: each row is loaded, and worked out across x, once for both.
-                v = begin + lane
-                w = v + _OCTANT / 2
-                at_v = index_in(v)
-                at_w = at_v + wp.vec3i(2, 0, 0)
-                index_v = place_in_map(slab, block, at_v)
-                index_w = place_in_map(slab, block, at_w)
-                winding_v = winding_in(out, index_v)
-                winding_w = winding_in(out, index_w)
-                p = local_voxel(tree, slab, rows, block, at_v)
-                q = local_voxel(tree, slab, rows, block, at_w)
-                least = wp.vec2(wp.inf, wp.inf)
-                if again:
-                    least = wp.vec2(features.least[first + v], features.least[first + w])
-                least = least_values(
-                    least, rows, counts.corners, counts.edges, counts.faces, p, q, room, near, turned, octant, lane
-                )
-                if last:
-                    unclear = unclear + settle_voxel(out, block, index_v, winding_v, p, least[0])
-                    unclear = unclear + settle_voxel(out, block, index_w, winding_w, q, least[1])
-                else:
-                    features.least[first + v] = least[0]
-                    features.least[first + w] = least[1]
-        octant = octant + 1
+                if not distance < float(wp.inf):
+                    # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
+                    distance = float(wp.inf)
+                    missed = missed + 1
+                unclear = unclear + is_unclear(winding)
+        write_number(rows, place, with_sign(distance, winding))
+        number = number + lanes
+    if missed > 0:
+        fetch_add(out.missed, 0, missed)
+    wait_for_lanes()
+    address = distances_at(out)
+    four = int(lane)
+    while four < fours_of(block) and block.slices == 1:
+        at = four_at(block, four)
+        index = place_in_map(slab, block, at)
+        if index >= 0:
+            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
+            write_back(rows, four, address, index, count, slab.shape[2] % 4 == 0)
+        four = four + lanes
     return unclear

@@ -16,8 +16,8 @@ from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, members
-from sdm.kernels.lists import CELL, NEXT_WITNESS, REGION, Lists, cell_start, is_within, make_cell, region_start
-from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, box_distance2, first_triangle, node_distance2
+from sdm.kernels.lists import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
+from sdm.kernels.tree import Tree, box_distance2, first_triangle, node_distance2
 from sdm.kernels.wide import load4, write4
 
 wp.set_module_options({"enable_backward": False})
@@ -26,8 +26,6 @@ wp.set_module_options({"enable_backward": False})
 PROBES = wp.constant(32)
 
 _NEXT_WITNESS = wp.constant(NEXT_WITNESS)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 
 
 @wp.func
@@ -106,8 +104,7 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
     item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
     while item < lists.count:
         mesh, start = region_start(lists, item)
-        scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-        region = make_cell(slab, start, REGION, scale)
+        region = make_cell(tree, slab, mesh, start, 2 * lists.cell)
         known = no_witness()
         reach = float(0.0)
         probe = lane
@@ -124,7 +121,7 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
             number = 8 * item + octant
             _mesh, first = cell_start(lists, number)
             if is_within(slab, first):
-                centre = make_cell(slab, first, CELL, scale).centre
+                centre = make_cell(tree, slab, mesh, first, lists.cell).centre
                 mine = moved(known, centre - region.centre)
                 write_witness(
                     lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)

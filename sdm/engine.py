@@ -135,7 +135,7 @@ class MeshIndex:
 
         Args:
             grid: The whole grid, of any size.
-            max_bytes: Most memory for one slab, which has a multiple of 16 layers; at least 16 are always taken.
+            max_bytes: Most memory for one slab, which has a multiple of 32 layers; at least 32 are always taken.
             ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
 
         The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid

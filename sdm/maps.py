@@ -38,8 +38,8 @@ LARGEST_RECORDED = 1 << 29
 
 def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
     """Layers (begin, end) of slabs with about as many voxels."""
-    # The kernels work in regions of 16^3: whole ones, so that a slab's voxels are treated as those of the whole map.
-    layers = max(16, voxels // (grid.shape[1] * grid.shape[2]) // 16 * 16)
+    # The kernels work in regions of 16^3 or 32^3: whole ones, so that a slab's voxels are treated as in the whole map.
+    layers = max(32, voxels // (grid.shape[1] * grid.shape[2]) // 32 * 32)
     for begin in range(0, grid.shape[0], layers):
         yield begin, min(begin + layers, grid.shape[0])
 

@@ -25,6 +25,7 @@ from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
 from sdm.memory import as_warp, on_current_stream, scratch_on
+from sdm.placing import current_place
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -247,6 +248,8 @@ def distance_map(
         hierarchy, kind = build(vertices, faces)
     values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
     ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
+    place = current_place()
+    address = None if place is None else as_warp(place.take(values), wp.int64)
     with on_current_stream(vertices, hierarchy[0]):
         tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
         dense.query_slab(
@@ -258,6 +261,7 @@ def distance_map(
             _slab(tuple(origin), tuple(spacing), tuple(shape), first, tuple(direction)),
             as_warp(values, wp.float32),
             as_warp(ambiguous, wp.int32),
+            address,
             launch,
             scratch_on(vertices.device),
             partial(kernels_beside, vertices),

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdm.beside import side_stream
 from sdm.memory import on_current_stream
+from sdm.placing import Place, placing
 
 Say: TypeAlias = Callable[[Tensor], None]
 Inputs: TypeAlias = tuple[Tensor, ...]
@@ -71,6 +72,7 @@ class Recording:
             torch.no_grad(),
             torch.autocast("cuda", enabled=False),
         ):
+            self._place = Place(self._device)
             self._said = torch.zeros(MOST_REMARKS, dtype=torch.int32, pin_memory=True)
             # Loads what is loaded on first use, which a capture does not allow.
             work(unheard, *inputs)
@@ -90,7 +92,8 @@ class Recording:
             wp.capture_begin(stream=stream, external=True, force_module_load=False)
             try:
                 self._inputs = tuple(torch.empty_like(given) for given in inputs)
-                self._results = work(self._say, *self._inputs)
+                with placing(self._place):
+                    self._results = work(self._say, *self._inputs)
             finally:
                 self._warp = wp.capture_end(stream=stream)
         finally:
@@ -115,8 +118,11 @@ class Recording:
                 given.record_stream(stream)
             if self._guesses:
                 self._said[: self._count].fill_(UNSAID)
+            # The first result, if it is a map, is written where it is wanted; the others are copied.
+            placed = self._place.put()
             self._graph.replay()
-            results = tuple(result.clone() for result in self._results)
+            first = () if placed is None else (placed,)
+            results = (*first, *(result.clone() for result in self._results[len(first) :]))
             last.record(stream)
         return results
 

@@ -17,7 +17,7 @@ from sdm.io.record import KEY, from_record, record
 
 CHUNK = 128
 # The engine gives slabs of a multiple of this many layers, and so chunks have it too.
-LAYERS = 16
+LAYERS = 32
 # Bytes of the slabs that a map is written in: what is in memory at a time.
 SLAB_BYTES = 1 << 28
 

@@ -7,6 +7,7 @@ import pytest
 from sdm.kernels.effort import (
     LARGEST_POOL,
     SMALLEST_POOL,
+    cell_for,
     expected_entries,
     passes_for,
     pool_for,
@@ -26,20 +27,29 @@ def test_coarse_grids_are_searched_and_fine_ones_are_not():
 def test_every_slab_of_a_grid_is_treated_alike(triangles):
     slabs = [[layers, 90, 110] for layers in (8, 40, 300)]
     assert len({search_is_faster(triangles, slab, gpu=True) for slab in slabs}) == 1
-    assert len({shares_of(triangles, slab) for slab in slabs}) == 1
+    assert len({cell_for(triangles, slab, gpu=True) for slab in slabs}) == 1
+    assert len({shares_of(triangles, slab, 8) for slab in slabs}) == 1
+
+
+def test_cells_are_large_where_a_mesh_is_coarse_for_its_grid():
+    assert cell_for(20_000, [512] * 3, gpu=True) == cell_for(2_000, [256] * 3, gpu=True) == 16
+    assert cell_for(20_000, [256] * 3, gpu=True) == cell_for(100_000, [512] * 3, gpu=True) == 8
+    assert cell_for(20_000, [512] * 3, gpu=False) == 8
 
 
 def test_lists_are_shared_where_they_are_few_or_long():
     for of in (0, 1):
-        few, more, many = (shares_of(20_000, [n] * 3)[of] for n in (64, 128, 512))
-        assert few >= more > many == 1
-        assert shares_of(1_000_000, [256] * 3)[of] > 1
+        more, many = (shares_of(20_000, [n] * 3, 8)[of] for n in (128, 512))
+        assert more > many == 1
+        assert shares_of(1_000_000, [256] * 3, 8)[of] > 1
+        # Small maps come in batches.
+        assert 1 < shares_of(20_000, [64] * 3, 8)[of] < more
 
 
 @pytest.mark.parametrize("n", [16, 64, 200, 512, 1024])
 @pytest.mark.parametrize("triangles", [12, 20_000, 1_000_000, 10_000_000])
 def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
-    of_region, of_cell = shares_of(triangles, [n] * 3)
+    of_region, of_cell = shares_of(triangles, [n] * 3, cell_for(triangles, [n] * 3, gpu=True))
     assert of_region % of_cell == 0
     assert of_region & (of_region - 1) == of_cell & (of_cell - 1) == 0
 
@@ -57,8 +67,9 @@ class Device:
 @pytest.mark.parametrize("triangles", [12, 20_000, 100_000, 1_000_000, 5_000_000])
 @pytest.mark.parametrize("gib", [8, 80])
 def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
-    shape, regions = [n] * 3, (n // 16) ** 3
-    expected = expected_entries(triangles, shape, *shares_of(triangles, shape))
+    shape, cell = [n] * 3, cell_for(triangles, [n] * 3, gpu=True)
+    regions = (n // (2 * cell)) ** 3
+    expected = expected_entries(triangles, shape, cell, *shares_of(triangles, shape, cell))
     room = pool_for(expected, regions, Device(gib))
     passes = passes_for(expected, regions, room)
     assert SMALLEST_POOL <= room <= LARGEST_POOL
@@ -71,6 +82,7 @@ def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
 
 def test_ordinary_maps_take_one_pass():
     for triangles, n in ((20_000, 64), (100_000, 256), (100_000, 512), (1_000_000, 256), (1_000_000, 512)):
-        shape, regions = [n] * 3, (n // 16) ** 3
-        expected = expected_entries(triangles, shape, *shares_of(triangles, shape))
+        shape, cell = [n] * 3, cell_for(triangles, [n] * 3, gpu=True)
+        regions = (n // (2 * cell)) ** 3
+        expected = expected_entries(triangles, shape, cell, *shares_of(triangles, shape, cell))
         assert passes_for(expected, regions, pool_for(expected, regions, Device(80))) == 1

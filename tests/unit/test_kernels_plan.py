@@ -179,6 +179,26 @@ def test_coarse_cells_are_measured_by_bricks(seen, name):
         check(mesh, grid, values)
 
 
+@pytest.mark.parametrize("shares", [1, 4])
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_large_cells_are_measured_by_bricks_from_one_list(monkeypatch, seen, name, shares):
+    """Cells of 16^3 voxels, coarse ones too, in slices and shared, of grids that end anywhere in them."""
+    mesh = mesh_of(name)
+    monkeypatch.setitem(effort.SHORT_FOR_WIDE, "cpu", 1e9)
+    share_lists(monkeypatch, shares)
+    fine = mesh.numpy()[0].min(0), float(np.ptp(mesh.numpy()[0], 0).max())
+    grids = [grid_of(name, mesh), sdm.Grid(fine[0] + 0.3 * fine[1], [fine[1] / 200] * 3, [37, 30, 41])]
+    for grid in grids:
+        for slice_length in (10**6, 13):
+            seen.clear()
+            slice_lists(monkeypatch, slice_length)
+            values = values_of(mesh, grid)
+            assert len(seen.codes()) > 0
+            check(mesh, grid, values)
+    # Of the finer grid no cell is coarse.
+    assert len(seen.coarse[0]) == 0
+
+
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
 def test_slices_change_no_bit(monkeypatch, seen, name):
     mesh = mesh_of(name)

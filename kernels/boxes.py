@@ -1,0 +1,48 @@
+"""Which octants of a block can a part be nearest to, or which eighths of an octant: by the tests that are noted."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.rows import PARTS, TEST_ROW
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func_native(
+    snippet=f"""
+    struct alignas(16) Row {{ float x, y, z, w; }};
+    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + pair % {PARTS};
+    const int octant = pair / {PARTS};
+    // In voxels: half of a box, from box to box, and the middle of the first one.
+    const float half = level == 0 ? 1.5f : 0.5f, step = level == 0 ? 4.0f : 2.0f;
+    const float a = half + (octant & 4), b = half + (octant << 1 & 4), c = half + (octant << 2 & 4);
+    unsigned dropped = 0, farther = some > 0 ? 255 : 0;
+    #pragma unroll 1
+    for (int test = 0; test < must + some; ++test) {{
+        const Row u = row[{PARTS} * test];
+        const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
+        const float left = u.w + reach - (a * u.x + b * u.y + c * u.z);
+        const float di = step * u.x, dj = step * u.y, dk = step * u.z;
+        unsigned beyond = 0;
+        #pragma unroll
+        for (int e = 7; e >= 0; --e) {{
+            const float at = left - (e & 4 ? di : 0.0f) - (e & 2 ? dj : 0.0f) - (e & 1 ? dk : 0.0f);
+#if defined(__CUDA_ARCH__)
+            beyond = __funnelshift_l(__float_as_uint(at), beyond, 1);
+#else
+            beyond |= (unsigned)(at < 0.0f) << e;
+#endif
+        }}
+        if (test < must) dropped |= beyond;
+        else farther &= beyond;
+    }}
+    return 255 & ~(dropped | farther);
+"""
+)
+def boxes_of(rows: wp.uint64, pair: int, level: int, must: int, some: int) -> int:
+    """The boxes, as bits, that pass the first `must` tests of a part and at least one of `some` after.
+
+    On level 0 the octants of the block, on level 1 the eighths of the octant of a pair, see `queues`.
+    """
+    ...

@@ -1,0 +1,50 @@
+"""Work put in line so that all lanes have some: octants that parts matter to, and eighths of those.
+
+A pair is a part's number (5 bits) and one of the block's octants of 4^3 voxels (3 bits); an item is a pair and one of
+that octant's eighths of 2^3 voxels (3 bits). Each lane finds a few of them or none; then each takes one.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+PART_BITS, PAIR_BITS = 5, 8
+
+
+@wp.func_native(
+    snippet="""
+    unsigned short* queue = reinterpret_cast<unsigned short*>(rows) + begin / 2;
+#if defined(__CUDA_ARCH__)
+    const int mine = __popc(which);
+    int upto = mine;
+    #pragma unroll
+    for (int step = 1; step < 32; step <<= 1) {
+        const int before = __shfl_up_sync(0xffffffffu, upto, step);
+        upto += lane >= step ? before : 0;
+    }
+    int at = top + upto - mine;
+    #pragma unroll 1
+    for (unsigned left = which; left; left &= left - 1)
+        queue[at++] = (unsigned short)(tag | (__ffs(left) - 1) << bits);
+    return top + __shfl_sync(0xffffffffu, upto, 31);
+#else
+    for (int i = 0; i < 8; ++i)
+        if (which >> i & 1) queue[top++] = (unsigned short)(tag | i << bits);
+    return top;
+#endif
+"""
+)
+def put_in_line(rows: wp.uint64, begin: int, top: int, tag: int, bits: int, which: int, lane: int) -> int:
+    """Put the lanes' boxes `which` of `tag`, a number of so many `bits`, in the line that begins at byte `begin`.
+
+    There are `top` others; returns how many there are now.
+    """
+    ...
+
+
+@wp.func_native(snippet="return reinterpret_cast<const unsigned short*>(rows)[begin / 2 + at];")
+def in_line(rows: wp.uint64, begin: int, at: int) -> int:
+    """What is at a place of a line."""
+    ...

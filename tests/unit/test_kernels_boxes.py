@@ -1,0 +1,140 @@
+"""Octants and eighths of parts, and the lines that they wait in."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from sdm.kernels.boxes import boxes_of
+from sdm.kernels.least import numbered
+from sdm.kernels.mix import kind_of, taken_now
+from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
+from sdm.kernels.rows import ITEMS, PARTS, ROWS, TEST_ROW, rows_of, write_row
+
+wp.set_module_options({"enable_backward": False})
+
+_TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
+_ITEMS, _PART_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(PART_BITS), wp.constant(PAIR_BITS)
+
+
+@wp.kernel
+def _boxes(
+    memory: wp.array(dtype=float),
+    tests: wp.array2d(dtype=wp.vec4),
+    pairs: wp.array(dtype=int),
+    level: int,
+    must: int,
+    out: wp.array(dtype=int),
+):
+    rows = rows_of(memory, 0)
+    for i in range(pairs.shape[0]):
+        for t in range(tests.shape[1]):
+            u = tests[i, t]
+            write_row(rows, _TEST_ROW + _PARTS * t + pairs[i] % _PARTS, u[0], u[1], u[2], u[3])
+        out[i] = boxes_of(rows, pairs[i], level, must, tests.shape[1] - must)
+
+
+def boxes(tests: np.ndarray, pairs: np.ndarray, level: int, must: int) -> np.ndarray:
+    memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
+    out = wp.zeros(len(pairs), dtype=int, device="cpu")
+    given = wp.array(tests.astype(np.float32), dtype=wp.vec4, ndim=2, device="cpu")
+    wp.launch(_boxes, 1, [memory, given, wp.array(pairs, dtype=int, device="cpu"), level, must, out], device="cpu")
+    return out.numpy()
+
+
+@pytest.mark.parametrize(("level", "must", "some"), [(0, 5, 0), (1, 5, 0), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
+def test_a_box_is_kept_where_a_point_of_it_passes(level, must, some):
+    """Compared with the corners of each box of voxels, where a linear function is least."""
+    rng = np.random.default_rng(level + 10 * must)
+    count = 400
+    tests = np.concatenate([rng.normal(size=(count, must + some, 3)), rng.uniform(-6, 30, (count, must + some, 1))], 2)
+    tests = tests.astype(np.float32)
+    pairs = (rng.integers(0, PARTS, count) + (0 if level == 0 else 1) * PARTS * rng.integers(0, 8, count)).astype(int)
+    found = boxes(tests, pairs.astype(np.int32), level, must)
+    size = 4 if level == 0 else 2
+    for i in range(count):
+        octant = pairs[i] // PARTS
+        first = 4 * np.array([octant >> 2 & 1, octant >> 1 & 1, octant & 1])
+        for box in range(8):
+            low = first + size * np.array([box >> 2 & 1, box >> 1 & 1, box & 1])
+            ends = np.stack([low, low + size - 1]).astype(np.float64)
+            least = np.minimum(ends[0] * tests[i, :, :3], ends[1] * tests[i, :, :3]).sum(1)
+            gap = tests[i, :, 3] - least
+            if np.abs(gap).min() < 1e-4:
+                continue
+            passed = gap > 0
+            kept = passed[:must].all() and (some == 0 or passed[must:].any())
+            assert (found[i] >> box & 1) == kept
+
+
+@wp.kernel
+def _line(memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
+    rows = rows_of(memory, 0)
+    top = 0
+    for part in range(which.shape[0]):
+        top = put_in_line(rows, _ITEMS, top, part, _PART_BITS, which[part], 0)
+    for i in range(top):
+        out[i] = in_line(rows, _ITEMS, i)
+    out[out.shape[0] - 1] = top
+
+
+def test_what_is_put_in_line_is_there():
+    rng = np.random.default_rng(0)
+    which = rng.integers(0, 256, 24)
+    out = wp.zeros(400, dtype=int, device="cpu")
+    memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
+    wp.launch(_line, 1, [memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
+    wanted = [part | box << PART_BITS for part in range(24) for box in range(8) if which[part] >> box & 1]
+    found = out.numpy()
+    assert found[-1] == len(wanted)
+    assert list(found[: len(wanted)]) == wanted
+
+
+@wp.kernel
+def _mix(counts: wp.array(dtype=wp.vec3i), lanes: int, out: wp.array2d(dtype=int)):
+    i = wp.tid()
+    mix = taken_now(counts[i][0], counts[i][1], counts[i][2], lanes)
+    for part in range(lanes):
+        out[i, part] = -1
+        if part < mix.parts:
+            out[i, part] = kind_of(mix, part)
+
+
+def test_parts_are_taken_once_and_full_lanes_first():
+    """Repeating what is taken empties all three lists; parts of one kind that fill the lanes are by themselves."""
+    rng = np.random.default_rng(1)
+    left = rng.integers(0, 63, (300, 3))
+    for _ in range(8):
+        busy = left.sum(1) > 0
+        out = wp.zeros((300, 32), dtype=int, device="cpu")
+        wp.launch(_mix, 300, [wp.array(left, dtype=wp.vec3i, device="cpu"), 32, out], device="cpu")
+        kinds = out.numpy()
+        taken = np.stack([(kinds == kind).sum(1) for kind in range(3)], 1)
+        assert (taken <= left).all()
+        assert (taken[busy].sum(1) > 0).all()
+        full = (left >= 32).any(1)
+        assert (np.sort(taken[full], 1) == [0, 0, 32]).all()
+        few = busy & (left.sum(1) <= 32)
+        assert (taken[few] == left[few]).all()
+        left = left - taken
+    assert not left.any()
+
+
+@wp.kernel
+def _numbered(out: wp.array(dtype=wp.vec3i)):
+    out[wp.tid()] = numbered(wp.tid())
+
+
+def test_voxels_are_numbered_octant_by_octant():
+    out = wp.zeros(512, dtype=wp.vec3i, device="cpu")
+    wp.launch(_numbered, 512, [out], device="cpu")
+    at = out.numpy()
+    assert len(np.unique(at, axis=0)) == 512
+    assert at.min() == 0
+    assert at.max() == 7
+    for size in (64, 8):
+        boxes_there = at.reshape(-1, size, 3)
+        edge = round(size ** (1 / 3))
+        assert (boxes_there.max(1) - boxes_there.min(1) == edge - 1).all()
