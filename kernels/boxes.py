@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False})
     // In voxels: half of a box, from box to box, and the middle of the first one.
     const float half = level == 0 ? 1.5f : 0.5f, step = level == 0 ? 4.0f : 2.0f;
     const float a = half + (octant & 4), b = half + (octant << 1 & 4), c = half + (octant << 2 & 4);
+#if defined(__CUDA_ARCH__)
     unsigned dropped = 0, farther = some > 0 ? 255 : 0;
     #pragma unroll 1
     for (int test = 0; test < must + some; ++test) {{
@@ -28,16 +29,31 @@ wp.set_module_options({"enable_backward": False})
         #pragma unroll
         for (int e = 7; e >= 0; --e) {{
             const float at = left - (e & 4 ? di : 0.0f) - (e & 2 ? dj : 0.0f) - (e & 1 ? dk : 0.0f);
-#if defined(__CUDA_ARCH__)
             beyond = __funnelshift_l(__float_as_uint(at), beyond, 1);
-#else
-            beyond |= (unsigned)(at < 0.0f) << e;
-#endif
         }}
         if (test < must) dropped |= beyond;
         else farther &= beyond;
     }}
     return 255 & ~(dropped | farther);
+#else
+    // The same, all boxes in one vector.
+    typedef float Eight __attribute__((ext_vector_type(8)));
+    typedef int Mask __attribute__((ext_vector_type(8)));
+    const Eight is = {{0, 0, 0, 0, step, step, step, step}}, js = {{0, 0, step, step, 0, 0, step, step}};
+    const Eight ks = {{0, step, 0, step, 0, step, 0, step}};
+    Mask dropped = 0, farther = some > 0 ? -1 : 0;
+    for (int test = 0; test < must + some; ++test) {{
+        const Row u = row[{PARTS} * test];
+        const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
+        const Eight at = u.w + reach - (a * u.x + b * u.y + c * u.z) - is * u.x - js * u.y - ks * u.z;
+        if (test < must) dropped |= at < 0.0f;
+        else farther &= at < 0.0f;
+        // Most parts fail one of the first tests.
+        if (test == 1 && __builtin_reduce_and(dropped)) return 0;
+    }}
+    const Mask bits = {{1, 2, 4, 8, 16, 32, 64, 128}};
+    return __builtin_reduce_or(~(dropped | farther) & bits);
+#endif
 """
 )
 def boxes_of(rows: wp.uint64, pair: int, level: int, must: int, some: int) -> int:

@@ -71,7 +71,11 @@ def _measure(part: tuple[str, str], places: str) -> str:
     return f"""
         {rows}
         // Two times four voxels, as a multiprocessor's cache for instructions is small, see bench/NOTES.md.
+#if defined(__CUDA_ARCH__)
         #pragma unroll 1
+#else
+        #pragma unroll
+#endif
         for (int side = 0; side < 2; ++side) {{
             {places}
 #if defined(__CUDA_ARCH__)

@@ -30,8 +30,8 @@ PART_BITS, PAIR_BITS = 5, 8
         queue[at++] = (unsigned short)(tag | (__ffs(left) - 1) << bits);
     return top + __shfl_sync(0xffffffffu, upto, 31);
 #else
-    for (int i = 0; i < 8; ++i)
-        if (which >> i & 1) queue[top++] = (unsigned short)(tag | i << bits);
+    for (unsigned left = which; left; left &= left - 1)
+        queue[top++] = (unsigned short)(tag | __builtin_ctz(left) << bits);
     return top;
 #endif
 """

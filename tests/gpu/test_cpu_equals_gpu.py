@@ -103,7 +103,8 @@ def test_batches(monkeypatch, edges):
 
 def test_gradients():
     case = load_case("torus")
-    grid = sdm.Grid([-1, -1, -0.4], [0.2, 0.2, 0.1], [10, 10, 8])
+    # Off the planes of symmetry, where either of two triangles may be taken.
+    grid = sdm.Grid([-0.987, -0.993, -0.397], [0.2, 0.2, 0.1], [10, 10, 8])
     results = []
     for device in ("cpu", "cuda"):
         leaf = torch.tensor(case.vertices, device=device, requires_grad=True)
@@ -117,11 +118,10 @@ def test_gradients():
         assert leaf.grad is not None
         results.append((loss.detach().cpu(), points.grad.cpu(), leaf.grad.cpu()))
     torch.testing.assert_close(results[1][0], results[0][0])
-    # On the medial axis the devices may choose either side.
     clear = (results[1][1] - results[0][1]).norm(dim=-1) < 1e-3
-    assert clear.float().mean() > 0.95
+    assert clear.float().mean() > 0.99
     clear = (results[1][2] - results[0][2]).norm(dim=-1) < 1e-2
-    assert clear.float().mean() > 0.95
+    assert clear.float().mean() > 0.99
 
 
 def test_tensors_stay_where_they_are():
