@@ -2,8 +2,7 @@
 
 Cells of 8x8 pixels keep the segments that can be nearest to any of their pixels; octants of 4x4 (of which a cell has
 four in the plane) filter their cell's list once more; the pixels of an octant are measured from what is left. The same
-names as in the kernels: c and a are a cell's centre and half-widths, y the known nearest surface point (the witness), u
-points from T's closest point to c.
+names as in the kernels: c and a are a cell's centre and half-widths, y the known nearest surface point (the witness).
 """
 
 from __future__ import annotations
@@ -49,25 +48,28 @@ def too_far(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
     return far > np.linalg.norm(y - box.centre) + 2 * np.linalg.norm(box.half)
 
 
-def is_behind(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
-    """The direction-aware test: T can be dropped for the box. (S,) bool.
+def leads(box: Box, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """How much further each of the points x (S,2) is than y, squared, from the place in the box where it is least. (S,)
 
-    With x T's closest point and u = c - x, T lies behind the line through x across u, so from c + d it is at least
-    (|u|^2 + d.u) / |u| away, if that is positive. Squared, less the squared distance |c + d - y|^2 of the witness,
-    that is at least |u|^2 - |c - y|^2 - 2 sum_i a_i |u - (c - y)|_i - sum_i a_i^2 for all |d_i| <= a_i.
+    |p - x|^2 - |p - y|^2 is linear in p, and least at a corner of the box.
     """
-    u = box.centre - closest_points(box.centre, segments)
-    to_surface = box.centre - y
-    squared = (u * u).sum(1)
-    positive = squared > (box.half * np.abs(u)).sum(1)
-    spread = (box.half * np.abs(u - to_surface)).sum(1)
-    return positive & (squared - to_surface @ to_surface - 2 * spread - box.half @ box.half > 0)
+    at_centre = ((box.centre - x) ** 2).sum(1) - ((box.centre - y) ** 2).sum()
+    return at_centre - 2 * (box.half * np.abs(x - y)).sum(1)
+
+
+def is_farther(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """No point of T is nearer to any pixel of the box than y, so that T can be dropped. (S,) bool.
+
+    A point between T's ends is nearer by a quarter of T's squared length at most than the worse of them, squared.
+    """
+    ends = np.minimum(leads(box, y, segments[:, 0]), leads(box, y, segments[:, 1]))
+    return ends > ((segments[:, 1] - segments[:, 0]) ** 2).sum(1) / 4
 
 
 def kept(box: Box, segments: np.ndarray, among: np.ndarray) -> np.ndarray:
     """Numbers of those of the segments `among` that the box keeps."""
     some = segments[among]
-    return among[~is_behind(box, witness(box, some), some)]
+    return among[~is_farther(box, witness(box, some), some)]
 
 
 def pixel_distances(box: Box, step: float, edge: int, segments: np.ndarray) -> np.ndarray:

@@ -172,52 +172,52 @@ def _lists(
 
 
 def _proof(axes: Axes, segments: np.ndarray, box: stages.Box) -> None:
-    """One cell, its witness, and a segment that is dropped: why nothing behind its plane can be nearest."""
+    """One cell, its witness, and a segment that is dropped: the cell lies on the witness's side of both ends."""
     from matplotlib.patches import Polygon, Rectangle
 
+    c = box.centre
     y = stages.witness(box, segments)
-    passed = ~stages.too_far(box, y, segments)
-    behind = stages.is_behind(box, y, segments) & passed
-    near = stages.closest_points(box.centre, segments)
-    # The one that distance would keep and that shows the plane best: across from the witness.
-    score = ((near - box.centre) @ (y - box.centre)) / np.linalg.norm(near - box.centre, axis=1)
-    number = int(np.where(behind, score, np.inf).argmin())
-    x, c = near[number], box.centre
-    u = c - x
+    dropped = stages.is_farther(box, y, segments) & ~stages.too_far(box, y, segments)
+    near = stages.closest_points(c, segments)
+    # One that distance would keep, and of those the one that shows best: beside the witness, but not too near to it.
+    turned = ((near - c) @ (y - c)) / (np.linalg.norm(near - c, axis=1) * np.linalg.norm(y - c))
+    number = int(np.where(dropped, np.abs(turned - 0.5), np.inf).argmin())
+    ends = segments[number]
+    colours = (KEPT, "0.35")
+    reach = 4.0
+    for x, colour in zip(ends, colours, strict=True):
+        middle, away = (x + y) / 2, (x - y) / np.linalg.norm(x - y)
+        along = np.array([-away[1], away[0]])
+        line = np.array([middle - reach * along, middle + reach * along])
+        axes.plot(*line.T, color=colour, linewidth=1.4)
+        side = [line[0], line[1], line[1] + reach * away, line[0] + reach * away]
+        axes.add_patch(Polygon(side, closed=True, facecolor=colour, alpha=0.08, edgecolor="none"))
     axes.add_patch(
-        Rectangle(_pair(c - box.half), *(2 * box.half), facecolor="#dbe7f3", edgecolor=PICKED, linewidth=1.8, zorder=1)
+        Rectangle(_pair(c - box.half), *(2 * box.half), facecolor="#dbe7f3", edgecolor=PICKED, linewidth=1.8, zorder=2)
     )
-    across = np.array([-u[1], u[0]]) / np.linalg.norm(u)
-    reach = 1.6
-    back = -u / np.linalg.norm(u) * 0.10
-    corners = [x - reach * across, x + reach * across, x + reach * across + back, x - reach * across + back]
-    axes.add_patch(Polygon(corners, closed=True, facecolor=KEPT, alpha=0.13, edgecolor="none"))
-    axes.plot(*zip(x - reach * across, x + reach * across, strict=True), color=KEPT, linewidth=1.4)
     _draw_segments(axes, segments, color="0.6", linewidth=1.3)
     _draw_segments(axes, segments[number : number + 1], color=KEPT, linewidth=5)
-    # The corner of the cell that comes nearest to losing: the least of the last line of the proof.
-    signs = np.array([[i, j] for i in (-1, 1) for j in (-1, 1)])
-    slack = [(u @ u + d @ u) ** 2 / (u @ u) - ((c + d - y) ** 2).sum() for d in signs * box.half]
-    d = (signs * box.half)[int(np.argmin(slack))]
-    p = c + d
-    foot = p - u * ((p - x) @ u) / (u @ u)
-    for start, end, colour in ((p, foot, KEPT), (p, y, PICKED), (c, x, "0.45")):
-        axes.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.5)
-    axes.plot(*c, "o", color="black", markersize=5)
-    axes.plot(*p, "s", color="black", markersize=5)
-    axes.plot(*y, "o", color=PICKED, markersize=7)
-    axes.plot(*x, "o", color=KEPT, markersize=7)
-    outward = {"c": (c, (7, -12)), "c + d": (p, (8, 6)), "y": (y, (9, -4)), "x": (x, (-15, 6))}
-    for name, (place, offset) in outward.items():
+    # The corner of the cell that comes nearest to losing.
+    x = ends[int(np.argmin([stages.leads(box, y, end[None])[0] for end in ends]))]
+    corners = c + box.half * np.array([[i, j] for i in (-1, 1) for j in (-1, 1)])
+    gaps = ((corners - x) ** 2).sum(1) - ((corners - y) ** 2).sum(1)
+    p = corners[int(gaps.argmin())]
+    for end, colour in ((x, KEPT), (y, PICKED)):
+        axes.plot([p[0], end[0]], [p[1], end[1]], color=colour, linewidth=1.5, zorder=3)
+    axes.plot(*c, "o", color="black", markersize=5, zorder=4)
+    axes.plot(*p, "s", color="black", markersize=5, zorder=4)
+    axes.plot(*y, "o", color=PICKED, markersize=7, zorder=4)
+    axes.plot(*x, "o", color=KEPT, markersize=7, zorder=4)
+    for name, place, offset in (("c", c, (7, -12)), ("p", p, (8, 6)), ("y", y, (9, -4)), ("x", x, (-15, 6))):
         axes.annotate(name, _pair(place), xytext=offset, textcoords="offset points", fontsize=13, fontstyle="italic")
-    everything = np.array([c - box.half, c + box.half, x, y, foot])
+    everything = np.array([c - box.half, c + box.half, *ends, y])
     low, high = everything.min(0), everything.max(0)
-    middle, half = (low + high) / 2, 0.68 * (high - low).max()
+    middle, half = (low + high) / 2, 0.62 * (high - low).max()
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_title("3  Why: all of T is behind a plane, and y is nearer")
-    said = "dropped if (s + d·u)²/|u|² > |c + d − y|² for every |dᵢ| ≤ aᵢ, u = c − x, s = |u|²;\n"
-    said += f"at the worst corner here {np.linalg.norm(p - foot):.3f} against {np.linalg.norm(p - y):.3f}"
+    axes.set_title("3  Why: every pixel of the cell is nearer to y than to T")
+    said = "dropped if |p − x|² − |p − y|² > L²/4 for both ends x of T and every p;\n"
+    said += f"linear in p, so a corner decides: here {np.linalg.norm(p - x):.3f} against {np.linalg.norm(p - y):.3f}"
     axes.text(0.0, -0.012, said, transform=axes.transAxes, fontsize=10, color="0.3", va="top")
     _frame(axes)
 

@@ -6,10 +6,10 @@ triangle), `curve` and `tree` (the hierarchy of boxes), `edges` (which faces mee
 `closest` (the nearest triangle), `crossings` (integer winding numbers), `boundary`, `caps` and `holes` (what open
 meshes add), `solid_angle` (any soup), `winding` (the choice), `scan` and `search` (the plain dense query), `frames`,
 `rough`, `cull`, `cones` and `parts` (what can be dropped), `lists`, `stacks`, `witness`, `regions`, `cells`, `plan`,
-`leaves`, `selection`, `rows`, `octants`, `features`, `least`, `voxels` and `blocks` (the fast one), `effort` and
-`dense` (the choice between them), `descent`, `together`, `gather`, `board`, `shortlist`, `groups`, `nearest_points`,
-`point_signs` and `points` (scattered points, both ways), `samples` (where DeepSDF has its), `edt_near`, `edt_rows`,
-`edt_lines`, `edt_along` and `edt` (the distance transform of volumes).
+`leaves`, `selection`, `rows`, `octants`, `features`, `mix`, `boxes`, `queues`, `least`, `voxels` and `blocks` (the fast
+one), `effort` and `dense` (the choice between them), `descent`, `together`, `gather`, `board`, `shortlist`, `groups`,
+`nearest_points`, `point_signs` and `points` (scattered points, both ways), `samples` (where DeepSDF has its),
+`edt_near`, `edt_rows`, `edt_lines`, `edt_along` and `edt` (the distance transform of volumes).
 """
 
 import os
