@@ -2,8 +2,8 @@
 
 A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
 there are several, each with a slice of it: then none is waited for. Of a cell that is too coarse for float32 the eight
-bricks are blocks with lists of their own. Blocks with long lists come first, so that those
-that are left to the end, when some of the device has nothing to do, are short.
+bricks are blocks with lists of their own. Blocks with long lists come first, so that those that are left to the end,
+when some of the device has nothing to do, are short.
 """
 
 from __future__ import annotations
