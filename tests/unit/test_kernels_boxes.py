@@ -70,9 +70,9 @@ def test_a_box_is_kept_where_a_point_of_it_passes(level, must, some):
 
 
 @wp.kernel
-def _line(memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
+def _line(begin: int, memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
     rows = rows_of(memory, 0)
-    top = 0
+    top = int(begin)
     for part in range(which.shape[0]):
         top = put_in_line(rows, _ITEMS, top, part, _PART_BITS, which[part], 0)
     for i in range(top):
@@ -85,7 +85,7 @@ def test_what_is_put_in_line_is_there():
     which = rng.integers(0, 256, 24)
     out = wp.zeros(400, dtype=int, device="cpu")
     memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
-    wp.launch(_line, 1, [memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
+    wp.launch(_line, 1, [0, memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
     wanted = [part | box << PART_BITS for part in range(24) for box in range(8) if which[part] >> box & 1]
     found = out.numpy()
     assert found[-1] == len(wanted)
