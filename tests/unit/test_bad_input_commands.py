@@ -125,7 +125,7 @@ def test_a_zarr_larger_than_memory_is_not_refused(place, monkeypatch):
 def test_a_zarr_whose_slabs_do_not_fit_is_refused(place, capsys):
     assert main(["compute", "ball.stl", "-o", "x.zarr", "--resolution", "1000000"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "16 layers at a time" in line
+    assert "32 layers at a time" in line
     assert "GiB free" in line
 
 
