@@ -201,19 +201,26 @@ def _measure_blocks(
 
 
 @wp.func
-def voxel_of_cell(lists: Lists, v: int):
-    """Voxel v of a cell, row by row: its indices from the cell's first."""
-    return wp.vec3i(v / (lists.cell * lists.cell), (v / lists.cell) % lists.cell, v % lists.cell)
+def sliced_voxels(lists: Lists):
+    """How many voxels there are in cells whose lists are cut into several slices."""
+    return lists.cell * lists.cell * lists.cell * lists.counts[_SLICED]
+
+
+@wp.func
+def sliced_voxel(lists: Lists, number: int):
+    """The mesh and the indices of one of them."""
+    size = lists.cell * lists.cell * lists.cell
+    mesh, start = cell_start(lists, lists.sliced[number / size])
+    v = number % size
+    return mesh, start + wp.vec3i(v / (lists.cell * lists.cell), (v / lists.cell) % lists.cell, v % lists.cell)
 
 
 @wp.kernel
 def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
     """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
-    size = lists.cell * lists.cell * lists.cell
     number = begin + wp.tid()
-    while number < size * lists.counts[_SLICED]:
-        mesh, start = cell_start(lists, lists.sliced[number / size])
-        at = start + voxel_of_cell(lists, number % size)
+    while number < sliced_voxels(lists):
+        mesh, at = sliced_voxel(lists, number)
         if is_within(slab, at):
             index = index_of(slab, mesh, at)
             winding = out.values[index]
@@ -226,11 +233,9 @@ def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Outpu
 @wp.kernel
 def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
     """What voxels that several slices measure come to nobody knows before the last is done."""
-    size = lists.cell * lists.cell * lists.cell
     number = begin + wp.tid()
-    while number < size * lists.counts[_SLICED]:
-        mesh, start = cell_start(lists, lists.sliced[number / size])
-        at = start + voxel_of_cell(lists, number % size)
+    while number < sliced_voxels(lists):
+        mesh, at = sliced_voxel(lists, number)
         if is_within(slab, at):
             index = index_of(slab, mesh, at)
             distance = out.values[index]

@@ -68,19 +68,6 @@ def voxel(slab: Slab, i: int, j: int, k: int):
 
 
 @wp.func
-def reach_of(slab: Slab, half: wp.vec3d):
-    """Half-widths of the box along x, y and z around all places up to `half` voxels from another along each index."""
-    if slab.turned != 0:
-        a = slab.axes
-        return wp.vec3d(
-            wp.abs(a[0, 0]) * half[0] + wp.abs(a[0, 1]) * half[1] + wp.abs(a[0, 2]) * half[2],
-            wp.abs(a[1, 0]) * half[0] + wp.abs(a[1, 1]) * half[1] + wp.abs(a[1, 2]) * half[2],
-            wp.abs(a[2, 0]) * half[0] + wp.abs(a[2, 1]) * half[1] + wp.abs(a[2, 2]) * half[2],
-        )
-    return wp.cw_mul(slab.spacing, half)
-
-
-@wp.func
 def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
     """How many of the slab's voxels along an axis have a (scaled) coordinate below x; the grid is not turned."""
     count = slab.shape[axis]

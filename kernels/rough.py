@@ -1,24 +1,10 @@
-"""Quotients and roots to within two roundings: fewer instructions on a GPU, for tests that have room for it."""
+"""Roots to within two roundings: fewer instructions on a GPU, for tests that have room for it."""
 
 from __future__ import annotations
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    return __fdividef(a, b);
-#else
-    return a / b;
-#endif
-"""
-)
-def about_quotient(a: float, b: float) -> float:
-    """a / b to within two roundings, and 0 where |b| is more than 2^126."""
-    ...
 
 
 @wp.func_native(
