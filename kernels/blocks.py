@@ -80,7 +80,7 @@ def measure_parts(
             if among > 0:
                 # Tests that a box has to pass, and others of which one: see `add_corner` and those after it.
                 kind = kind_of(mix, tag & (_PARTS - 1))
-                boxes = among & boxes_of(rows, tag, level, 5 - kind, wp.where(kind > 0, kind + 1, 0))
+                boxes = among & boxes_of(rows, tag, level, 4 - kind / 2, 1 + kind)
             begin = wp.where(level == 0, _PAIRS, _ITEMS)
             bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)

@@ -18,22 +18,28 @@ wp.set_module_options({"enable_backward": False})
     const float half = level == 0 ? 1.5f : 0.5f, step = level == 0 ? 4.0f : 2.0f;
     const float a = half + (octant & 4), b = half + (octant << 1 & 4), c = half + (octant << 2 & 4);
 #if defined(__CUDA_ARCH__)
-    unsigned dropped = 0, farther = some > 0 ? 255 : 0;
+    unsigned dropped = 0, farther = 255;
+    const Row* const end = row + {PARTS} * (must + some);
+    const Row* const either = row + {PARTS} * must;
     #pragma unroll 1
-    for (int test = 0; test < must + some; ++test) {{
-        const Row u = row[{PARTS} * test];
+    do {{
+        const Row u = *row;
         const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         const float left = u.w + reach - (a * u.x + b * u.y + c * u.z);
         const float di = step * u.x, dj = step * u.y, dk = step * u.z;
-        unsigned beyond = 0;
+        // Their signs, in two chains: each step waits for the one before.
+        unsigned below = 0, above = 0;
         #pragma unroll
-        for (int e = 7; e >= 0; --e) {{
-            const float at = left - (e & 4 ? di : 0.0f) - (e & 2 ? dj : 0.0f) - (e & 1 ? dk : 0.0f);
-            beyond = __funnelshift_l(__float_as_uint(at), beyond, 1);
+        for (int e = 3; e >= 0; --e) {{
+            const float at = left - (e & 2 ? dj : 0.0f) - (e & 1 ? dk : 0.0f);
+            below = __funnelshift_l(__float_as_uint(at), below, 1);
+            above = __funnelshift_l(__float_as_uint(at - di), above, 1);
         }}
-        if (test < must) dropped |= beyond;
-        else farther &= beyond;
-    }}
+        const unsigned beyond = above << 4 | below, those = row < either ? 0 : 255;
+        dropped |= beyond & ~those;
+        farther &= beyond | ~those;
+        row += {PARTS};
+    }} while (row < end);
     return 255 & ~(dropped | farther);
 #else
     // The same, all boxes in one vector.
@@ -41,7 +47,7 @@ wp.set_module_options({"enable_backward": False})
     typedef int Mask __attribute__((ext_vector_type(8)));
     const Eight is = {{0, 0, 0, 0, step, step, step, step}}, js = {{0, 0, step, step, 0, 0, step, step}};
     const Eight ks = {{0, step, 0, step, 0, step, 0, step}};
-    Mask dropped = 0, farther = some > 0 ? -1 : 0;
+    Mask dropped = 0, farther = -1;
     for (int test = 0; test < must + some; ++test) {{
         const Row u = row[{PARTS} * test];
         const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));

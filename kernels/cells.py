@@ -19,14 +19,13 @@ from sdm.kernels.lists import (
     Lists,
     Reader,
     append,
-    cell_start,
     is_within,
     list_length,
-    make_cell,
     read_entry,
     read_on,
     start_reading,
 )
+from sdm.kernels.places import noted_place
 from sdm.kernels.regions import box_matters
 from sdm.kernels.tree import Tree, node_box
 from sdm.kernels.witness import nearer_of_leaves, read_witness, write_witness
@@ -54,13 +53,14 @@ def _list_cells(
     item = fetch_add_once(lists.counts, _NEXT_CELL, 1, lane)
     while item < 8 * lists.count * lists.shares:
         number = item / lists.shares
-        mesh, start = cell_start(lists, number)
+        place = noted_place(lists, number)
         # The chains of its region that are this share's.
         chains = lists.region_shares / lists.shares
         first = (number / 8) * lists.region_shares + (item % lists.shares) * chains
-        if is_within(slab, start):
+        if is_within(slab, place.start):
+            mesh = place.mesh
             base = mesh * 2 * leaves
-            cell = make_cell(tree, slab, mesh, start, lists.cell)
+            cell = place.cell
             radius = wp.sqrt(cell.half2)
             known = read_witness(lists.witnesses, lists.count + number)
             chain = Chain()

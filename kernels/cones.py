@@ -170,11 +170,11 @@ def _cones_of_triangles(
     if wp.dot(axis, axis) < 0.5:
         most = NONE
     for k in range(3):
-        if (owned >> (k + 1)) & 1 and most < NONE:
+        if (owned >> (k + 3)) & 1 and most < NONE:
             end = faces[face, (k + 1) % 3]
             most = wp.max(most, sine2_over_edge(normals, faces, mesh, axis, end, around[k]))
     for k in range(3):
-        if (owned >> (k + 4)) & 1 and most < NONE:
+        if (owned >> k) & 1 and most < NONE:
             index = faces[face, k]
             most = wp.max(most, sine2_around_corner(normals, faces, neighbours, mesh, face, axis, k, index, around[k]))
     sine = float(1.0)

@@ -15,8 +15,9 @@ from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for,
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
-from sdm.kernels.lists import CHUNK, COUNTS, LENGTHS, Lists
+from sdm.kernels.lists import BLOCK, CHUNK, COUNTS, LENGTHS, Lists
 from sdm.kernels.parts import Parts
+from sdm.kernels.places import PLACE_FLOATS
 from sdm.kernels.plan import PLAN_BLOCKS, plan_blocks
 from sdm.kernels.regions import REGION_BLOCKS, list_regions
 from sdm.kernels.rows import ROWS
@@ -107,6 +108,9 @@ def query_slab(
     lists.heads = empty(8 * most * lists.shares, wp.int32)
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
+    # Bricks of smaller cells are few, and not noted.
+    noted = 8 * most * (9 if lists.cell > BLOCK else 1)
+    lists.places = empty(noted * PLACE_FLOATS, wp.float32)
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
     # Each slice but the last of a list is full.
     slices = 8 * most + lists.chunks * CHUNK // slice_length

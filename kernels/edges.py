@@ -118,9 +118,9 @@ def _own(
     face = begin + wp.tid()
     bits = int(0)
     for k in range(3):
-        bits = bits | (owned[3 * face + k] << (k + 1))
+        bits = bits | (owned[3 * face + k] << (k + 3))
         if first[faces[face, k]] == face - faces.shape[0]:
-            bits = bits | (1 << (k + 4))
+            bits = bits | (1 << k)
     neighbours[face, 3] = bits
 
 

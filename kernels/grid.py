@@ -50,12 +50,11 @@ def along_turned(slab: Slab, axis: int, i: wp.vec3d):
 
 
 @wp.func
-def place_of(slab: Slab, index: wp.vec3d):
-    """The place, in float64, that belongs to indices in the slab, which need not be whole."""
-    i = wp.vec3d(index[0] + wp.float64(slab.first), index[1], index[2])
+def way(slab: Slab, steps: wp.vec3d):
+    """How far so many steps along each axis lead."""
     if slab.turned != 0:
-        return slab.origin + slab.axes * i
-    return slab.origin + wp.cw_mul(slab.spacing, i)
+        return slab.axes * steps
+    return wp.cw_mul(slab.spacing, steps)
 
 
 @wp.func

@@ -162,34 +162,39 @@ def clear_values(rows: wp.uint64, lane: int, lanes: int):
 
 @wp.func_native(
     snippet=f"""
+    const int first = (four >> 4 << 6) + (four >> 2 << 4 & 48) + (four << 1 & 6);
 #if defined(__CUDA_ARCH__)
-    const int value = reinterpret_cast<const int*>(rows)[{LEAST} + number];
-    return __int_as_float(value ^ (value >> 31 & 0x7fffffff));
+    const int* values = reinterpret_cast<const int*>(rows) + {LEAST} + first;
+    const int2 a = *reinterpret_cast<const int2*>(values), b = *reinterpret_cast<const int2*>(values + 8);
+    #define decoded(value) __int_as_float((value) ^ ((value) >> 31 & 0x7fffffff))
+    return wp::vec4(decoded(a.x), decoded(a.y), decoded(b.x), decoded(b.y));
+    #undef decoded
 #else
-    return reinterpret_cast<const float*>(rows)[{LEAST} + number];
+    const float* values = reinterpret_cast<const float*>(rows) + {LEAST} + first;
+    return wp::vec4(values[0], values[1], values[8], values[9]);
 #endif
 """
 )
-def value_at(rows: wp.uint64, number: int) -> float:
-    """The least value of voxel `number` of the block, see `numbered`; infinite if no part was measured there."""
+def values_of(rows: wp.uint64, four: int) -> wp.vec4:
+    """The least values of the voxels `four` of the block, see `four_at`; infinite where no part was measured.
+
+    A voxel's value is found octant by octant, eighth by eighth, so that each bit of its place is one of an index. Along
+    z an eighth has two voxels, and the next one's are 8 on.
+    """
     ...
 
 
 @wp.func
-def numbered(number: int):
-    """The indices of voxel `number` of a block: octant by octant, eighth by eighth, so that each bit is an index's."""
-    return wp.vec3i(
-        ((number >> 6) & 4) | ((number >> 4) & 2) | ((number >> 2) & 1),
-        ((number >> 5) & 4) | ((number >> 3) & 2) | ((number >> 1) & 1),
-        ((number >> 4) & 4) | ((number >> 2) & 2) | (number & 1),
-    )
+def four_at(four: int):
+    """The indices, from the block's first voxel, of the first of four voxels along z: those of an octant's edge."""
+    i = ((four >> 4) & 4) | ((four >> 2) & 2) | ((four >> 1) & 1)
+    j = ((four >> 3) & 4) | ((four >> 1) & 2) | (four & 1)
+    return wp.vec3i(i, j, (four >> 2) & 4)
 
 
 @wp.func
 def least_distance(value: float, p: wp.vec3, radius2: float, near: bool):
     """The distance of voxel p (from the block's centre) that belongs to its least value."""
-    square = float(value)
-    if not near:
-        # What is added to R^2 is small, and so is its rounding.
-        square = wp.max(radius2 + (value + wp.dot(p, p)), 0.0)
-    return wp.sqrt(square)
+    # What is added to R^2 is small, and so is its rounding.
+    square = wp.max(radius2 + (value + wp.dot(p, p)), 0.0)
+    return wp.sqrt(wp.where(near, value, square))

@@ -12,7 +12,7 @@ import warp as wp
 from sdm.kernels.cones import Cones, cone_misses
 from sdm.kernels.cull import Cell, Witness, triangle_is_farther
 from sdm.kernels.lanes import ballot, members, rank
-from sdm.kernels.parts import CORNER, EDGE, FACE
+from sdm.kernels.queues import one_for_each_bit
 from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
 from sdm.kernels.wide import load4
 
@@ -40,15 +40,10 @@ def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane
     return members(mask)
 
 
-@wp.func
-def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int):
-    """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns how many."""
-    pushed = push(stacks, top, (which & FACE) != 0, 8 * slot + 6, lane)
-    kinds = int(3)
-    for k in range(kinds):
-        pushed = pushed + push(stacks, top + pushed, (which & (EDGE << k)) != 0, 8 * slot + 3 + k, lane)
-        pushed = pushed + push(stacks, top + pushed, (which & (CORNER << k)) != 0, 8 * slot + k, lane)
-    return pushed
+@wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "8 * slot + bit"))
+def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
+    """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns the new top."""
+    ...
 
 
 @wp.func

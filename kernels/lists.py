@@ -57,6 +57,8 @@ class Lists:
     lengths: wp.array(dtype=wp.int32)
     # Surface points seen from centres: the vector from there, and its square.
     witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) of regions, then cells, then bricks
+    # Where cells are and, of cells of more than a block, their bricks, see `places`.
+    places: wp.array(dtype=wp.float32)  # (72 or 8 * count * PLACE_FLOATS)
     nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
     # Cells and which slice of their lists, see `plan`: those that are measured whole, and those brick by brick.
     whole: wp.array(dtype=wp.int32)  # (LENGTHS * slices)
@@ -181,16 +183,21 @@ def append(lists: Lists, chain: Chain, keep: bool, entry: int, lane: int):
     return chain
 
 
-@wp.func
-def list_length(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), first: int, count: int):
+@wp.func_native(
+    snippet="""
+    int total = 0;
+    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
+    #pragma unroll 1
+    for (int i = first; i < first + count; ++i) {
+        if (heads.data[i] < 0) return -1;
+        total += lengths.data[i];
+    }
+    return total;
+"""
+)
+def list_length(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.int32), first: int, count: int) -> int:
     """Entries of `count` chains from `first`, or -1 if the pool ran out for one."""
-    total = int(0)
-    for i in range(count):
-        if heads[first + i] < 0:
-            total = -1
-        elif total >= 0:
-            total = total + lengths[first + i]
-    return total
+    ...
 
 
 @wp.struct

@@ -18,7 +18,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, doubt, sum_abs
-from sdm.kernels.grid import Slab, place_of
+from sdm.kernels.grid import Slab, way
 from sdm.kernels.parts import ROOM
 from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
 
@@ -47,16 +47,18 @@ def octants_there(slab: Slab, start: wp.vec3i, bits: int):
 @wp.func
 def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
     """Note where a block's first voxel is, from its centre, the steps from there to the next ones, and their room."""
-    first = wp.vec3d(wp.float64(start[0]), wp.float64(start[1]), wp.float64(start[2]))
     row = lane
     while row < 4:
         # Not by a number into a vector, which would be in memory.
-        step = wp.vec3d(wp.float64(int(row == 1)), wp.float64(int(row == 2)), wp.float64(int(row == 3)))
-        at = scale * place_of(slab, first + step)
+        steps = wp.vec3d(wp.float64(int(row == 1)), wp.float64(int(row == 2)), wp.float64(int(row == 3)))
+        if row == 0:
+            steps = wp.vec3d(wp.float64(start[0] + slab.first), wp.float64(start[1]), wp.float64(start[2]))
+        at = way(slab, steps)
+        if row == 0:
+            at = at + slab.origin
+        at = scale * at
         if row == 0:
             at = at - wp.vec3d(cell.centre)
-        else:
-            at = at - scale * place_of(slab, first)
         wider = WIDER * (
             wp.max(wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + cell.half)
         )

@@ -38,8 +38,8 @@ _INVERSES = wp.constant(INVERSES)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
-# Bits of the parts.
-FACE, EDGE, CORNER = wp.constant(1), wp.constant(2), wp.constant(16)
+# Bits of the parts: as these are numbered, see `leaves`.
+CORNER, EDGE, FACE = wp.constant(1), wp.constant(8), wp.constant(64)
 # Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
 ROOM = wp.constant(2.0e-6)
 

@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.atomics import fetch_add, fetch_add_once
-from sdm.kernels.cull import Cell, Witness, agree, moved, no_witness, remember
+from sdm.kernels.cull import Witness, agree, moved, no_witness, remember
 from sdm.kernels.grid import Slab
 from sdm.kernels.lists import (
     BLOCK,
@@ -24,7 +24,6 @@ from sdm.kernels.lists import (
     WHOLE,
     Lists,
     brick_start,
-    cell_start,
     is_coarse,
     is_within,
     list_length,
@@ -34,6 +33,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts
+from sdm.kernels.places import Place, brick_number, note_place, noted_place
 from sdm.kernels.tree import Tree, first_triangle, node_distance2
 from sdm.kernels.wide import load4
 from sdm.kernels.witness import read_witness, seen_from, write_witness
@@ -76,15 +76,22 @@ def whole_blocks(lists: Lists):
     return total
 
 
+@wp.func_native(
+    snippet=f"""
+    int length = {LENGTHS - 1};
+    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
+    #pragma unroll 1
+    for (int here; item >= (here = counts.data[{WHOLE} + length]); --length) item -= here;
+    return length * slices + item;
+"""
+)
+def _place_of_whole(counts: wp.array(dtype=wp.int32), slices: int, item: int) -> int: ...
+
+
 @wp.func
 def whole_block(lists: Lists, item: int):
     """The code of one of them: those with the longest lists first."""
-    length = int(LENGTHS - 1)
-    left = int(item)
-    while left >= lists.counts[_WHOLE + length]:
-        left = left - lists.counts[_WHOLE + length]
-        length = length - 1
-    return lists.whole[length * lists.slices + left]
+    return lists.whole[_place_of_whole(lists.counts, lists.slices, item)]
 
 
 @wp.func
@@ -94,12 +101,6 @@ def length_class(length: int):
     while power < _LENGTHS - 1 and (length >> (power + 1)) > 0:
         power = power + 1
     return power
-
-
-@wp.func
-def brick_witness(lists: Lists, number: int, octant: int):
-    """Where in `lists.witnesses` a brick's is."""
-    return 9 * lists.count + 8 * number + octant
 
 
 @wp.func
@@ -149,25 +150,17 @@ def nearest_of_cell(lists: Lists, number: int):
 
 
 @wp.func
-def note_brick_witnesses(
-    tree: Tree,
-    slab: Slab,
-    lists: Lists,
-    mesh: int,
-    number: int,
-    start: wp.vec3i,
-    cell: Cell,
-    known: Witness,
-    lane: int,
-    lanes: int,
-):
-    """A surface point near each of a cell's bricks, seen from its centre: the cell's."""
+def note_bricks(tree: Tree, slab: Slab, lists: Lists, number: int, place: Place, known: Witness, lane: int, lanes: int):
+    """Note a surface point near each of a cell's bricks, seen from its centre: the cell's. And where they are."""
     o = lane
     while o < 8:
-        first = brick_start(lists, start, o)
+        first = brick_start(lists, place.start, o)
+        brick = make_cell(tree, slab, place.mesh, first, lists.cell / 2)
+        if lists.cell > BLOCK:
+            note_place(lists, brick_number(lists, number, o), place.mesh, first, brick)
         if is_within(slab, first):
-            centre = make_cell(tree, slab, mesh, first, lists.cell / 2).centre
-            write_witness(lists.witnesses, brick_witness(lists, number, o), moved(known, centre - cell.centre))
+            near = moved(known, brick.centre - place.cell.centre)
+            write_witness(lists.witnesses, lists.count + brick_number(lists, number, o), near)
         o = o + lanes
 
 
@@ -203,22 +196,23 @@ def _plan_blocks(
     lane = (begin + wp.tid()) % lanes
     number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
     while number < 8 * lists.count:
-        mesh, start = cell_start(lists, number)
-        if is_within(slab, start):
-            cell = make_cell(tree, slab, mesh, start, lists.cell)
+        place = noted_place(lists, number)
+        mesh = place.mesh
+        cell = place.cell
+        if is_within(slab, place.start):
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
             known = no_witness()
             if length > 0:
                 known = nearest_of_cell(lists, number)
             if is_coarse(cell):
-                note_brick_witnesses(tree, slab, lists, mesh, number, start, cell, known, lane, lanes)
+                note_bricks(tree, slab, lists, number, place, known, lane, lanes)
             else:
                 if length > 0:
                     known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)
                 if lane == 0:
                     write_witness(lists.witnesses, lists.count + number, known)
                 if lists.cell > BLOCK:
-                    note_brick_witnesses(tree, slab, lists, mesh, number, start, cell, known, lane, lanes)
+                    note_bricks(tree, slab, lists, number, place, known, lane, lanes)
             if lane == 0:
                 share_out(lists, not is_coarse(cell), number, length, slice_length)
         number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)

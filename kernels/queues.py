@@ -13,28 +13,43 @@ wp.set_module_options({"enable_backward": False})
 PART_BITS, PAIR_BITS = 5, 8
 
 
-@wp.func_native(
-    snippet="""
-    unsigned short* queue = reinterpret_cast<unsigned short*>(rows) + begin / 2;
+def one_for_each_bit(queue: str, entry: str) -> str:
+    """Native text that puts an `entry` for each `bit` that a lane has in `which` into a `queue`, from its place `top`.
+
+    Returns the place after the last lane's.
+    """
+    return f"""
+    {queue}
 #if defined(__CUDA_ARCH__)
     const int mine = __popc(which);
     int upto = mine;
     #pragma unroll
-    for (int step = 1; step < 32; step <<= 1) {
+    for (int step = 1; step < 32; step <<= 1) {{
         const int before = __shfl_up_sync(0xffffffffu, upto, step);
         upto += lane >= step ? before : 0;
-    }
+    }}
     int at = top + upto - mine;
     #pragma unroll 1
-    for (unsigned left = which; left; left &= left - 1)
-        queue[at++] = (unsigned short)(tag | (__ffs(left) - 1) << bits);
+    for (unsigned left = which; left; left &= left - 1) {{
+        const int bit = __ffs(left) - 1;
+        queue[at++] = {entry};
+    }}
     return top + __shfl_sync(0xffffffffu, upto, 31);
 #else
-    for (unsigned left = which; left; left &= left - 1)
-        queue[top++] = (unsigned short)(tag | __builtin_ctz(left) << bits);
+    for (unsigned left = which; left; left &= left - 1) {{
+        const int bit = __builtin_ctz(left);
+        queue[top++] = {entry};
+    }}
     return top;
 #endif
 """
+
+
+@wp.func_native(
+    snippet=one_for_each_bit(
+        "unsigned short* queue = reinterpret_cast<unsigned short*>(rows) + begin / 2;",
+        "(unsigned short)(tag | bit << bits)",
+    )
 )
 def put_in_line(rows: wp.uint64, begin: int, top: int, tag: int, bits: int, which: int, lane: int) -> int:
     """Put the lanes' boxes `which` of `tag`, a number of so many `bits`, in the line that begins at byte `begin`.

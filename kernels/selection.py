@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
-from sdm.kernels.cull import LARGEST_SQUARE
+from sdm.kernels.cull import LARGEST_SQUARE, box_is_farther
 from sdm.kernels.grid import Slab, index_of
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.leaves import LEAVES, PARTS, SLOTS, full_of_leaves, push, push_parts, triangles_that_matter
@@ -27,7 +27,6 @@ from sdm.kernels.lists import (
     Lists,
     append,
     brick_start,
-    cell_start,
     is_coarse,
     is_within,
     list_length,
@@ -37,8 +36,8 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
+from sdm.kernels.places import brick_number, noted_place
 from sdm.kernels.plan import (
-    brick_witness,
     cell_of,
     nearest_in_list,
     slice_of,
@@ -48,7 +47,7 @@ from sdm.kernels.plan import (
 )
 from sdm.kernels.regions import node_matters
 from sdm.kernels.stacks import stack_of
-from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree
+from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree, node_box
 from sdm.kernels.voxels import Block
 from sdm.kernels.witness import read_witness, write_witness
 
@@ -68,30 +67,32 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
     If `part` is not negative: that brick of a cell which is measured brick by brick from one list.
     """
     code = int(0)
-    slot = int(0)
     if item < bricks:
         code = lists.coarse[item / 8]
     else:
         code = whole_block(lists, item - bricks)
     number = cell_of(code)
-    mesh, start = cell_start(lists, number)
     size = int(lists.cell)
-    slot = lists.count + number
+    box = int(number)
     brick = wp.where(item < bricks, item % 8, part)
     if brick >= 0:
-        start = brick_start(lists, start, brick)
         size = size / 2
-        slot = brick_witness(lists, number, brick)
+        box = brick_number(lists, number, brick)
+    place = noted_place(lists, wp.where(item < bricks, number, box))
+    if item < bricks:
+        # These are few, and not noted.
+        place.start = brick_start(lists, place.start, brick)
+        place.cell = make_cell(tree, slab, place.mesh, place.start, size)
     block = Block()
-    block.mesh = mesh
-    block.start = start
+    block.mesh = place.mesh
+    block.start = place.start
     block.bits = wp.where(size == 4, 2, wp.where(size == 8, 3, 4))
     block.slice = slice_of(code)
     block.slices = slices_of(code)
-    block.unscale = float(tree.frame[mesh * _FRAME_SIZE + _UNSCALE])
-    block.cell = make_cell(tree, slab, mesh, start, size)
-    block.known = read_witness(lists.witnesses, slot)
-    block.index = index_of(slab, mesh, start)
+    block.unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    block.cell = place.cell
+    block.known = read_witness(lists.witnesses, lists.count + box)
+    block.index = index_of(slab, block.mesh, block.start)
     return block, number
 
 
@@ -114,7 +115,7 @@ def find_brick_witness(
     centre = block.cell.centre
     known = nearest_in_list(tree, frames, parts, lists, number, block.mesh, centre, block.known, lane, lanes)
     if lane == 0:
-        write_witness(lists.witnesses, brick_witness(lists, number, item % 8), known)
+        write_witness(lists.witnesses, lists.count + brick_number(lists, number, item % 8), known)
     return known
 
 
@@ -158,7 +159,7 @@ def select_for(
             if lane < taken:
                 slot = stack[_SLOTS + ripe + lane]
                 which = parts_that_matter(block.cell, block.known, tree, parts, slot)
-            found = found + push_parts(stack, _PARTS + found, slot, which, lane)
+            found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
         elif waiting >= full_of_leaves(lanes) or reader.left == 0:
             taken = wp.min(full_of_leaves(lanes), waiting)
             waiting = waiting - taken
@@ -182,9 +183,13 @@ def select_for(
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
             keep = leaf >= 0 and batch % block.slices == block.slice
-            if keep and (1 << block.bits) < lists.cell:
-                # For the cell it has been tested.
-                keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
+            if keep:
+                if (1 << block.bits) < lists.cell:
+                    keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
+                else:
+                    # For the cell it has been tested, but with a witness that may not have been the nearest.
+                    low, high = node_box(tree, base + leaves + leaf)
+                    keep = not box_is_farther(block.cell, block.known, low, high)
             waiting = waiting + push(stack, _LEAVES + waiting, keep, leaf, lane)
             batch = batch + 1
         wait_for_lanes()

@@ -7,11 +7,10 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add, shrink
 from sdm.kernels.cull import LARGEST_SQUARE, Cell, Witness
 from sdm.kernels.grid import Output, Slab, along, distances_at, is_unclear, with_sign
-from sdm.kernels.lanes import wait_for_lanes
-from sdm.kernels.least import is_near, least_distance, numbered, value_at
+from sdm.kernels.least import four_at, is_near, least_distance, values_of
 from sdm.kernels.lists import is_within
 from sdm.kernels.octants import lattice_of, note_lattice, note_witness
-from sdm.kernels.rows import PLACES, WINDING, read_number, write_number
+from sdm.kernels.rows import PLACES, WINDING, read_number, read_row, write_number, write_row
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -19,7 +18,7 @@ wp.set_module_options({"enable_backward": False})
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
 
-_PLACES, _WINDING = wp.constant(PLACES), wp.constant(WINDING)
+_PLACES, _WINDING_ROW = wp.constant(PLACES), wp.constant(WINDING // 4)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -56,15 +55,27 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
         at = at + lanes
 
 
+@wp.struct
+class Four:
+    """Four voxels along z, from the block's centre."""
+
+    p0: wp.vec3
+    p1: wp.vec3
+    p2: wp.vec3
+    p3: wp.vec3
+
+
 @wp.func
-def local_voxel(slab: Slab, rows: wp.uint64, at: wp.vec3i):
-    """The voxel `at` from a block's first, from the block's centre."""
+def four_voxels(slab: Slab, rows: wp.uint64, at: wp.vec3i):
+    """The voxel `at` from a block's first, and the next three."""
     if slab.turned != 0:
         lattice = lattice_of(rows)
-        return lattice.first + (float(at[0]) * lattice.i + float(at[1]) * lattice.j + float(at[2]) * lattice.k)
+        p = lattice.first + (float(at[0]) * lattice.i + float(at[1]) * lattice.j + float(at[2]) * lattice.k)
+        return Four(p, p + lattice.k, p + 2.0 * lattice.k, p + 3.0 * lattice.k)
     x = read_number(rows, _PLACES + at[0])
     y = read_number(rows, _PLACES + 8 + at[1])
-    return wp.vec3(x, y, read_number(rows, _PLACES + 16 + at[2]))
+    z = read_row(rows, (_PLACES + 16 + at[2]) / 4)
+    return Four(wp.vec3(x, y, z[0]), wp.vec3(x, y, z[1]), wp.vec3(x, y, z[2]), wp.vec3(x, y, z[3]))
 
 
 @wp.func
@@ -141,19 +152,11 @@ def fours_of(block: Block):
 
 
 @wp.func
-def four_at(block: Block, four: int):
-    """The indices of the first of four voxels, from the block's first."""
-    along = block.bits - 2
-    last = (1 << block.bits) - 1
-    return wp.vec3i(four >> (along + block.bits), (four >> along) & last, 4 * (four & ((1 << along) - 1)))
-
-
-@wp.func
 def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
     four = lane
     while four < fours_of(block):
-        at = four_at(block, four)
+        at = four_at(four)
         index = place_in_map(slab, block, at)
         if index >= 0:
             count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
@@ -162,48 +165,56 @@ def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: 
 
 
 @wp.func
+def settled(block: Block, p: wp.vec3, least: float, near: bool):
+    """The distance of a voxel; infinite if none was found: the list had no room, or float32 overflowed."""
+    distance = block.unscale * least_distance(least, p, block.known.distance2, near)
+    return wp.where(least < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
+
+
+@wp.func
 def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
 
-    They are infinite where none was found.
+    They are infinite where none was found, and left to the search. Each lane reads what it began to read itself.
     """
     unclear = int(0)
     missed = int(0)
     near = is_near(block.known.distance2, block.cell.half2)
-    end_reading()
-    wait_for_lanes()
-    number = lane
-    while number < (1 << (3 * block.bits)):
-        at = numbered(number)
-        place = _WINDING + ((((at[0] << block.bits) + at[1]) << block.bits) + at[2])
-        winding = read_number(rows, place)
-        least = value_at(rows, number)
-        p = local_voxel(slab, rows, at)
-        distance = float(wp.inf)
-        if least < LARGEST_SQUARE:
-            distance = block.unscale * least_distance(least, p, block.known.distance2, near)
-        if is_within(slab, block.start + at):
-            if block.slices > 1:
-                if distance < float(wp.inf):
-                    shrink(out.values, place_in_map(slab, block, at), distance)
-            else:
-                if not distance < float(wp.inf):
-                    # Left to the search: the list had no room, the block is too coarse, or float32 overflowed.
-                    distance = float(wp.inf)
-                    missed = missed + 1
-                unclear = unclear + is_unclear(winding)
-        write_number(rows, place, with_sign(distance, winding))
-        number = number + lanes
-    if missed > 0:
-        fetch_add(out.missed, 0, missed)
-    wait_for_lanes()
     address = distances_at(out)
-    four = int(lane)
-    while four < fours_of(block) and block.slices == 1:
-        at = four_at(block, four)
+    end_reading()
+    four = lane
+    while four < fours_of(block):
+        at = four_at(four)
         index = place_in_map(slab, block, at)
         if index >= 0:
+            least = values_of(rows, four)
+            winding = read_row(rows, _WINDING_ROW + four)
+            p = four_voxels(slab, rows, at)
+            distances = wp.vec4(
+                settled(block, p.p0, least[0], near),
+                settled(block, p.p1, least[1], near),
+                settled(block, p.p2, least[2], near),
+                settled(block, p.p3, least[3], near),
+            )
             count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
-            write_back(rows, four, address, index, count, slab.shape[2] % 4 == 0)
+            for v in range(4):
+                if block.slices > 1:
+                    if v < count and distances[v] < float(wp.inf):
+                        shrink(out.values, index + v, distances[v])
+                elif v < count:
+                    missed = missed + wp.where(distances[v] < float(wp.inf), 0, 1)
+                    unclear = unclear + is_unclear(winding[v])
+            if block.slices == 1:
+                write_row(
+                    rows,
+                    _WINDING_ROW + four,
+                    with_sign(distances[0], winding[0]),
+                    with_sign(distances[1], winding[1]),
+                    with_sign(distances[2], winding[2]),
+                    with_sign(distances[3], winding[3]),
+                )
+                write_back(rows, four, address, index, count, slab.shape[2] % 4 == 0)
         four = four + lanes
+    if missed > 0:
+        fetch_add(out.missed, 0, missed)
     return unclear

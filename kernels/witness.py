@@ -17,6 +17,7 @@ from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, members
 from sdm.kernels.lists import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
+from sdm.kernels.places import note_place
 from sdm.kernels.tree import Tree, box_distance2, first_triangle, node_distance2
 from sdm.kernels.wide import load4, write4
 
@@ -120,8 +121,10 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
         while octant < 8:
             number = 8 * item + octant
             _mesh, first = cell_start(lists, number)
+            cell = make_cell(tree, slab, mesh, first, lists.cell)
+            note_place(lists, number, mesh, first, cell)
             if is_within(slab, first):
-                centre = make_cell(tree, slab, mesh, first, lists.cell).centre
+                centre = cell.centre
                 mine = moved(known, centre - region.centre)
                 write_witness(
                     lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)

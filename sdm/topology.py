@@ -98,7 +98,7 @@ def neighbours(faces: Tensor, count: int) -> Tensor:
 
     Returns:
         (F,4) int32. Column k < 3: another face at the edge from corner k to the next, as 3 * face + edge, or -1. Column
-        3: bits of what the face owns, 2, 4 and 8 for its edges, 16, 32 and 64 for its corners; the first face at an
+        3: bits of what the face owns, 1, 2 and 4 for its corners, 8, 16 and 32 for its edges; the first face at an
         edge or a corner owns it. Of an edge from a vertex to itself nobody needs to know.
 
     Raises:

@@ -8,14 +8,15 @@ import pytest
 import warp as wp
 
 from sdm.kernels.boxes import boxes_of
-from sdm.kernels.least import numbered
+from sdm.kernels.least import four_at, values_of
 from sdm.kernels.mix import kind_of, taken_now
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
-from sdm.kernels.rows import ITEMS, PARTS, ROWS, TEST_ROW, rows_of, write_row
+from sdm.kernels.rows import ITEMS, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
 
 wp.set_module_options({"enable_backward": False})
 
 _TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
+_LEAST_ROW, _LEAST_ROWS = wp.constant(LEAST // 4), wp.constant(128)
 _ITEMS, _PART_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(PART_BITS), wp.constant(PAIR_BITS)
 
 
@@ -44,7 +45,7 @@ def boxes(tests: np.ndarray, pairs: np.ndarray, level: int, must: int) -> np.nda
     return out.numpy()
 
 
-@pytest.mark.parametrize(("level", "must", "some"), [(0, 5, 0), (1, 5, 0), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
+@pytest.mark.parametrize(("level", "must", "some"), [(0, 4, 1), (1, 4, 1), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
 def test_a_box_is_kept_where_a_point_of_it_passes(level, must, some):
     """Compared with the corners of each box of voxels, where a linear function is least."""
     rng = np.random.default_rng(level + 10 * must)
@@ -123,18 +124,22 @@ def test_parts_are_taken_once_and_full_lanes_first():
 
 
 @wp.kernel
-def _numbered(out: wp.array(dtype=wp.vec3i)):
-    out[wp.tid()] = numbered(wp.tid())
+def _fours(memory: wp.array(dtype=float), at: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec4)):
+    rows = rows_of(memory, 0)
+    for row in range(_LEAST_ROWS):
+        first = float(4 * row)
+        write_row(rows, _LEAST_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
+    for four in range(at.shape[0]):
+        at[four] = four_at(four)
+        values[four] = values_of(rows, four)
 
 
-def test_voxels_are_numbered_octant_by_octant():
-    out = wp.zeros(512, dtype=wp.vec3i, device="cpu")
-    wp.launch(_numbered, 512, [out], device="cpu")
-    at = out.numpy()
-    assert len(np.unique(at, axis=0)) == 512
-    assert at.min() == 0
-    assert at.max() == 7
-    for size in (64, 8):
-        boxes_there = at.reshape(-1, size, 3)
-        edge = round(size ** (1 / 3))
-        assert (boxes_there.max(1) - boxes_there.min(1) == edge - 1).all()
+def test_values_stand_octant_by_octant_and_eighth_by_eighth():
+    at = wp.zeros(128, dtype=wp.vec3i, device="cpu")
+    values = wp.zeros(128, dtype=wp.vec4, device="cpu")
+    wp.launch(_fours, 1, [wp.zeros(4 * ROWS, dtype=float, device="cpu"), at, values], device="cpu")
+    voxels = (at.numpy()[:, None] + [[0, 0, k] for k in range(4)]).reshape(-1, 3)
+    assert len(np.unique(voxels, axis=0)) == 512
+    assert (voxels[:64].max(0) == 3).all()  # a block of 4^3 voxels has the first 16 fours
+    octant, eighth, corner = ((voxels >> bit & 1) @ [4, 2, 1] for bit in (2, 1, 0))
+    assert (values.numpy().reshape(-1) == 64 * octant + 8 * eighth + corner).all()

@@ -22,7 +22,7 @@ def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
                 at_edge.setdefault(frozenset((face[k], face[(k + 1) % 3])), []).append(3 * f + k)
     for f, face in enumerate(faces.tolist()):
         for k in range(3):
-            owns_corner, owns_edge = bool(found[f][3] & (16 << k)), bool(found[f][3] & (2 << k))
+            owns_corner, owns_edge = bool(found[f][3] & (1 << k)), bool(found[f][3] & (8 << k))
             assert owns_corner == (at_corner[face[k]] == f)
             if face[k] == face[(k + 1) % 3]:
                 assert found[f][k] == -1
@@ -44,7 +44,7 @@ def test_of_a_closed_mesh_every_part_has_one_owner():
     vertices, faces = sphere(8)
     _check(vertices, faces)
     bits = neighbours(torch.tensor(faces), len(vertices))[:, 3]
-    owned = sum(int(((bits >> b) & 1).sum()) for b in range(1, 7))
+    owned = sum(int(((bits >> b) & 1).sum()) for b in range(6))
     assert owned == len(faces) * 3 // 2 + len(vertices)
 
 
