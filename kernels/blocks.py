@@ -16,7 +16,7 @@ from sdm.kernels.boxes import boxes_of
 from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face
 from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
-from sdm.kernels.least import clear_values, is_near, measure_item
+from sdm.kernels.least import clear_values, measure_item
 from sdm.kernels.leaves import push
 from sdm.kernels.lists import (
     BLOCK,
@@ -32,7 +32,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.mix import Mix, kind_of, taken_now
-from sdm.kernels.octants import octants_there
+from sdm.kernels.octants import in_steps, octants_there
 from sdm.kernels.parts import Parts
 from sdm.kernels.plan import whole_blocks
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
@@ -56,9 +56,7 @@ _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 
 
 @wp.func
-def measure_parts(
-    rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
-):
+def measure_parts(rows: wp.uint64, mix: Mix, octants: int, room: float, turned: bool, lane: int, lanes: int):
     """Measure the lanes' parts, whose rows are noted, where they matter in the `octants` (bits) of the block.
 
     Each step puts work in line for the next, so that all lanes have some.
@@ -95,7 +93,7 @@ def measure_parts(
             items = items - taken
             if lane < taken:
                 item = in_line(rows, _ITEMS, items + lane)
-                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, near, turned)
+                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, turned)
         wait_for_lanes()
 
 
@@ -118,8 +116,6 @@ def measure_block(
     clear_values(rows, lane, lanes)
     read_windings(slab, out, rows, block, lane, lanes)
     octants = octants_there(slab, block.start, block.bits)
-    radius2 = block.known.distance2
-    near = is_near(radius2, block.cell.half2)
     room = NEAR_ENDS * (block.cell.half[0] + block.cell.half[1] + block.cell.half[2])
     wait_for_lanes()
     reader = Reader()
@@ -150,15 +146,16 @@ def measure_block(
             if lane < mix.parts:
                 if which == CORNER_KIND:
                     code = stack[_CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, parts, code, block.cell, radius2)
+                    add_corner(rows, lane, tree, parts, code, block.cell)
                 elif which == EDGE_KIND:
                     code = stack[_EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, parts, code, block.cell, radius2)
+                    add_edge(rows, lane, tree, parts, code, block.cell)
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
-                    add_face(rows, lane, tree, parts, code, block.cell, radius2)
+                    add_face(rows, lane, tree, parts, code, block.cell)
+                in_steps(rows, lane, wp.where(which == CORNER_KIND, 5, 6))
             wait_for_lanes()
-            measure_parts(rows, mix, octants, room, near, slab.turned != 0, lane, lanes)
+            measure_parts(rows, mix, octants, room, slab.turned != 0, lane, lanes)
         wait_for_lanes()
     unclear = settle_voxels(slab, out, rows, block, lane, lanes)
     if unclear > 0:

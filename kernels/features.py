@@ -1,17 +1,14 @@
 """The parts of triangles that can be nearest to a block's voxels, written so that measuring one takes a few products.
 
-Let c be the block's centre, p a voxel from there, R the distance of c from the surface, and m the point of a part's
-plane, line or corner that is closest to c, seen from c. With w = |m|^2 - R^2, the squared distances less R^2 + |p|^2
-are
+Let c be the block's centre, p a voxel from there, and m the point of a part's plane, line or corner that is closest to
+c, seen from c. The squared distances are
 
-    corner  w - 2 p.m
-    line    w - 2 p.m - (p.e)^2                along the unit vector e
-    plane   w + (p.n) (2 h + p.n) - |p|^2      at height h = -m.n above it
+    corner  |p - m|^2
+    line    |p - m - (p.e) e|^2        along the unit vector e
+    plane   (p.n - m.n)^2              with the normal n
 
-Only w comes from long distances, and it is found in float64 and is small, as all parts that are left are nearly
-equally far from c; the rest is of the block's size. So float32 is more accurate here than it could be with the squared
-distances themselves, of which the least is made only at the end. Near the surface it is the other way round: there the
-distances are smaller than the block, and are taken from p - m, its part across the line, or the height.
+m is found in float64, where it is a small difference of long vectors, and rounded to float32, as p is: so a distance
+is as accurate as its coordinates from c are, near the surface and far away.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
 be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
@@ -24,9 +21,9 @@ import warp as wp
 
 from sdm.kernels.cull import Cell, bulge_of_edge, bulge_of_triangle
 from sdm.kernels.lanes import unknown
-from sdm.kernels.octants import lattice_of, room_for, test_corner, test_direction
+from sdm.kernels.octants import room_for, test_corner, test_direction
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
-from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
+from sdm.kernels.rows import PARTS, write_row
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load2, load4
 
@@ -35,7 +32,7 @@ wp.set_module_options({"enable_backward": False})
 # Kinds of parts.
 CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
 
-_PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
+_PARTS = wp.constant(PARTS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 _ROWS = wp.constant(PARTS_FLOATS // 4)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
@@ -61,9 +58,8 @@ def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
     """Work out part `number`, corner code % 4 of triangle code / 4: its row, and five tests that a box has to pass."""
-    lattice = lattice_of(rows)
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
@@ -76,23 +72,20 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     over_bc = wp.vec3(r3[0], r3[1], r3[2])
     over_ca = wp.vec3(r3[3], r4[0], r4[1])
     corner = one_of(k, first, second, third)
-    a = wp.vec3d(corner) - wp.vec3d(cell.centre)
-    v = -2.0 * wp.vec3(a)
-    write_row(rows, number, v[0], v[1], v[2], float(wp.dot(a, a) - wp.float64(radius2)))
-    # Behind its two edges, and behind the neighbours' edges there.
     q = corner - cell.centre
+    write_row(rows, number, -q[0], -q[1], -q[2], 0.0)
+    # Behind its two edges, and behind the neighbours' edges there.
     room = room_for(cell, q)
-    test_direction(rows, lattice, 0, number, room, q, one_of(k, second, third, first) - corner)
-    test_direction(rows, lattice, 1, number, room, q, one_of(before, first, second, third) - corner)
-    test_direction(rows, lattice, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
-    test_direction(rows, lattice, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
-    test_corner(rows, lattice, 4, number, q, 0.0)
+    test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
+    test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
+    test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
+    test_direction(rows, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
+    test_corner(rows, 4, number, q, 0.0)
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next: four tests, and one of two."""
-    lattice = lattice_of(rows)
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
@@ -104,30 +97,27 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     # Not of the two from the centre, which are alike if the triangle is very small for its distance.
     ab = wp.vec3d(end) - wp.vec3d(begin)
     along = -wp.dot(a, ab) * inverse
-    m = a + (along * inverse) * ab
+    m = wp.vec3(a + (along * inverse) * ab)
     e = wp.vec3(inverse * ab)
-    m2 = -2.0 * wp.vec3(m)
-    write_row(rows, number, m2[0], m2[1], m2[2], float(wp.dot(m, m) - wp.float64(radius2)))
+    write_row(rows, number, -m[0], -m[1], -m[2], float(wp.length(ab) - along))
     write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
-    write_number(rows, _NUMBERS + number, float(wp.length(ab) - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
     p = begin - cell.centre
     q = end - cell.centre
     room = room_for(cell, p)
-    test_direction(rows, lattice, 0, number, room, p, -edge)
-    test_direction(rows, lattice, 1, number, room_for(cell, q), q, edge)
-    test_direction(rows, lattice, 2, number, room, p, wp.cross(normal, edge))
-    test_direction(rows, lattice, 3, number, room, p, inward)
+    test_direction(rows, 0, number, room, p, -edge)
+    test_direction(rows, 1, number, room_for(cell, q), q, edge)
+    test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
+    test_direction(rows, 3, number, room, p, inward)
     bulge = bulge_of_edge(edge)
-    test_corner(rows, lattice, 4, number, p, bulge)
-    test_corner(rows, lattice, 5, number, q, bulge)
+    test_corner(rows, 4, number, p, bulge)
+    test_corner(rows, 5, number, q, bulge)
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, radius2: float):
+def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
     """`add_corner` for a face, of triangle code / 4: three tests, and one of three."""
-    lattice = lattice_of(rows)
     slot = code / 4
     # All at once: loads one after the other wait for each other.
     first_two = load2(parts.inverses, 2 * slot)
@@ -138,8 +128,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
-    write_row(rows, number, normal[0], normal[1], normal[2], 2.0 * float(h))
-    write_number(rows, _NUMBERS + number, float(h * h - wp.float64(radius2)))
+    write_row(rows, number, normal[0], normal[1], normal[2], float(h))
     bulge = bulge_of_triangle(corner_b - corner_a, corner_c - corner_b, corner_a - corner_c)
     inverse = first_two[0]
     then = first_two[1]
@@ -151,8 +140,8 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         u = wp.cross(normal, wp.vec3(inverse * ab))
         write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
         # On the inner side of the plane on this edge.
-        test_direction(rows, lattice, k, number, room_for(cell, away), away, -u)
-        test_corner(rows, lattice, 3 + k, number, wp.vec3(a), bulge)
+        test_direction(rows, k, number, room_for(cell, away), away, -u)
+        test_corner(rows, 3 + k, number, wp.vec3(a), bulge)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab

@@ -1,15 +1,15 @@
-"""The least value of each voxel over the parts that matter to its eighth: see `features` for what a value is.
+"""The least value of each voxel over the parts that matter to its eighth: see `features`.
 
 Each lane measures one part at the eight voxels of one eighth, which share most of the products. What it finds is less
-than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers in the order
-of the values.
+than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which are
+in the order of the floats that they are read from, as none is negative.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.rows import LATTICE_ROW, LEAST, NUMBERS, PARTS, PLACES, write_row
+from sdm.kernels.rows import LATTICE_ROW, LEAST, PARTS, PLACES, write_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,46 +20,36 @@ _LEAST_ROW = wp.constant(LEAST // 4)
 _ROWS = wp.constant(VOXELS // 4)
 
 
-@wp.func
-def is_near(radius2: float, half2: float):
-    """Whether a block of squared half-diagonal `half2` is so near to the surface that plain distances tell more."""
-    return radius2 < 16.0 * half2
-
-
-# What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees
-# what voxels of one eighth share. The same text for both devices, and for near and far blocks: a choice inside would
-# cost as much as a part.
+# What measures one part: its rows, and what each voxel takes of them: a squared distance, and whether it counts. A
+# compiler sees what voxels of one eighth share. The same text for both devices.
 _CORNER = (
     "const Row r = row[part];",
     """
-            const float dx = x + 0.5f * r.x, dy = y + 0.5f * r.y, dz = z + 0.5f * r.z;
-            const float d = NEAR ? dx * dx + (dy * dy + dz * dz) : x * r.x + (r.w + (y * r.y + z * r.z));
+            const float dx = x + r.x, dy = y + r.y, dz = z + r.z;
+            const float d = dx * dx + (dy * dy + dz * dz);
             const bool counts = true;
     """,
 )
 _EDGE = (
     f"""
         const Row r = row[part], e = row[{PARTS} + part];
-        const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
+        const float begin = e.w - room, end = r.w + room;
     """,
     """
             const float along = x * e.x + (y * e.y + z * e.z);
-            const float ex = x + 0.5f * r.x - along * e.x, ey = y + 0.5f * r.y - along * e.y;
-            const float ez = z + 0.5f * r.z - along * e.z;
-            const float level = r.w + (y * r.y + z * r.z);
-            const float d = NEAR ? ex * ex + ey * ey + ez * ez : x * r.x + level - along * along;
+            const float dx = x + r.x - along * e.x, dy = y + r.y - along * e.y, dz = z + r.z - along * e.z;
+            const float d = dx * dx + (dy * dy + dz * dz);
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
 _FACE = (
     f"""
         const Row r = row[part], a = row[{PARTS} + part], b = row[{2 * PARTS} + part], c = row[{3 * PARTS} + part];
-        const float w = number[{NUMBERS} + part], in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
+        const float in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
     """,
     """
-            const float height = x * r.x + (y * r.y + z * r.z), plain = height + 0.5f * r.w;
-            const float far = w + height * (r.w + height) - (x * x + y * y + z * z);
-            const float d = NEAR ? plain * plain : far;
+            const float height = x * r.x + (y * r.y + z * r.z) + r.w;
+            const float d = height * height;
             const bool counts = !((x * a.x + (y * a.y + z * a.z) < in_a) | (x * b.x + (y * b.y + z * b.z) < in_b)
                                   | (x * c.x + (y * c.y + z * c.z) < in_c));
     """,
@@ -87,8 +77,7 @@ def _measure(part: tuple[str, str], places: str) -> str:
                 const float x = xs[v], y = ys[v], z = zs[v];
                 {own}
 #if defined(__CUDA_ARCH__)
-                const int bits = __float_as_int(d);
-                const int value = bits ^ (bits >> 31 & 0x7fffffff);
+                const int value = __float_as_int(d);
                 if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);
 #else
                 best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];
@@ -114,11 +103,8 @@ _TURNED = """
 
 
 def _kinds(places: str) -> str:
-    def one(near: str) -> str:
-        corner, edge, face = (_measure(part, places).replace("NEAR", near) for part in (_CORNER, _EDGE, _FACE))
-        return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
-
-    return f"if (near) {{ {one('true')} }} else {{ {one('false')} }}"
+    corner, edge, face = (_measure(part, places) for part in (_CORNER, _EDGE, _FACE))
+    return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
 
 
 @wp.func_native(
@@ -146,8 +132,8 @@ def _kinds(places: str) -> str:
     }}
 """
 )
-def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
-    """Lessen the values of an eighth's voxels to those of a part, see `queues` for what an item is."""
+def measure_item(rows: wp.uint64, item: int, kind: int, room: float, turned: bool):
+    """Lessen the squared distances of an eighth's voxels to those of a part, see `queues` for what an item is."""
     ...
 
 
@@ -162,39 +148,28 @@ def clear_values(rows: wp.uint64, lane: int, lanes: int):
 
 @wp.func_native(
     snippet=f"""
-    const int first = (four >> 4 << 6) + (four >> 2 << 4 & 48) + (four << 1 & 6);
+    const float* at = reinterpret_cast<const float*>(rows) + {LEAST} + 2 * number;
 #if defined(__CUDA_ARCH__)
-    const int* values = reinterpret_cast<const int*>(rows) + {LEAST} + first;
-    const int2 a = *reinterpret_cast<const int2*>(values), b = *reinterpret_cast<const int2*>(values + 8);
-    #define decoded(value) __int_as_float((value) ^ ((value) >> 31 & 0x7fffffff))
-    return wp::vec4(decoded(a.x), decoded(a.y), decoded(b.x), decoded(b.y));
-    #undef decoded
+    const float2 two = *reinterpret_cast<const float2*>(at);
+    return wp::vec2(two.x, two.y);
 #else
-    const float* values = reinterpret_cast<const float*>(rows) + {LEAST} + first;
-    return wp::vec4(values[0], values[1], values[8], values[9]);
+    return wp::vec2(at[0], at[1]);
 #endif
 """
 )
-def values_of(rows: wp.uint64, four: int) -> wp.vec4:
-    """The least values of the voxels `four` of the block, see `four_at`; infinite where no part was measured.
-
-    A voxel's value is found octant by octant, eighth by eighth, so that each bit of its place is one of an index. Along
-    z an eighth has two voxels, and the next one's are 8 on.
-    """
+def values_of(rows: wp.uint64, number: int) -> wp.vec2:
+    """The least values of the two voxels `number` of the block, see `two_at`; infinite where no part was measured."""
     ...
 
 
 @wp.func
-def four_at(four: int):
-    """The indices, from the block's first voxel, of the first of four voxels along z: those of an octant's edge."""
-    i = ((four >> 4) & 4) | ((four >> 2) & 2) | ((four >> 1) & 1)
-    j = ((four >> 3) & 4) | ((four >> 1) & 2) | (four & 1)
-    return wp.vec3i(i, j, (four >> 2) & 4)
+def two_at(number: int):
+    """The indices, from the block's first voxel, of the first of two voxels along z.
 
-
-@wp.func
-def least_distance(value: float, p: wp.vec3, radius2: float, near: bool):
-    """The distance of voxel p (from the block's centre) that belongs to its least value."""
-    # What is added to R^2 is small, and so is its rounding.
-    square = wp.max(radius2 + (value + wp.dot(p, p)), 0.0)
-    return wp.sqrt(wp.where(near, value, square))
+    Octant by octant, eighth by eighth, so that each bit of the number is one of an index.
+    """
+    return wp.vec3i(
+        ((number >> 5) & 4) | ((number >> 3) & 2) | ((number >> 1) & 1),
+        ((number >> 4) & 4) | ((number >> 2) & 2) | (number & 1),
+        ((number >> 3) & 4) | ((number >> 1) & 2),
+    )

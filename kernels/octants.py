@@ -102,31 +102,50 @@ def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
 
 
 @wp.func
-def note_test(rows: wp.uint64, lattice: Lattice, test: int, number: int, u: wp.vec3, most: float):
+def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
     """Note test `test` of part `number`: whether some point p of a box, from the block's centre, may have p.u <= most.
 
-    In steps of the lattice from its first voxel, so that boxes are found by adding.
+    `in_steps` then writes it so that boxes are found by adding.
     """
-    limit = most + lattice.wider * sum_abs(u) - wp.dot(lattice.first, u)
-    row = _TEST_ROW + _PARTS * test + number
-    write_row(rows, row, wp.dot(lattice.i, u), wp.dot(lattice.j, u), wp.dot(lattice.k, u), limit)
+    write_row(rows, _TEST_ROW + _PARTS * test + number, u[0], u[1], u[2], most)
 
 
 @wp.func
-def test_direction(rows: wp.uint64, lattice: Lattice, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
+def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
     """Note whether some point p may have (p - x).u <= 0; x is at q from the block's centre."""
-    note_test(rows, lattice, test, number, u, wp.dot(q, u) + room * sum_abs(u))
+    note_test(rows, test, number, u, wp.dot(q, u) + room * sum_abs(u))
 
 
 @wp.func
-def test_corner(rows: wp.uint64, lattice: Lattice, test: int, number: int, q: wp.vec3, bulge: float):
+def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: float):
     """Note whether for some voxel the point at q may be nearer than the witness.
 
     Or if it is a corner of several: what is between them, which may be nearer by `bulge`, see `cull`.
     """
     witness = read_row(rows, _WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
-    note_test(rows, lattice, test, number, gap, 0.5 * (witness[3] + bulge - wp.dot(q, q)))
+    note_test(rows, test, number, gap, 0.5 * (witness[3] + bulge - wp.dot(q, q)))
+
+
+@wp.func_native(
+    snippet=f"""
+    struct alignas(16) Row {{ float x, y, z, w; }};
+    const Row* lattice = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
+    const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
+    Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
+    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
+    #pragma unroll 1
+    for (int test = 0; test < tests; ++test, row += {PARTS}) {{
+        const Row u = *row;
+        const float wider = o.w * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
+        *row = {{i.x * u.x + i.y * u.y + i.z * u.z, j.x * u.x + j.y * u.y + j.z * u.z,
+                k.x * u.x + k.y * u.y + k.z * u.z, u.w + wider - (o.x * u.x + o.y * u.y + o.z * u.z)}};
+    }}
+"""
+)
+def in_steps(rows: wp.uint64, number: int, tests: int):
+    """Write the tests of a part in steps of the lattice from its first voxel."""
+    ...
 
 
 @wp.func

@@ -7,10 +7,10 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add, shrink
 from sdm.kernels.cull import LARGEST_SQUARE, Cell, Witness
 from sdm.kernels.grid import Output, Slab, along, distances_at, is_unclear, with_sign
-from sdm.kernels.least import four_at, is_near, least_distance, values_of
+from sdm.kernels.least import two_at, values_of
 from sdm.kernels.lists import is_within
-from sdm.kernels.octants import lattice_of, note_lattice, note_witness
-from sdm.kernels.rows import PLACES, WINDING, read_number, read_row, write_number, write_row
+from sdm.kernels.octants import note_lattice, note_witness
+from sdm.kernels.rows import PLACES, WINDING, write_number
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 
 wp.set_module_options({"enable_backward": False})
@@ -18,7 +18,7 @@ wp.set_module_options({"enable_backward": False})
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
 NEAR_ENDS = wp.constant(2.0e-7)
 
-_PLACES, _WINDING_ROW = wp.constant(PLACES), wp.constant(WINDING // 4)
+_PLACES = wp.constant(PLACES)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 
@@ -55,29 +55,6 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
         at = at + lanes
 
 
-@wp.struct
-class Four:
-    """Four voxels along z, from the block's centre."""
-
-    p0: wp.vec3
-    p1: wp.vec3
-    p2: wp.vec3
-    p3: wp.vec3
-
-
-@wp.func
-def four_voxels(slab: Slab, rows: wp.uint64, at: wp.vec3i):
-    """The voxel `at` from a block's first, and the next three."""
-    if slab.turned != 0:
-        lattice = lattice_of(rows)
-        p = lattice.first + (float(at[0]) * lattice.i + float(at[1]) * lattice.j + float(at[2]) * lattice.k)
-        return Four(p, p + lattice.k, p + 2.0 * lattice.k, p + 3.0 * lattice.k)
-    x = read_number(rows, _PLACES + at[0])
-    y = read_number(rows, _PLACES + 8 + at[1])
-    z = read_row(rows, (_PLACES + 16 + at[2]) / 4)
-    return Four(wp.vec3(x, y, z[0]), wp.vec3(x, y, z[1]), wp.vec3(x, y, z[2]), wp.vec3(x, y, z[3]))
-
-
 @wp.func
 def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
     """Where the voxel `at` from a block's first is written, see `index_of`; -1 if it is beyond the slab."""
@@ -88,12 +65,12 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 
 @wp.func_native(
     snippet=f"""
-    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 4 * four;
+    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 2 * number;
     const float* from = values.data + index;
 #if defined(__CUDA_ARCH__)
     const unsigned there = (unsigned)__cvta_generic_to_shared(to);
     if (together) {{
-        asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" :: "r"(there), "l"(from) : "memory");
+        asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" :: "r"(there), "l"(from) : "memory");
     }} else {{
         #pragma unroll 1
         for (int i = 0; i < count; ++i)
@@ -105,11 +82,11 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 """
 )
 def begin_reading(
-    rows: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
+    rows: wp.uint64, number: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
 ):
-    """Have up to four values copied to the rows while other work goes on, until `end_reading`.
+    """Have up to two values copied to the rows while other work goes on, until `end_reading`.
 
-    `together`: there are four, and they lie at a multiple of 16 bytes.
+    `together`: there are two, and they lie at a multiple of 8 bytes.
     """
     ...
 
@@ -128,47 +105,62 @@ def end_reading():
 
 @wp.func_native(
     snippet=f"""
-    const float* from = reinterpret_cast<const float*>(rows) + {WINDING} + 4 * four;
-    float* to = reinterpret_cast<float*>(address) + index;
+    const float* at = reinterpret_cast<const float*>(rows) + {WINDING} + 2 * number;
 #if defined(__CUDA_ARCH__)
-    if (together) {{
-        *reinterpret_cast<float4*>(to) = *reinterpret_cast<const float4*>(from);
-        return;
-    }}
+    const float2 two = *reinterpret_cast<const float2*>(at);
+    return wp::vec2(two.x, two.y);
+#else
+    return wp::vec2(at[0], at[1]);
 #endif
-    #pragma unroll 1
-    for (int i = 0; i < count; ++i) to[i] = from[i];
 """
 )
-def write_back(rows: wp.uint64, four: int, address: wp.uint64, index: int, count: int, together: bool):
-    """Write what stands where `begin_reading` had put them; `together` as there."""
+def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
+    """What `begin_reading` had read."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    float* to = reinterpret_cast<float*>(address) + index;
+#if defined(__CUDA_ARCH__)
+    if (together) {
+        *reinterpret_cast<float2*>(to) = make_float2(first, second);
+        return;
+    }
+#endif
+    to[0] = first;
+    if (count > 1) to[1] = second;
+"""
+)
+def write_two(address: wp.uint64, index: int, first: float, second: float, count: int, together: bool):
+    """Write one or two distances; `together` as in `begin_reading`."""
     ...
 
 
 @wp.func
-def fours_of(block: Block):
-    """How many times four voxels, next to each other along z, a block has."""
-    return 1 << (3 * block.bits - 2)
+def twos_of(block: Block):
+    """How many times two voxels, next to each other along z, a block has."""
+    return 1 << (3 * block.bits - 1)
 
 
 @wp.func
 def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
-    four = lane
-    while four < fours_of(block):
-        at = four_at(four)
+    two = lane
+    while two < twos_of(block):
+        at = two_at(two)
         index = place_in_map(slab, block, at)
         if index >= 0:
-            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
-            begin_reading(rows, four, out.values, index, count, slab.shape[2] % 4 == 0)
-        four = four + lanes
+            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
+            begin_reading(rows, two, out.values, index, count, slab.shape[2] % 2 == 0)
+        two = two + lanes
 
 
 @wp.func
-def settled(block: Block, p: wp.vec3, least: float, near: bool):
+def settled(block: Block, square: float):
     """The distance of a voxel; infinite if none was found: the list had no room, or float32 overflowed."""
-    distance = block.unscale * least_distance(least, p, block.known.distance2, near)
-    return wp.where(least < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
+    distance = block.unscale * wp.sqrt(square)
+    return wp.where(square < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
 
 
 @wp.func
@@ -179,42 +171,33 @@ def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: 
     """
     unclear = int(0)
     missed = int(0)
-    near = is_near(block.known.distance2, block.cell.half2)
     address = distances_at(out)
     end_reading()
-    four = lane
-    while four < fours_of(block):
-        at = four_at(four)
+    two = lane
+    while two < twos_of(block):
+        at = two_at(two)
         index = place_in_map(slab, block, at)
         if index >= 0:
-            least = values_of(rows, four)
-            winding = read_row(rows, _WINDING_ROW + four)
-            p = four_voxels(slab, rows, at)
-            distances = wp.vec4(
-                settled(block, p.p0, least[0], near),
-                settled(block, p.p1, least[1], near),
-                settled(block, p.p2, least[2], near),
-                settled(block, p.p3, least[3], near),
-            )
-            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
-            for v in range(4):
-                if block.slices > 1:
-                    if v < count and distances[v] < float(wp.inf):
-                        shrink(out.values, index + v, distances[v])
-                elif v < count:
-                    missed = missed + wp.where(distances[v] < float(wp.inf), 0, 1)
-                    unclear = unclear + is_unclear(winding[v])
-            if block.slices == 1:
-                write_row(
-                    rows,
-                    _WINDING_ROW + four,
-                    with_sign(distances[0], winding[0]),
-                    with_sign(distances[1], winding[1]),
-                    with_sign(distances[2], winding[2]),
-                    with_sign(distances[3], winding[3]),
-                )
-                write_back(rows, four, address, index, count, slab.shape[2] % 4 == 0)
-        four = four + lanes
+            square = values_of(rows, two)
+            winding = windings_of(rows, two)
+            first = settled(block, square[0])
+            second = settled(block, square[1])
+            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
+            if block.slices > 1:
+                if first < float(wp.inf):
+                    shrink(out.values, index, first)
+                if count > 1 and second < float(wp.inf):
+                    shrink(out.values, index + 1, second)
+            else:
+                missed = missed + wp.where(first < float(wp.inf), 0, 1)
+                unclear = unclear + is_unclear(winding[0])
+                if count > 1:
+                    missed = missed + wp.where(second < float(wp.inf), 0, 1)
+                    unclear = unclear + is_unclear(winding[1])
+                first = with_sign(first, winding[0])
+                second = with_sign(second, winding[1])
+                write_two(address, index, first, second, count, slab.shape[2] % 2 == 0)
+        two = two + lanes
     if missed > 0:
         fetch_add(out.missed, 0, missed)
     return unclear

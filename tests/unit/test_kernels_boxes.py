@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from sdm.kernels.boxes import boxes_of
-from sdm.kernels.least import four_at, values_of
+from sdm.kernels.least import two_at, values_of
 from sdm.kernels.mix import kind_of, taken_now
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
 from sdm.kernels.rows import ITEMS, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
@@ -124,22 +124,22 @@ def test_parts_are_taken_once_and_full_lanes_first():
 
 
 @wp.kernel
-def _fours(memory: wp.array(dtype=float), at: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec4)):
+def _twos(memory: wp.array(dtype=float), at: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec2)):
     rows = rows_of(memory, 0)
     for row in range(_LEAST_ROWS):
         first = float(4 * row)
         write_row(rows, _LEAST_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
-    for four in range(at.shape[0]):
-        at[four] = four_at(four)
-        values[four] = values_of(rows, four)
+    for two in range(at.shape[0]):
+        at[two] = two_at(two)
+        values[two] = values_of(rows, two)
 
 
 def test_values_stand_octant_by_octant_and_eighth_by_eighth():
-    at = wp.zeros(128, dtype=wp.vec3i, device="cpu")
-    values = wp.zeros(128, dtype=wp.vec4, device="cpu")
-    wp.launch(_fours, 1, [wp.zeros(4 * ROWS, dtype=float, device="cpu"), at, values], device="cpu")
-    voxels = (at.numpy()[:, None] + [[0, 0, k] for k in range(4)]).reshape(-1, 3)
+    at = wp.zeros(256, dtype=wp.vec3i, device="cpu")
+    values = wp.zeros(256, dtype=wp.vec2, device="cpu")
+    wp.launch(_twos, 1, [wp.zeros(4 * ROWS, dtype=float, device="cpu"), at, values], device="cpu")
+    voxels = (at.numpy()[:, None] + [[0, 0, 0], [0, 0, 1]]).reshape(-1, 3)
     assert len(np.unique(voxels, axis=0)) == 512
-    assert (voxels[:64].max(0) == 3).all()  # a block of 4^3 voxels has the first 16 fours
+    assert (voxels[:64].max(0) == 3).all()  # a block of 4^3 voxels has the first 32 twos
     octant, eighth, corner = ((voxels >> bit & 1) @ [4, 2, 1] for bit in (2, 1, 0))
     assert (values.numpy().reshape(-1) == 64 * octant + 8 * eighth + corner).all()
