@@ -12,11 +12,12 @@ wp.set_module_options({"enable_backward": False})
 @wp.func_native(
     snippet=f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + pair % {PARTS};
-    const int octant = pair / {PARTS};
+    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {PARTS - 1});
+    const unsigned octant = (unsigned)pair / {PARTS};
     // In voxels: half of a box, from box to box, and the middle of the first one.
     const float half = level == 0 ? 1.5f : 0.5f, step = level == 0 ? 4.0f : 2.0f;
-    const float a = half + (octant & 4), b = half + (octant << 1 & 4), c = half + (octant << 2 & 4);
+    const float other = half + 4.0f;
+    const float a = octant & 4 ? other : half, b = octant & 2 ? other : half, c = octant & 1 ? other : half;
 #if defined(__CUDA_ARCH__)
     unsigned dropped = 0, farther = 255;
     const Row* const end = row + {PARTS} * (must + some);
@@ -35,7 +36,7 @@ wp.set_module_options({"enable_backward": False})
             below = __funnelshift_l(__float_as_uint(at), below, 1);
             above = __funnelshift_l(__float_as_uint(at - di), above, 1);
         }}
-        const unsigned beyond = above << 4 | below, those = row < either ? 0 : 255;
+        const unsigned beyond = (above << 4) + below, those = row < either ? 0 : 255;
         dropped |= beyond & ~those;
         farther &= beyond | ~those;
         row += {PARTS};

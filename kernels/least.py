@@ -112,10 +112,11 @@ def _kinds(places: str) -> str:
     struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(rows);
     const float* number = reinterpret_cast<const float*>(rows);
-    const int part = item & {PARTS - 1}, eighth = item / {PARTS};
+    const unsigned part = item & {PARTS - 1}, eighth = (unsigned)item / {PARTS};
     // The eighth's first voxel: its octant, and which one there.
-    const int octant = eighth & 7, in = eighth >> 3;
-    const int i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2), k = (octant << 2 & 4) + (in << 1 & 2);
+    const unsigned octant = eighth & 7, in = eighth >> 3;
+    const unsigned i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2);
+    const unsigned k = (octant << 2 & 4) + (in << 1 & 2);
 #if defined(__CUDA_ARCH__)
     int* best = reinterpret_cast<int*>(rows) + {LEAST} + 64 * octant + 8 * in;
 #else

@@ -1,6 +1,6 @@
 """From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
 
-A worker's scratch has stacks of leaves, of triangles (slots), and of parts. What is left of a test is pushed onto the
+A worker's scratch has stacks of triangles (slots), and of parts. What is left of a test is pushed onto the
 next stack, so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot,
 and which of the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
 """
@@ -18,9 +18,9 @@ from sdm.kernels.wide import load4
 
 wp.set_module_options({"enable_backward": False})
 
-# Where the stacks begin. A batch of lanes leaves at most 32 of anything less than it takes, and brings up to 32 leaves
-# or triangles, or 224 parts.
-LEAVES, SLOTS, PARTS = 0, 128, 256
+# Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their parts. A batch
+# of lanes leaves at most 31 of what it takes, and brings up to 128 triangles of leaves, 32 triangles, or 224 parts.
+WAITING, RIPE, PARTS = 0, 160, 224
 
 _LEAF = wp.constant(TRIANGLES_PER_LEAF)
 
@@ -44,6 +44,23 @@ def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane
 def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
     """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns the new top."""
     ...
+
+
+@wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "slot + bit"))
+def push_slots(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
+    """Push the slots from `slot` on whose bit is in `which`; returns the new top."""
+    ...
+
+
+@wp.func
+def push_triangles(stacks: wp.array(dtype=wp.int32), top: int, tree: Tree, mesh: int, keep: bool, leaf: int, lane: int):
+    """Push the triangles (slots) of the lanes' leaves that they keep; returns the new top."""
+    first = int(0)
+    which = int(0)
+    if keep:
+        first = first_triangle(tree, leaf)
+        which = (1 << (first_triangle(tree, leaf + 1) - first)) - 1
+    return push_slots(stacks, top, mesh * tree.count + first, which, lane)
 
 
 @wp.func

@@ -24,15 +24,15 @@ def one_for_each_bit(queue: str, entry: str) -> str:
     const int mine = __popc(which);
     int upto = mine;
     #pragma unroll
-    for (int step = 1; step < 32; step <<= 1) {{
-        const int before = __shfl_up_sync(0xffffffffu, upto, step);
-        upto += lane >= step ? before : 0;
-    }}
-    int at = top + upto - mine;
+    for (int step = 1; step < 32; step <<= 1)
+        // A shuffle says itself which lanes have one before.
+        asm volatile("{{ .reg .s32 before; .reg .pred there; shfl.sync.up.b32 before|there, %0, %1, 0, -1;"
+                     "@there add.s32 %0, %0, before; }}" : "+r"(upto) : "r"(step));
+    auto at = queue + (top + upto - mine);
     #pragma unroll 1
     for (unsigned left = which; left; left &= left - 1) {{
         const int bit = __ffs(left) - 1;
-        queue[at++] = {entry};
+        *at++ = {entry};
     }}
     return top + __shfl_sync(0xffffffffu, upto, 31);
 #else

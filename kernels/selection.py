@@ -18,7 +18,7 @@ from sdm.kernels.cones import Cones
 from sdm.kernels.cull import LARGEST_SQUARE, box_is_farther
 from sdm.kernels.grid import Slab, index_of
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
-from sdm.kernels.leaves import LEAVES, PARTS, SLOTS, full_of_leaves, push, push_parts, triangles_that_matter
+from sdm.kernels.leaves import PARTS, RIPE, WAITING, push, push_parts, push_triangles, triangle_matters
 from sdm.kernels.lists import (
     COARSE,
     NEXT_CHUNK,
@@ -53,7 +53,7 @@ from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
 
-_LEAVES, _SLOTS, _PARTS = wp.constant(LEAVES), wp.constant(SLOTS), wp.constant(PARTS)
+_WAITING, _RIPE, _PARTS = wp.constant(WAITING), wp.constant(RIPE), wp.constant(PARTS)
 _COARSE = wp.constant(COARSE)
 _NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -157,27 +157,18 @@ def select_for(
             which = int(0)
             slot = int(0)
             if lane < taken:
-                slot = stack[_SLOTS + ripe + lane]
+                slot = stack[_RIPE + ripe + lane]
                 which = parts_that_matter(block.cell, block.known, tree, parts, slot)
             found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
-        elif waiting >= full_of_leaves(lanes) or reader.left == 0:
-            taken = wp.min(full_of_leaves(lanes), waiting)
+        elif waiting >= lanes or reader.left == 0:
+            taken = wp.min(lanes, waiting)
             waiting = waiting - taken
-            ripe = ripe + triangles_that_matter(
-                block.cell,
-                radius,
-                block.known,
-                tree,
-                parts.balls,
-                cones,
-                block.mesh,
-                stack,
-                _LEAVES + waiting,
-                taken,
-                _SLOTS + ripe,
-                lane,
-                lanes,
-            )
+            keep = False
+            slot = int(0)
+            if lane < taken:
+                slot = stack[_WAITING + waiting + lane]
+                keep = triangle_matters(block.cell, radius, block.known, tree, parts.balls, cones, slot)
+            ripe = ripe + push(stack, _RIPE + ripe, keep, slot, lane)
         else:
             leaf = upcoming
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
@@ -190,7 +181,7 @@ def select_for(
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
                     low, high = node_box(tree, base + leaves + leaf)
                     keep = not box_is_farther(block.cell, block.known, low, high)
-            waiting = waiting + push(stack, _LEAVES + waiting, keep, leaf, lane)
+            waiting = push_triangles(stack, _WAITING + waiting, tree, block.mesh, keep, leaf, lane) - _WAITING
             batch = batch + 1
         wait_for_lanes()
     return chain

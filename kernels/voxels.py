@@ -7,6 +7,7 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add, shrink
 from sdm.kernels.cull import LARGEST_SQUARE, Cell, Witness
 from sdm.kernels.grid import Output, Slab, along, distances_at, is_unclear, with_sign
+from sdm.kernels.lanes import wait_for_lanes
 from sdm.kernels.least import two_at, values_of
 from sdm.kernels.lists import is_within
 from sdm.kernels.octants import note_lattice, note_witness
@@ -65,12 +66,12 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 
 @wp.func_native(
     snippet=f"""
-    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 2 * number;
+    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 4 * four;
     const float* from = values.data + index;
 #if defined(__CUDA_ARCH__)
     const unsigned there = (unsigned)__cvta_generic_to_shared(to);
     if (together) {{
-        asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" :: "r"(there), "l"(from) : "memory");
+        asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" :: "r"(there), "l"(from) : "memory");
     }} else {{
         #pragma unroll 1
         for (int i = 0; i < count; ++i)
@@ -82,11 +83,11 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 """
 )
 def begin_reading(
-    rows: wp.uint64, number: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
+    rows: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
 ):
-    """Have up to two values copied to the rows while other work goes on, until `end_reading`.
+    """Have up to four values copied to the rows while other work goes on, until `end_reading`.
 
-    `together`: there are two, and they lie at a multiple of 8 bytes.
+    `together`: there are four, and they lie at a multiple of 16 bytes.
     """
     ...
 
@@ -105,7 +106,9 @@ def end_reading():
 
 @wp.func_native(
     snippet=f"""
-    const float* at = reinterpret_cast<const float*>(rows) + {WINDING} + 2 * number;
+    // Of the bits of `number` the third is that of the second two of four.
+    const unsigned n = number, place = (n >> 3 << 4) + (n << 2 & 12) + (n >> 1 & 2);
+    const float* at = reinterpret_cast<const float*>(rows) + {WINDING} + place;
 #if defined(__CUDA_ARCH__)
     const float2 two = *reinterpret_cast<const float2*>(at);
     return wp::vec2(two.x, two.y);
@@ -115,7 +118,7 @@ def end_reading():
 """
 )
 def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
-    """What `begin_reading` had read."""
+    """What `begin_reading` had read of the voxels `number`, see `two_at`."""
     ...
 
 
@@ -133,7 +136,7 @@ def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
 """
 )
 def write_two(address: wp.uint64, index: int, first: float, second: float, count: int, together: bool):
-    """Write one or two distances; `together` as in `begin_reading`."""
+    """Write one or two distances; `together`: at a multiple of 8 bytes."""
     ...
 
 
@@ -146,14 +149,14 @@ def twos_of(block: Block):
 @wp.func
 def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
-    two = lane
-    while two < twos_of(block):
-        at = two_at(two)
+    four = lane
+    while 2 * four < twos_of(block):
+        at = two_at(four + (four & ~3))
         index = place_in_map(slab, block, at)
         if index >= 0:
-            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
-            begin_reading(rows, two, out.values, index, count, slab.shape[2] % 2 == 0)
-        two = two + lanes
+            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
+            begin_reading(rows, four, out.values, index, count, slab.shape[2] % 4 == 0)
+        four = four + lanes
 
 
 @wp.func
@@ -167,12 +170,13 @@ def settled(block: Block, square: float):
 def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
     """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
 
-    They are infinite where none was found, and left to the search. Each lane reads what it began to read itself.
+    They are infinite where none was found, and left to the search.
     """
     unclear = int(0)
     missed = int(0)
     address = distances_at(out)
     end_reading()
+    wait_for_lanes()
     two = lane
     while two < twos_of(block):
         at = two_at(two)
