@@ -25,7 +25,6 @@ from sdm.kernels.lists import (
     SLICED,
     Lists,
     Reader,
-    cell_start,
     is_within,
     read_entry,
     read_on,
@@ -34,6 +33,7 @@ from sdm.kernels.lists import (
 from sdm.kernels.mix import Mix, kind_of, taken_now
 from sdm.kernels.octants import in_steps, octants_there
 from sdm.kernels.parts import Parts
+from sdm.kernels.places import noted_start
 from sdm.kernels.plan import whole_blocks
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
 from sdm.kernels.rows import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
@@ -206,10 +206,11 @@ def sliced_voxels(lists: Lists):
 @wp.func
 def sliced_voxel(lists: Lists, number: int):
     """The mesh and the indices of one of them."""
-    size = lists.cell * lists.cell * lists.cell
-    mesh, start = cell_start(lists, lists.sliced[number / size])
-    v = number % size
-    return mesh, start + wp.vec3i(v / (lists.cell * lists.cell), (v / lists.cell) % lists.cell, v % lists.cell)
+    # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
+    bits = wp.where(lists.cell == BLOCK, 3, 4)
+    last = lists.cell - 1
+    mesh, start = noted_start(lists, lists.sliced[number >> (3 * bits)])
+    return mesh, start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
 
 
 @wp.kernel

@@ -49,16 +49,24 @@ def note_place(lists: Lists, number: int, mesh: int, start: wp.vec3i, cell: Cell
 
 
 @wp.func
+def noted_start(lists: Lists, number: int):
+    """The mesh and the first voxel that were noted of cell or brick `number` by an earlier kernel."""
+    r = load4(lists.places, _ROWS * number + 2)
+    start = wp.vec3i(wp.cast(r[0], wp.int32), wp.cast(r[1], wp.int32), wp.cast(r[2], wp.int32))
+    return wp.cast(r[3], wp.int32), start
+
+
+@wp.func
 def noted_place(lists: Lists, number: int):
     """What was noted of cell or brick `number` by an earlier kernel."""
     r0 = load4(lists.places, _ROWS * number)
     r1 = load4(lists.places, _ROWS * number + 1)
-    r2 = load4(lists.places, _ROWS * number + 2)
+    mesh, start = noted_start(lists, number)
     place = Place()
+    place.mesh = mesh
+    place.start = start
     place.cell.centre = wp.vec3(r0[0], r0[1], r0[2])
     place.cell.half2 = r0[3]
     place.cell.half = wp.vec3(r1[0], r1[1], r1[2])
     place.cell.diagonal = r1[3]
-    place.start = wp.vec3i(wp.cast(r2[0], wp.int32), wp.cast(r2[1], wp.int32), wp.cast(r2[2], wp.int32))
-    place.mesh = wp.cast(r2[3], wp.int32)
     return place

@@ -127,14 +127,17 @@ def nearest_in_list(
     boxes = mesh * (2 << tree.depth) + (1 << tree.depth)
     mine = known
     reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    # Each batch is read while the one before is looked at.
+    upcoming = read_entry(lists, reader, lane)
     while reader.left > 0:
-        leaf = read_entry(lists, reader, lane)
+        leaf = upcoming
+        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+        upcoming = read_entry(lists, reader, lane)
         if leaf >= 0 and node_distance2(tree, boxes + leaf, centre) < mine.distance2:
             for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
                 slot = mesh * tree.count + t
                 if may_be_nearer(load4(parts.balls, slot), centre, mine):
                     mine = remember(mine, seen_from(frames, slot, centre))
-        reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
     return agree(mine, lane)
 
 
