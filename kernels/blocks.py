@@ -56,7 +56,9 @@ _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 
 
 @wp.func
-def measure_parts(rows: wp.uint64, mix: Mix, octants: int, room: float, turned: bool, lane: int, lanes: int):
+def measure_parts(
+    rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
+):
     """Measure the lanes' parts, whose rows are noted, where they matter in the `octants` (bits) of the block.
 
     Each step puts work in line for the next, so that all lanes have some.
@@ -93,7 +95,7 @@ def measure_parts(rows: wp.uint64, mix: Mix, octants: int, room: float, turned: 
             items = items - taken
             if lane < taken:
                 item = in_line(rows, _ITEMS, items + lane)
-                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, turned)
+                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, near, turned)
         wait_for_lanes()
 
 
@@ -146,16 +148,16 @@ def measure_block(
             if lane < mix.parts:
                 if which == CORNER_KIND:
                     code = stack[_CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, parts, code, block.cell)
+                    add_corner(rows, lane, tree, parts, code, block.cell, block.floor)
                 elif which == EDGE_KIND:
                     code = stack[_EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, parts, code, block.cell)
+                    add_edge(rows, lane, tree, parts, code, block.cell, block.floor)
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
-                    add_face(rows, lane, tree, parts, code, block.cell)
+                    add_face(rows, lane, tree, parts, code, block.cell, block.floor)
                 in_steps(rows, lane, wp.where(which == CORNER_KIND, 5, 6))
             wait_for_lanes()
-            measure_parts(rows, mix, octants, room, slab.turned != 0, lane, lanes)
+            measure_parts(rows, mix, octants, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()
     unclear = settle_voxels(slab, out, rows, block, lane, lanes)
     if unclear > 0:

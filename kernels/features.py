@@ -4,11 +4,18 @@ Let c be the block's centre, p a voxel from there, and m the point of a part's p
 c, seen from c. The squared distances are
 
     corner  |p - m|^2
-    line    |p - m - (p.e) e|^2        along the unit vector e
-    plane   (p.n - m.n)^2              with the normal n
+    line    |u - m|^2         u = p - (p.e) e, across the unit vector e
+    plane   (p.n - m.n)^2     with the normal n
 
-m is found in float64, where it is a small difference of long vectors, and rounded to float32, as p is: so a distance
-is as accurate as its coordinates from c are, near the surface and far away.
+Near the surface they are worked out so. Far from it that would round as much as the largest of the coordinates; there
+no distance is less than some L, the block's floor, and what a distance has more, squared, is of the block's size:
+
+    corner  p.(p - 2m) + w                w = |m|^2 - L^2, in float64
+    line    u.(u - 2m) + w
+    plane   (p.n) (p.n - 2 m.n) + w
+
+Both are sums of (t - a s) (t - b s) and w, with a = b = 1 and w = L = 0 near the surface, and a = 0, b = 2 far away:
+the same few instructions, of which only w comes from long distances.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
 be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
@@ -23,7 +30,7 @@ from sdm.kernels.cull import Cell, bulge_of_edge, bulge_of_triangle
 from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import room_for, test_corner, test_direction
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
-from sdm.kernels.rows import PARTS, write_row
+from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load2, load4
 
@@ -32,7 +39,7 @@ wp.set_module_options({"enable_backward": False})
 # Kinds of parts.
 CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
 
-_PARTS = wp.constant(PARTS)
+_PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
 _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 _ROWS = wp.constant(PARTS_FLOATS // 4)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
@@ -58,7 +65,15 @@ def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
+def above_floor(square: wp.float64, floor: float):
+    """How much more a squared length is than that of the floor, and 0 near the surface, where that is 0."""
+    if floor == 0.0:
+        return 0.0
+    return float(square - wp.float64(floor) * wp.float64(floor))
+
+
+@wp.func
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
     """Work out part `number`, corner code % 4 of triangle code / 4: its row, and five tests that a box has to pass."""
     slot = code / 4
     k = code % 4
@@ -73,7 +88,8 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     over_ca = wp.vec3(r3[3], r4[0], r4[1])
     corner = one_of(k, first, second, third)
     q = corner - cell.centre
-    write_row(rows, number, -q[0], -q[1], -q[2], 0.0)
+    m = wp.vec3d(corner) - wp.vec3d(cell.centre)
+    write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
     # Behind its two edges, and behind the neighbours' edges there.
     room = room_for(cell, q)
     test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
@@ -84,7 +100,7 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next: four tests, and one of two."""
     slot = code / 4
     k = code % 4
@@ -97,10 +113,11 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     # Not of the two from the centre, which are alike if the triangle is very small for its distance.
     ab = wp.vec3d(end) - wp.vec3d(begin)
     along = -wp.dot(a, ab) * inverse
-    m = wp.vec3(a + (along * inverse) * ab)
+    m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
-    write_row(rows, number, -m[0], -m[1], -m[2], float(wp.length(ab) - along))
+    write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
     write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
+    write_number(rows, _NUMBERS + number, float(wp.length(ab) - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
     p = begin - cell.centre
@@ -116,7 +133,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell):
+def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
     """`add_corner` for a face, of triangle code / 4: three tests, and one of three."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
@@ -129,6 +146,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
     write_row(rows, number, normal[0], normal[1], normal[2], float(h))
+    write_number(rows, _NUMBERS + number, above_floor(h * h, floor))
     bulge = bulge_of_triangle(corner_b - corner_a, corner_c - corner_b, corner_a - corner_c)
     inverse = first_two[0]
     then = first_two[1]

@@ -2,14 +2,14 @@
 
 Each lane measures one part at the eight voxels of one eighth, which share most of the products. What it finds is less
 than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which are
-in the order of the floats that they are read from, as none is negative.
+in the order of the floats that they are read from, as none is negative by more than rounding.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.rows import LATTICE_ROW, LEAST, PARTS, PLACES, write_row
+from sdm.kernels.rows import LATTICE_ROW, LEAST, NUMBERS, PARTS, PLACES, write_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,38 +20,39 @@ _LEAST_ROW = wp.constant(LEAST // 4)
 _ROWS = wp.constant(VOXELS // 4)
 
 
-# What measures one part: its rows, and what each voxel takes of them: a squared distance, and whether it counts. A
-# compiler sees what voxels of one eighth share. The same text for both devices.
+# What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees
+# what voxels of one eighth share. The same text for both devices, and for what is near the surface and far away.
 _CORNER = (
     "const Row r = row[part];",
     """
-            const float dx = x + r.x, dy = y + r.y, dz = z + r.z;
-            const float d = dx * dx + (dy * dy + dz * dz);
+            const float in_x = (x + a * r.x) * (x + b * r.x), in_y = (y + a * r.y) * (y + b * r.y);
+            const float d = in_x + (in_y + ((z + a * r.z) * (z + b * r.z) + r.w));
             const bool counts = true;
     """,
 )
 _EDGE = (
     f"""
         const Row r = row[part], e = row[{PARTS} + part];
-        const float begin = e.w - room, end = r.w + room;
+        const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
     """,
     """
             const float along = x * e.x + (y * e.y + z * e.z);
-            const float dx = x + r.x - along * e.x, dy = y + r.y - along * e.y, dz = z + r.z - along * e.z;
-            const float d = dx * dx + (dy * dy + dz * dz);
+            const float ux = x - along * e.x, uy = y - along * e.y, uz = z - along * e.z;
+            const float in_x = (ux + a * r.x) * (ux + b * r.x), in_y = (uy + a * r.y) * (uy + b * r.y);
+            const float d = in_x + (in_y + ((uz + a * r.z) * (uz + b * r.z) + r.w));
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
 _FACE = (
     f"""
-        const Row r = row[part], a = row[{PARTS} + part], b = row[{2 * PARTS} + part], c = row[{3 * PARTS} + part];
-        const float in_a = room - a.w, in_b = room - b.w, in_c = room - c.w;
+        const Row r = row[part], i1 = row[{PARTS} + part], i2 = row[{2 * PARTS} + part], i3 = row[{3 * PARTS} + part];
+        const float w = number[{NUMBERS} + part], in_1 = room - i1.w, in_2 = room - i2.w, in_3 = room - i3.w;
     """,
     """
-            const float height = x * r.x + (y * r.y + z * r.z) + r.w;
-            const float d = height * height;
-            const bool counts = !((x * a.x + (y * a.y + z * a.z) < in_a) | (x * b.x + (y * b.y + z * b.z) < in_b)
-                                  | (x * c.x + (y * c.y + z * c.z) < in_c));
+            const float height = x * r.x + (y * r.y + z * r.z);
+            const float d = (height + a * r.w) * (height + b * r.w) + w;
+            const bool counts = !((x * i1.x + (y * i1.y + z * i1.z) < in_1) | (x * i2.x + (y * i2.y + z * i2.z) < in_2)
+                                  | (x * i3.x + (y * i3.y + z * i3.z) < in_3));
     """,
 )
 
@@ -112,6 +113,7 @@ def _kinds(places: str) -> str:
     struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(rows);
     const float* number = reinterpret_cast<const float*>(rows);
+    const float a = near ? 1.0f : 0.0f, b = 2.0f - a;
     const unsigned part = item & {PARTS - 1}, eighth = (unsigned)item / {PARTS};
     // The eighth's first voxel: its octant, and which one there.
     const unsigned octant = eighth & 7, in = eighth >> 3;
@@ -133,8 +135,8 @@ def _kinds(places: str) -> str:
     }}
 """
 )
-def measure_item(rows: wp.uint64, item: int, kind: int, room: float, turned: bool):
-    """Lessen the squared distances of an eighth's voxels to those of a part, see `queues` for what an item is."""
+def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
+    """Lessen the values of an eighth's voxels to those of a part, see `queues` for what an item is."""
     ...
 
 

@@ -16,6 +16,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Floats of a place: its centre and half^2; its half-widths and the mesh's diagonal; its first voxel and its mesh.
 PLACE_FLOATS = 12
+_PLACE_FLOATS = wp.constant(PLACE_FLOATS)
 _ROWS = wp.constant(PLACE_FLOATS // 4)
 
 
@@ -54,6 +55,12 @@ def noted_start(lists: Lists, number: int):
     r = load4(lists.places, _ROWS * number + 2)
     start = wp.vec3i(wp.cast(r[0], wp.int32), wp.cast(r[1], wp.int32), wp.cast(r[2], wp.int32))
     return wp.cast(r[3], wp.int32), start
+
+
+@wp.func
+def noted_half2(lists: Lists, number: int):
+    """The square of its half-diagonal."""
+    return lists.places[_PLACE_FLOATS * number + 3]
 
 
 @wp.func

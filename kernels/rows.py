@@ -1,11 +1,11 @@
 """What a worker notes while it measures a block: on a GPU in shared memory, ten times nearer.
 
 Up to 32 parts of one kind are worked out at a time, one a lane. Of each there are up to four rows of four floats that
-measure it, see `features`: corner (-m); edge (-m, where it ends along it) (e, where it begins); face (n, -m.n) and
-three planes (inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every part's first
-rows lie side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice
-and its witness; single numbers: 24 coordinates of voxels, the least squared distance of each of 512 voxels and its
-winding number; and the queues of `queues`.
+measure it, see `features`: corner (-m, w); edge (-m, w) (e, where it begins along it); face (n, -m.n) and three planes
+(inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every part's first rows lie
+side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice and its
+witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the least value of each of
+512 voxels and its winding number; and the queues of `queues`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ PARTS, VALUE_ROWS, TESTS = 32, 4, 6
 TEST_ROW = VALUE_ROWS * PARTS
 LATTICE_ROW = TEST_ROW + TESTS * PARTS
 WITNESS_ROW = LATTICE_ROW + 4
-PLACES = 4 * (WITNESS_ROW + 1)
+NUMBERS = 4 * (WITNESS_ROW + 1)
+PLACES = NUMBERS + PARTS
 LEAST = PLACES + 24
 # Octants of the parts, and eighths of those: bytes and numbers of 16 bits.
 WINDING = LEAST + 512

@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
-from sdm.kernels.cull import LARGEST_SQUARE, box_is_farther
+from sdm.kernels.cull import LARGEST_SQUARE, Witness, box_is_farther
 from sdm.kernels.grid import Slab, index_of
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.leaves import PARTS, RIPE, WAITING, push, push_parts, push_triangles, triangle_matters
@@ -36,7 +36,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.parts import Parts, parts_that_matter
-from sdm.kernels.places import brick_number, noted_place
+from sdm.kernels.places import brick_number, noted_half2, noted_place
 from sdm.kernels.plan import (
     cell_of,
     nearest_in_list,
@@ -58,6 +58,19 @@ _COARSE = wp.constant(COARSE)
 _NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _UNSCALE = wp.constant(UNSCALE)
+
+
+@wp.func
+def floor_of(known: Witness, half2: float):
+    """A bound below all distances in a box; 0 if it is not much more than the box's size.
+
+    Args:
+        known: The surface point nearest to the box's centre.
+        half2: The square of the box's half-diagonal.
+    """
+    half = wp.sqrt(half2)
+    floor = wp.sqrt(known.distance2) - 1.01 * half
+    return wp.where(floor > 3.0 * half, floor, 0.0)
 
 
 @wp.func
@@ -92,6 +105,11 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
     block.unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
     block.cell = place.cell
     block.known = read_witness(lists.witnesses, lists.count + box)
+    # A brick whose witness is its cell's has its floor from there.
+    if part >= 0:
+        block.floor = floor_of(read_witness(lists.witnesses, lists.count + number), noted_half2(lists, number))
+    else:
+        block.floor = floor_of(block.known, block.cell.half2)
     block.index = index_of(slab, block.mesh, block.start)
     return block, number
 

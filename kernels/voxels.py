@@ -37,6 +37,7 @@ class Block:
     unscale: float  # from scaled distances to the mesh's unit
     cell: Cell
     known: Witness  # the surface point nearest to its centre
+    floor: float  # less than any distance of its voxels; 0 near the surface, see `features`
 
 
 @wp.func
@@ -160,10 +161,10 @@ def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: 
 
 
 @wp.func
-def settled(block: Block, square: float):
+def settled(block: Block, value: float):
     """The distance of a voxel; infinite if none was found: the list had no room, or float32 overflowed."""
-    distance = block.unscale * wp.sqrt(square)
-    return wp.where(square < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
+    distance = block.unscale * wp.sqrt(wp.max(block.floor * block.floor + value, 0.0))
+    return wp.where(value < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
 
 
 @wp.func
@@ -182,10 +183,10 @@ def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: 
         at = two_at(two)
         index = place_in_map(slab, block, at)
         if index >= 0:
-            square = values_of(rows, two)
+            least = values_of(rows, two)
             winding = windings_of(rows, two)
-            first = settled(block, square[0])
-            second = settled(block, square[1])
+            first = settled(block, least[0])
+            second = settled(block, least[1])
             count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
             if block.slices > 1:
                 if first < float(wp.inf):
