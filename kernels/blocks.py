@@ -80,7 +80,7 @@ def measure_parts(
             if among > 0:
                 # Tests that a box has to pass, and others of which one: see `add_corner` and those after it.
                 kind = kind_of(mix, tag & (_PARTS - 1))
-                boxes = among & boxes_of(rows, tag, level, 4 - kind / 2, 1 + kind)
+                boxes = among & boxes_of(rows, tag, level, 5 - kind)
             begin = wp.where(level == 0, _PAIRS, _ITEMS)
             bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
@@ -155,7 +155,7 @@ def measure_block(
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
                     add_face(rows, lane, tree, parts, code, block.cell, block.floor)
-                in_steps(rows, lane, wp.where(which == CORNER_KIND, 5, 6))
+                in_steps(rows, lane)
             wait_for_lanes()
             measure_parts(rows, mix, octants, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.rows import PARTS, TEST_ROW
+from sdm.kernels.rows import PARTS, TEST_ROW, TESTS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,7 +20,7 @@ wp.set_module_options({"enable_backward": False})
     const float a = octant & 4 ? other : half, b = octant & 2 ? other : half, c = octant & 1 ? other : half;
 #if defined(__CUDA_ARCH__)
     unsigned dropped = 0, farther = 255;
-    const Row* const end = row + {PARTS} * (must + some);
+    const Row* const end = row + {PARTS * TESTS};
     const Row* const either = row + {PARTS} * must;
     #pragma unroll 1
     do {{
@@ -49,7 +49,7 @@ wp.set_module_options({"enable_backward": False})
     const Eight is = {{0, 0, 0, 0, step, step, step, step}}, js = {{0, 0, step, step, 0, 0, step, step}};
     const Eight ks = {{0, step, 0, step, 0, step, 0, step}};
     Mask dropped = 0, farther = -1;
-    for (int test = 0; test < must + some; ++test) {{
+    for (int test = 0; test < {TESTS}; ++test) {{
         const Row u = row[{PARTS} * test];
         const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         const Eight at = u.w + reach - (a * u.x + b * u.y + c * u.z) - is * u.x - js * u.y - ks * u.z;
@@ -63,8 +63,8 @@ wp.set_module_options({"enable_backward": False})
 #endif
 """
 )
-def boxes_of(rows: wp.uint64, pair: int, level: int, must: int, some: int) -> int:
-    """The boxes, as bits, that pass the first `must` tests of a part and at least one of `some` after.
+def boxes_of(rows: wp.uint64, pair: int, level: int, must: int) -> int:
+    """The boxes, as bits, that pass the first `must` tests of a part and at least one of those after.
 
     On level 0 the octants of the block, on level 1 the eighths of the octant of a pair, see `queues`.
     """

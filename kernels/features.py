@@ -29,7 +29,7 @@ import warp as wp
 from sdm.kernels.cull import Cell, bulge_of_edge, bulge_of_triangle
 from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import room_for, test_corner, test_direction
-from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts
+from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts, one_of
 from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load2, load4
@@ -53,17 +53,6 @@ def row_vector(parts: Parts, slot: int, first: int):
     return wp.vec3(parts.rows[at], parts.rows[at + 1], parts.rows[at + 2])
 
 
-@wp.func_native(
-    snippet="""
-    return wp::vec3(i == 0 ? a[0] : i == 1 ? b[0] : c[0], i == 0 ? a[1] : i == 1 ? b[1] : c[1],
-                    i == 0 ? a[2] : i == 1 ? b[2] : c[2]);
-"""
-)
-def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
-    """The vector of number i."""
-    ...
-
-
 @wp.func
 def above_floor(square: wp.float64, floor: float):
     """How much more a squared length is than that of the floor, and 0 near the surface, where that is 0."""
@@ -74,7 +63,7 @@ def above_floor(square: wp.float64, floor: float):
 
 @wp.func
 def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
-    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and five tests that a box has to pass."""
+    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and six tests that a box has to pass."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
@@ -83,6 +72,7 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     r2 = load4(parts.rows, _ROWS * slot + 2)
     r3 = load4(parts.rows, _ROWS * slot + 3)
     r4 = load4(parts.rows, _ROWS * slot + 4)
+    r5 = load4(parts.rows, _ROWS * slot + 5)
     over_ab = wp.vec3(r2[1], r2[2], r2[3])
     over_bc = wp.vec3(r3[0], r3[1], r3[2])
     over_ca = wp.vec3(r3[3], r4[0], r4[1])
@@ -90,13 +80,17 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     q = corner - cell.centre
     m = wp.vec3d(corner) - wp.vec3d(cell.centre)
     write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
-    # Behind its two edges, and behind the neighbours' edges there.
+    # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
+    further = wp.vec3()
+    if r5[3] == float(k):
+        further = wp.vec3(r5[0], r5[1], r5[2]) - corner
     room = room_for(cell, q)
     test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
     test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
     test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
     test_direction(rows, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
-    test_corner(rows, 4, number, q, 0.0)
+    test_direction(rows, 4, number, room, q, further)
+    test_corner(rows, 5, number, q, 0.0)
 
 
 @wp.func

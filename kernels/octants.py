@@ -20,7 +20,7 @@ import warp as wp
 from sdm.kernels.cull import Cell, Witness, doubt, sum_abs
 from sdm.kernels.grid import Slab, way
 from sdm.kernels.parts import ROOM
-from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
+from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, TESTS, WITNESS_ROW, read_row, write_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -135,7 +135,7 @@ def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: floa
     Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
     // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
     #pragma unroll 1
-    for (int test = 0; test < tests; ++test, row += {PARTS}) {{
+    for (int test = 0; test < {TESTS}; ++test, row += {PARTS}) {{
         const Row u = *row;
         const float wider = o.w * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         *row = {{i.x * u.x + i.y * u.y + i.z * u.z, j.x * u.x + j.y * u.y + j.z * u.z,
@@ -143,7 +143,7 @@ def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: floa
     }}
 """
 )
-def in_steps(rows: wp.uint64, number: int, tests: int):
+def in_steps(rows: wp.uint64, number: int):
     """Write the tests of a part in steps of the lattice from its first voxel."""
     ...
 

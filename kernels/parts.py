@@ -10,7 +10,9 @@ no way along the surface leads closer:
 
 Each is a linear inequality that must hold; where one fails for all points of a box, the part is dropped for that box.
 Any subset of the inequalities will do, so a mesh may have holes, flipped faces and edges of many triangles: two
-triangles at an edge, and four edges at a corner, are looked at. A triangle without a normal gives no inequality.
+triangles at an edge, and four or five edges at a corner, are looked at. Those of a corner are next to each other; of
+six that are spread evenly the first four leave half a plane behind them, and only with the fifth a line. A triangle
+without a normal gives no inequality.
 
 Triangles share edges and corners, but only one of them, the owner, lists each. That loses nothing: if x lies on a
 shared part then all its triangles are equally near, and no test here or in `cull` drops a triangle that is nearest.
@@ -29,9 +31,10 @@ from sdm.kernels.wide import load4, load_row, write4
 
 wp.set_module_options({"enable_backward": False})
 
-# Per triangle: the neighbours' unit vectors from ab, bc and ca inwards, their far corners, the owned parts, 0.
-PARTS_FLOATS = 20
-_ROWS = wp.constant(5)
+# Per triangle: the neighbours' unit vectors from ab, bc and ca inwards, their far corners, the owned parts, 0; the end
+# of one more edge from the first corner that it owns, and which that is, or -1.
+PARTS_FLOATS = 24
+_ROWS = wp.constant(PARTS_FLOATS // 4)
 # Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
 INVERSES = 4
 _INVERSES = wp.constant(INVERSES)
@@ -51,6 +54,17 @@ class Parts:
     rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
     balls: wp.array(dtype=wp.float32)  # (slots * 4) a ball around each triangle: its centre and its radius
+
+
+@wp.func_native(
+    snippet="""
+    return wp::vec3(i == 0 ? a[0] : i == 1 ? b[0] : c[0], i == 0 ? a[1] : i == 1 ? b[1] : c[1],
+                    i == 0 ? a[2] : i == 1 ? b[2] : c[2]);
+"""
+)
+def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
+    """The vector of number i."""
+    ...
 
 
 @wp.func
@@ -153,6 +167,14 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot
     if (owned & (4 * CORNER)) != 0 and along_ca - spread_ca <= 0.0 and along_bc + spread_bc >= length_bc:
         if may_be_below(half, c, beyond_ca - corner_c, room) and may_be_below(half, c, beyond_bc - corner_c, room):
             result = result | (4 * CORNER)
+    if (result & (7 * CORNER)) != 0:
+        # And one more edge from the first of them. This is read now as there are too few registers for all at once.
+        r5 = load4(parts.rows, _ROWS * slot + 5)
+        k = int(r5[3])
+        if k >= 0:
+            further = wp.vec3(r5[0], r5[1], r5[2]) - one_of(k, corner_a, corner_b, corner_c)
+            if not may_be_below(half, one_of(k, a, b, c), further, room):
+                result = result & ~(CORNER << k)
     return result
 
 
@@ -190,6 +212,30 @@ def across_edge(
     return inward, beyond
 
 
+@wp.func
+def end_of_further_edge(
+    faces: wp.array2d(dtype=wp.int32), neighbours: wp.array2d(dtype=wp.int32), vertex: int, other: int
+):
+    """The end of the edge from a vertex that is next to those of `other`, a triangle there; -1 if there is none.
+
+    `other` is given by the edge over which it was come to, as 3 * face + edge.
+    """
+    if other < 0:
+        return -1
+    there = other / 3
+    side = other % 3
+    # The other edge from the vertex, which is at either end of the one that was crossed.
+    leave = (side + 2) % 3
+    if faces[there, (side + 1) % 3] == vertex:
+        leave = (side + 1) % 3
+    elif faces[there, side] != vertex:
+        return -1
+    following = neighbours[there, leave]
+    if following < 0:
+        return -1
+    return faces[following / 3, (following % 3 + 2) % 3]
+
+
 @wp.kernel
 def _make_parts(
     begin: int,
@@ -213,6 +259,18 @@ def _make_parts(
     write4(parts.rows, row + 2, inward_ca[2], beyond_ab[0], beyond_ab[1], beyond_ab[2])
     write4(parts.rows, row + 3, beyond_bc[0], beyond_bc[1], beyond_bc[2], beyond_ca[0])
     write4(parts.rows, row + 4, beyond_ca[1], beyond_ca[2], float(around[3]), 0.0)
+    first = int(-1)
+    for k in range(3):
+        if first < 0 and (around[3] & (CORNER << k)) != 0:
+            first = k
+    further = wp.vec3()
+    if first >= 0:
+        end = end_of_further_edge(faces, neighbours, faces[tree.face[slot], first], around[first])
+        if end < 0:
+            first = -1
+        else:
+            further = wp.vec3(scale * wp.vec3d(vertices[mesh, end]))
+    write4(parts.rows, row + 5, further[0], further[1], further[2], float(first))
     middle = (corner_a + corner_b + corner_c) / 3.0
     radius = wp.max(wp.length(corner_a - middle), wp.max(wp.length(corner_b - middle), wp.length(corner_c - middle)))
     # A little more than rounding can take from it.

@@ -34,7 +34,7 @@ def _boxes(
         for t in range(tests.shape[1]):
             u = tests[i, t]
             write_row(rows, _TEST_ROW + _PARTS * t + pairs[i] % _PARTS, u[0], u[1], u[2], u[3])
-        out[i] = boxes_of(rows, pairs[i], level, must, tests.shape[1] - must)
+        out[i] = boxes_of(rows, pairs[i], level, must)
 
 
 def boxes(tests: np.ndarray, pairs: np.ndarray, level: int, must: int) -> np.ndarray:
@@ -45,7 +45,7 @@ def boxes(tests: np.ndarray, pairs: np.ndarray, level: int, must: int) -> np.nda
     return out.numpy()
 
 
-@pytest.mark.parametrize(("level", "must", "some"), [(0, 4, 1), (1, 4, 1), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
+@pytest.mark.parametrize(("level", "must", "some"), [(0, 5, 1), (1, 5, 1), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
 def test_a_box_is_kept_where_a_point_of_it_passes(level, must, some):
     """Compared with the corners of each box of voxels, where a linear function is least."""
     rng = np.random.default_rng(level + 10 * must)
