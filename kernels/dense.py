@@ -33,7 +33,7 @@ from sdm.kernels.witness import find_witnesses
 Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
 # Leaves of a cell's list that one group of lanes takes: of up to this many cells, and of more. A CPU has fewer groups.
 FEW_CELLS = 1 << 13
-SLICE = {"cuda": (128, 256), "cpu": (1 << 30, 1 << 30)}
+SLICE = {"cuda": (128, 512), "cpu": (1 << 30, 1 << 30)}
 
 
 def query_slab(

@@ -28,7 +28,7 @@ FEW_REGIONS, FEW_FOR_REGION, FEW_FOR_CELL = 64, 16, 2
 SHORT = 64
 # Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
 # parts that do not matter to a brick are worked out for it all the same.
-SHORT_FOR_WIDE = {"cuda": 40, "cpu": 0}
+SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256

@@ -14,8 +14,8 @@ no distance is less than some L, the block's floor, and what a distance has more
     line    u.(u - 2m) + w
     plane   (p.n) (p.n - 2 m.n) + w
 
-Both are sums of (t - a s) (t - b s) and w, with a = b = 1 and w = L = 0 near the surface, and a = 0, b = 2 far away:
-the same few instructions, of which only w comes from long distances.
+Only w comes from long distances. Both are sums of (t - a s) (t - b s) and w, with a = b = 1 and w = L = 0 near the
+surface, and a = 0, b = 2 far away: the same few instructions. For lines, |u|^2 is |p|^2 - (p.e)^2 far away.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
 be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those

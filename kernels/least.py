@@ -30,16 +30,26 @@ _CORNER = (
             const bool counts = true;
     """,
 )
-_EDGE = (
-    f"""
+# Edges have two texts, as each is shorter than one for both, and they are measured most often.
+_EDGE_ROWS = f"""
         const Row r = row[part], e = row[{PARTS} + part];
         const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
-    """,
+"""
+_NEAR_EDGE = (
+    _EDGE_ROWS,
     """
             const float along = x * e.x + (y * e.y + z * e.z);
-            const float ux = x - along * e.x, uy = y - along * e.y, uz = z - along * e.z;
-            const float in_x = (ux + a * r.x) * (ux + b * r.x), in_y = (uy + a * r.y) * (uy + b * r.y);
-            const float d = in_x + (in_y + ((uz + a * r.z) * (uz + b * r.z) + r.w));
+            const float dx = x + r.x - along * e.x, dy = y + r.y - along * e.y, dz = z + r.z - along * e.z;
+            const float d = dx * dx + (dy * dy + dz * dz);
+            const bool counts = (along >= begin) & (along <= end);
+    """,
+)
+_FAR_EDGE = (
+    _EDGE_ROWS,
+    """
+            const float along = x * e.x + (y * e.y + z * e.z);
+            const float in_x = x * (x + 2.0f * r.x), in_yz = y * (y + 2.0f * r.y) + (z * (z + 2.0f * r.z) + r.w);
+            const float d = in_x + in_yz - along * along;
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
@@ -104,7 +114,8 @@ _TURNED = """
 
 
 def _kinds(places: str) -> str:
-    corner, edge, face = (_measure(part, places) for part in (_CORNER, _EDGE, _FACE))
+    corner, near, far, face = (_measure(part, places) for part in (_CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE))
+    edge = f"if (near) {{ {near} }} else {{ {far} }}"
     return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
 
 
