@@ -245,6 +245,11 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
         number = number + threads
 
 
+def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+    """What `measure_blocks` needs of the winding numbers where a block's list is cut into several slices."""
+    launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
+
+
 def measure_blocks(
     tree: Tree,
     parts: Parts,
@@ -263,6 +268,5 @@ def measure_blocks(
     are counted in `out.missed`.
     """
     device, threads = out.values.device, workers * lanes
-    launch(_begin_sliced, threads, [threads, slab, lists, out], device, smallest=1)
     launch(_measure_blocks, threads, [lanes, tree, parts, slab, lists, rows, stacks, out], device, smallest=1)
     launch(_end_sliced, threads, [threads, slab, lists, out], device, smallest=1)

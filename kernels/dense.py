@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import warp as wp
 
-from sdm.kernels.blocks import measure_blocks
+from sdm.kernels.blocks import begin_sliced, measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for, search_is_faster, shares_of
@@ -136,9 +136,13 @@ def query_slab(
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes, launch)
         list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes, launch)
         plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes, launch)
+        with beside() as join_sliced:
+            # After the winding numbers, which are made there too.
+            begin_sliced(slab, lists, out, workers(GPU_BLOCKS) * lanes, launch)
         select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(GPU_BLOCKS), lanes, launch)
         if first == 0:
             # From here on winding numbers are looked at.
             join()
+        join_sliced()
         measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes, launch)
     mend_slab(tree, slab, out, workers(GPU_BLOCKS) * lanes, launch)
