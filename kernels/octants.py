@@ -46,7 +46,10 @@ def octants_there(slab: Slab, start: wp.vec3i, bits: int):
 
 @wp.func
 def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
-    """Note where a block's first voxel is, from its centre, the steps from there to the next ones, and their room."""
+    """Note where a block's first voxel is, from its centre, and the steps from there to the next ones.
+
+    And in the fourth place of each, how far rounding may have put a voxel aside.
+    """
     row = lane
     while row < 4:
         # Not by a number into a vector, which would be in memory.
@@ -64,33 +67,6 @@ def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale
         )
         write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
         row = row + lanes
-
-
-@wp.struct
-class Lattice:
-    """A block's voxels, from its centre: the first, and the steps to the next ones."""
-
-    first: wp.vec3
-    i: wp.vec3
-    j: wp.vec3
-    k: wp.vec3
-    wider: float  # how far rounding may have put a voxel aside
-
-
-@wp.func
-def lattice_of(rows: wp.uint64):
-    """The lattice that is noted."""
-    r0 = read_row(rows, _LATTICE_ROW)
-    r1 = read_row(rows, _LATTICE_ROW + 1)
-    r2 = read_row(rows, _LATTICE_ROW + 2)
-    r3 = read_row(rows, _LATTICE_ROW + 3)
-    lattice = Lattice()
-    lattice.first = wp.vec3(r0[0], r0[1], r0[2])
-    lattice.i = wp.vec3(r1[0], r1[1], r1[2])
-    lattice.j = wp.vec3(r2[0], r2[1], r2[2])
-    lattice.k = wp.vec3(r3[0], r3[1], r3[2])
-    lattice.wider = r0[3]
-    return lattice
 
 
 @wp.func
