@@ -1,8 +1,8 @@
 """From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
 
-A worker's scratch has stacks of triangles (slots), and of parts. What is left of a test is pushed onto the
-next stack, so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot,
-and which of the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
+A worker's scratch has stacks of triangles (slots), and of parts. What is left of a test is pushed onto the next stack,
+so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot, and which of
+the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
 """
 
 from __future__ import annotations
