@@ -74,20 +74,15 @@ def test_links_and_named_files_exist(name, root):
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
         assert (root / target).exists(), target
     for target in re.findall(r"`((?:sdm|kernels|tests|bench)/[\w/.]*)`", text):
-        assert (root / target).exists() or target in LATER, target
+        assert (root / target).exists(), target
 
 
-# Homes of what is still to come, named so that it finds its place.
-LATER = {"sdm/nets/"}
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_extras_exist(name, root):
+def test_readme_names_every_extra(root):
     import tomllib
 
     extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    table = re.findall(r"^\| `([a-z-]+)` \|", (root / name).read_text(), re.MULTILINE)
-    assert set(table) <= set(extras)
+    text = (root / "README.md").read_text().split("## Extras")[1].split("\n## ")[0]
+    assert set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE)) == set(extras)
 
 
 def test_pages_name_no_place_of_one_machine(root):
