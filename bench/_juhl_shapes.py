@@ -102,6 +102,7 @@ class ShapeBatches:
         self.device = source[0].image.device
         self.spacing = (1.0, 1.0, 1.0)
         self.position = False
+        self.coarsen = 1
         self._images = torch.stack([s.image for s in source])
         self._labels = torch.stack([s.label for s in source])
         self._maps = None if target is None else clipped_sdf(torch.stack([s.targets[target] for s in source]))

@@ -18,6 +18,8 @@ OWN = ("method", "seed")
 # Voxels that stand for the 95 % Hausdorff distance of an empty prediction: larger than any that was seen.
 FAILED = 80.0
 WORDS = {
+    "patch": "patches {0[0]}x{0[1]}x{0[2]}",
+    "coarsen": "voxels {} times as large",
     "batch": "batch {}",
     "steps": "{} steps",
     "learning_rate": "rate {:g}",

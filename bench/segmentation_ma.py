@@ -148,6 +148,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
+    parser.add_argument("--coarsen", type=int, default=1, help="voxels so many times as large; a patch counts those")
     parser.add_argument("--batch", type=int, default=2)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="sgd")
     parser.add_argument("--learning-rate", type=float, default=0.05)
@@ -176,6 +177,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
             settings = Settings(
                 method=method,
                 patch=tuple(options.patch),
+                coarsen=options.coarsen,
                 batch=options.batch,
                 steps=options.steps,
                 optimizer=options.optimizer,
@@ -224,7 +226,7 @@ def fit(options: argparse.Namespace, on: list[str]) -> int:
     cases = read_cases(options.data, "train")[:4]
     begin = time.monotonic()
     settings = Settings.of_record(jobs(options)[0]["settings"])
-    patches = Patches(cases, "normalized", settings.patch, on[0], position=settings.position)
+    patches = Patches.of_settings(cases, replace(settings, method="head-sdf-l1"), on[0])
     torch.backends.cudnn.benchmark = True
 
     def measure(steps: int) -> float:

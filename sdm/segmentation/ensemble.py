@@ -30,8 +30,9 @@ def predict_ensemble(
     of them share is outvoted, and a network that is sure counts for more than one that is not, but never for much more:
     probabilities are bounded, and so are the distances that networks are trained on, -1..1.
 
-    Networks see the image one after the other, each through windows of its own, so they may differ in patch, network,
-    method and `position`, and take no more memory than one of them and a volume. One alone says what `predict` says.
+    Networks see the image one after the other, each through windows of its own, so they may differ in patch, `coarsen`,
+    network, method and `position`, and take no more memory than one of them and a volume. One alone says what `predict`
+    says.
 
     Args:
         models: Trained networks; for instance the same method with several seeds.
@@ -98,4 +99,6 @@ def _quantity(trained: TrainedModel) -> str:
         return "a probability"
     # A normalised map of a patch has another scale in each; a clipped one as published counts voxels, not mm.
     of = "cases" if trained.settings.targets == "case" else "patches"
-    return f"a {method.map} signed distance of {of}"
+    larger = trained.settings.coarsen
+    voxels = f" in voxels {larger} times as large" if method.map == "clipped" and larger > 1 else ""
+    return f"a {method.map} signed distance of {of}{voxels}"

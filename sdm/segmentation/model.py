@@ -30,6 +30,8 @@ class SegmentationModel(nn.Module):
         dropout: Of the coarsest level; the paper's if not given (0.5 and 0.05).
         last_dropout: Of what the main output, and a head's, is made of.
         position: Whether three more channels say where each voxel is in its volume: see `positions`.
+        coarsen: How many times as large as an image's voxels are those that the network is for: see `coarse`. `predict`
+            makes them and enlarges what the network says.
     """
 
     def __init__(
@@ -41,11 +43,12 @@ class SegmentationModel(nn.Module):
         dropout: float | None = None,
         last_dropout: float = 0.0,
         position: bool = False,
+        coarsen: int = 1,
     ) -> None:
         super().__init__()
         encoder, decoder, self.multiple = NETWORKS[architecture]
         width = {} if filters is None else {"filters": filters}
-        self.method, self.position = method, position
+        self.method, self.position, self.coarsen = method, position, coarsen
         inputs = 1 + CHANNELS if position else 1
         self.encoder = encoder(**width, **({} if dropout is None else {"dropout": dropout}), inputs=inputs)
         self.decoder = decoder(**width, dropout=last_dropout)

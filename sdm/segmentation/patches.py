@@ -14,6 +14,7 @@ from sdm.losses import clipped_sdf
 from sdm.memory import to_device
 from sdm.segmentation.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.case import Case, standardized
+from sdm.segmentation.coarse import coarse_image, coarse_map, whole_cubes
 from sdm.segmentation.methods import METHODS, Map
 from sdm.segmentation.position import position_frame, positions
 from sdm.segmentation.settings import Settings
@@ -48,6 +49,8 @@ class Patches:
         per_patch: See above.
         mirrors: Along which axes patches may be mirrored: see `augment.draw`.
         position: Give the image three more channels: where in its case each voxel comes from, see `positions`.
+        coarsen: Make voxels so many times as large first, see `coarse`; `spacing`, `size` and distances in voxels are
+            then of these.
     """
 
     def __init__(
@@ -60,13 +63,15 @@ class Patches:
         per_patch: bool = False,
         mirrors: str = "xyz",
         position: bool = False,
+        coarsen: int = 1,
     ) -> None:
         self.kind: Map | None = kind
         self.size, self.device, self.per_patch = size, torch.device(device), per_patch
-        self.mirrors, self.position = mirrors, position
-        self.spacing = cases[0].spacing
+        self.mirrors, self.position, self.coarsen = mirrors, position, coarsen
+        x, y, z = cases[0].spacing
+        self.spacing = (coarsen * x, coarsen * y, coarsen * z)
+        self._shapes: list[torch.Size] = []
         self._cases = [self._stack(case) for case in cases]
-        self._shapes = [case.image.shape for case in cases]
 
     @classmethod
     def of_settings(cls, cases: Sequence[Case], settings: Settings, device: torch.device | str) -> Patches:
@@ -79,22 +84,25 @@ class Patches:
             per_patch=settings.targets == "patch",
             mirrors=settings.mirrors,
             position=settings.position,
+            coarsen=settings.coarsen,
         )
 
     def _stack(self, case: Case) -> Tensor:
         if case.label is None:
             raise SDMError(f"{case.name} has no label")
-        image = standardized(case.image.to(self.device))
-        label = case.label.to(self.device)
+        image = standardized(coarse_image(case.image.to(self.device), self.coarsen))
+        self._shapes.append(image.shape)
         room = [max(0, n - m) for n, m in zip(self.size, image.shape, strict=True)]
         pad = [x for r in reversed(room) for x in (r // 2, r - r // 2)]
         image = functional.pad(image, pad, value=float(image.min()))
-        label = functional.pad(label, pad)
-        channels = [image, label.float()]
+        # Padded before its map is made: distances go on beyond the volume.
+        label = whole_cubes(case.label.to(self.device).float(), self.coarsen)
+        label = functional.pad(label, [self.coarsen * x for x in pad])
+        channels = [image, coarse_image(label, self.coarsen)]
         if self.kind is not None and not self.per_patch:
             # A patch that is scaled scales its distances, so they are clipped afterwards.
             whole: Map = "signed" if self.kind == "clipped" else self.kind
-            channels.append(distance_map(label[None, None], whole, self.spacing)[0, 0])
+            channels.append(coarse_map(distance_map(label[None, None], whole, case.spacing)[0, 0], self.coarsen))
         return torch.stack(channels)
 
     def __len__(self) -> int:

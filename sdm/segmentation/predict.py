@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation.case import standardized
+from sdm.segmentation.coarse import coarse_image, fine_field
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.sliding import sliding_window
 
@@ -40,7 +41,7 @@ def predict(
     Args:
         model: A trained network; it is put into evaluation mode.
         image: (x,y,z) as read; it is standardised here.
-        window: Voxels of a window, those of the training's patches.
+        window: Voxels of a window, those of the training's patches; larger ones if the network is for those.
         stride: See `sliding_window`.
         largest: Keep only the largest connected component (by faces, edges and corners): for single organs.
         mirrors: Average over the mirror images of every window along these of the axes "xyz": twice the work for each.
@@ -73,9 +74,9 @@ def predicted_field(
         return torch.stack(seen).mean(0)
 
     with torch.inference_mode():
-        return sliding_window(
-            field, standardized(image.to(device)), window, stride=stride, batch=batch, position=model.position
-        )
+        seen = standardized(coarse_image(image.to(device), model.coarsen))
+        values = sliding_window(field, seen, window, stride=stride, batch=batch, position=model.position)
+        return fine_field(values, model.coarsen, image.shape)
 
 
 def prediction_of(values: Tensor, *, largest: bool) -> Prediction:

@@ -20,6 +20,8 @@ class Settings:
         method: One of `METHODS`.
         architecture: "vnet" or "unet".
         patch: Voxels of a patch, multiples of 16 (vnet) or 8 (unet).
+        coarsen: The network sees voxels so many times as large along each axis, and with the same patch so much more
+            of the body; a patch counts these larger voxels. What it says is enlarged linearly.
         batch: Patches a step.
         steps: Steps of the optimiser.
         optimizer: "adam" (AdamW) or "sgd" (Nesterov momentum 0.9). Its learning rate rises over the first 5 % of the
@@ -44,6 +46,7 @@ class Settings:
     method: str = "baseline"
     architecture: Architecture = "vnet"
     patch: tuple[int, int, int] = (112, 112, 80)
+    coarsen: int = 1
     batch: int = 4
     steps: int = 2000
     optimizer: Literal["adam", "sgd"] = "adam"
@@ -68,6 +71,8 @@ class Settings:
         multiple = NETWORKS[self.architecture][2]
         if len(self.patch) != 3 or any(n < multiple or n % multiple for n in self.patch):
             raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
+        if self.coarsen < 1:
+            raise SDMError(f"voxels are made larger by a whole number, 1 or more, not by {self.coarsen}")
         if self.batch < 1 or self.steps < 1:
             raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
         if self.batch * math.prod(n // multiple for n in self.patch) < 2:
@@ -101,6 +106,7 @@ class Settings:
             dropout=self.dropout,
             last_dropout=self.last_dropout,
             position=self.position,
+            coarsen=self.coarsen,
         )
 
     @classmethod

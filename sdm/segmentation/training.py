@@ -35,6 +35,8 @@ class Source(Protocol):
     spacing: tuple[float, float, float]
     # Whether images come with the positions of their voxels.
     position: bool
+    # How many times as large as the cases' voxels those of the batches are.
+    coarsen: int
 
     def batch(self, count: int, *, seed: int, step: int, augment: Augment) -> Patch:
         """A batch: a pure function of its arguments."""
@@ -85,12 +87,12 @@ def train(
 
     Raises:
         FormatError: The checkpoint is of another training.
-        SDMError: The loss is not finite any more, or only one of patches and settings has positions.
+        SDMError: The loss is not finite any more, or patches and settings differ in positions or in coarse voxels.
     """
-    if patches.position != settings.position:
-        raise SDMError(
-            f"the settings have position={settings.position}, the patches {patches.position}: give both the same"
-        )
+    for name in ("position", "coarsen"):
+        wanted, given = getattr(settings, name), getattr(patches, name)
+        if wanted != given:
+            raise SDMError(f"the settings have {name}={wanted}, the patches {given}: give both the same")
     device = patches.device
     with _own_random_numbers(device):
         torch.manual_seed(settings.seed)

@@ -98,6 +98,7 @@ class Told(nn.Module):
     """Says the position along one axis, looking at it as a network would: voxel by voxel."""
 
     position = True
+    coarsen = 1
 
     def __init__(self, axis: int) -> None:
         super().__init__()
