@@ -88,7 +88,7 @@ def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> 
     FigureCanvasAgg(figure)
     figure.text(0.03, 0.95, title, fontsize=20, fontweight="bold", color="0.1", va="center")
     values = field.numpy()
-    limit, extend = _colour_limit(values)
+    limit, extend = colour_limit(values)
 
     draw_surface(figure, (0.0, 0.02, 0.5, 0.89), field, unit)
     cells = figure.add_gridspec(2, 2, left=0.575, right=0.975, bottom=0.085, top=0.885, wspace=0.24, hspace=0.27)
@@ -109,7 +109,7 @@ def _colour_map() -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("inside_outside", COLOURS)
 
 
-def _colour_limit(values: np.ndarray) -> tuple[float, str]:
+def colour_limit(values: np.ndarray) -> tuple[float, str]:
     """The symmetric end of the colour scale, and where the map goes past it."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -122,7 +122,7 @@ def _colour_limit(values: np.ndarray) -> tuple[float, str]:
     return limit, ends[low < -limit, high > limit]
 
 
-def _line_step(limit: float) -> float:
+def line_step(limit: float) -> float:
     """A round distance between lines of equal distance: three to seven of them on each side."""
     power = 10.0 ** math.floor(math.log10(limit / 3))
     return power * max(x for x in (1.0, 2.0, 5.0) if x * power <= limit / 3 * 1.0001)
@@ -149,7 +149,7 @@ def _slice(
     axes.set_aspect("equal" if max(size) < 8 * min(size) else "auto")
 
     if min(cut.shape) > 1 and np.isfinite(cut).all():
-        step = _line_step(limit)
+        step = line_step(limit)
         levels = step * np.arange(np.ceil(cut.min() / step), np.floor(cut.max() / step) + 1)
         thin = levels[(levels != 0) & (levels > cut.min()) & (levels < cut.max())]
         if 0 < thin.size < 100:
@@ -182,7 +182,7 @@ def _known(field: SDM, values: np.ndarray, limit: float, unit: str | None) -> di
     finite = values[np.isfinite(values)]
     if finite.size:
         known["distances"] = f"{finite.min():.3g} to {finite.max():.3g}{suffix}".replace("-", "\N{MINUS SIGN}")
-        known["lines"] = f"every {_line_step(limit):g}{suffix}"
+        known["lines"] = f"every {line_step(limit):g}{suffix}"
     return known | {"sign": "negative inside"}
 
 

@@ -26,6 +26,7 @@ COMMANDS = (
     "decode",
     "segment",
     "evaluate",
+    "view",
     "demo",
     "bench",
 )

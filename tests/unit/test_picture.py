@@ -9,7 +9,7 @@ import torch
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
-from sdm.picture import _colour_limit, _line_step, picture
+from sdm.picture import colour_limit, line_step, picture
 
 TURN = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 
@@ -75,12 +75,12 @@ def test_inside_is_red_and_outside_is_blue(tmp_path):
     [(-1, 1.5, 1.5, "neither"), (-1, 9, 2, "max"), (1, 3, 3, "neither"), (-3, -1, 3, "neither"), (0, 0, 1, "neither")],
 )
 def test_colours_end_at_twice_the_depth(low, high, limit, extend):
-    assert _colour_limit(np.array([low, high], dtype=float)) == (limit, extend)
+    assert colour_limit(np.array([low, high], dtype=float)) == (limit, extend)
 
 
 @pytest.mark.parametrize(("limit", "step"), [(1.5, 0.5), (3.0, 1.0), (2.9, 0.5), (60.0, 20.0), (0.003, 0.001)])
 def test_lines_are_at_round_distances(limit, step):
-    assert _line_step(limit) == pytest.approx(step)
+    assert line_step(limit) == pytest.approx(step)
 
 
 def test_leaves_pyplot_alone(tmp_path):
