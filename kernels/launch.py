@@ -14,6 +14,17 @@ import warp as wp
 # Small launches cost less than waking the threads.
 SMALLEST_SHARE = 256
 SHARES_PER_THREAD = 8
+# Warp loads a module twice if two threads want it at once, and takes back the one while it runs.
+_loading = threading.RLock()
+
+
+def _unlock() -> None:
+    """A fork's copy of the lock may be held by a thread that the fork has not."""
+    global _loading  # noqa: PLW0603
+    _loading = threading.RLock()
+
+
+os.register_at_fork(after_in_child=_unlock)
 
 
 def threads() -> int:
@@ -47,7 +58,8 @@ def _run(kernel: wp.Kernel, begin: int, count: int, inputs: list[Any], device: A
     command: Any = _recorded.known.get(key)
     values = [begin, *inputs]
     if command is None:
-        command = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
+        with _loading:
+            command = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
         # Warp's deterministic mode records something else, which is left alone.
         if type(command) is wp.Launch:
             # It would keep the arrays of this first launch alive.
@@ -108,9 +120,16 @@ def launch(
         return
     # Compiled and loaded before any thread wants it. A share of a kernel whose threads fetch their work may take all of
     # it, so none runs alone.
-    kernel.module.load(device, 1)
+    with _loading:
+        kernel.module.load(device, 1)
 
     def run(begin: int) -> None:
         _run(kernel, begin, min(share, count - begin), inputs, device, 1)
 
     list(_pool(os.getpid()).map(run, range(0, count, share)))
+
+
+def launch_grid(kernel: wp.Kernel, dim: Any, **given: Any) -> None:
+    """`wp.launch` of a kernel with `wp.tid()` of several dimensions; on a CPU by one thread at a time."""
+    with _loading:
+        wp.launch(kernel, dim=dim, **given)

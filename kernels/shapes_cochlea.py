@@ -6,6 +6,8 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch_grid
+
 wp.set_module_options({"enable_backward": True})
 
 TURN = wp.constant(6.283185307179586)
@@ -83,12 +85,12 @@ def cochlea_vertices(theta: Any, tables: list[Any], vertices: Any, device: Any) 
         vertices: (B,V) vec3 [mm], out.
         device: Warp device.
     """
-    wp.launch(cochlea_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
+    launch_grid(cochlea_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
 
 
 def cochlea_gradient(theta: Any, tables: list[Any], vertices: Any, upstream: Any, gradient: Any, device: Any) -> None:
     """Add to `gradient` (B,4) what `upstream` (B,V) vec3, the gradient by vertices, gives by theta."""
-    wp.launch(
+    launch_grid(
         cochlea_kernel,
         dim=vertices.shape,
         inputs=[theta, *tables],

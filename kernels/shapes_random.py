@@ -6,6 +6,8 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch_grid
+
 wp.set_module_options({"enable_backward": False})
 
 # Numbers that one Philox block gives.
@@ -111,7 +113,7 @@ def fill_uniform(seed: int, index: Any, values: Any, device: Any) -> None:
     """Fill `values` (B,D) float32 with independent numbers in [0,1) for `index` (B,) int64."""
     blocks = -(-values.shape[1] // LANES)
     inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index]
-    wp.launch(uniform_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)
+    launch_grid(uniform_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)
 
 
 def fill_sobol(seed: int, index: Any, directions: Any, values: Any, device: Any) -> None:
@@ -120,11 +122,11 @@ def fill_sobol(seed: int, index: Any, directions: Any, values: Any, device: Any)
     `directions` (D,30) int64 are the direction numbers of each axis.
     """
     inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index, directions]
-    wp.launch(sobol_kernel, dim=values.shape, inputs=inputs, outputs=[values], device=device)
+    launch_grid(sobol_kernel, dim=values.shape, inputs=inputs, outputs=[values], device=device)
 
 
 def fill_words(seed: int, purpose: int, index: Any, values: Any, device: Any) -> None:
     """Fill `values` (B,D) uint32 with the raw words of Philox, for tests and for whole numbers."""
     blocks = -(-values.shape[1] // LANES)
     inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, purpose, index]
-    wp.launch(philox_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)
+    launch_grid(philox_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)

@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch_grid
 from sdm.kernels.shapes_rotation import uniform_rotation
 
 wp.set_module_options({"enable_backward": True})
@@ -75,12 +76,12 @@ def solids_vertices(theta: Any, tables: list[Any], vertices: Any, device: Any) -
         vertices: (B,V) vec3, out.
         device: Warp device.
     """
-    wp.launch(solids_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
+    launch_grid(solids_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
 
 
 def solids_gradient(theta: Any, tables: list[Any], vertices: Any, upstream: Any, gradient: Any, device: Any) -> None:
     """Add to `gradient` (B,P) what `upstream` (B,V) vec3, the gradient by vertices, gives by theta."""
-    wp.launch(
+    launch_grid(
         solids_kernel,
         dim=vertices.shape,
         inputs=[theta, *tables],

@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch_grid
 from sdm.kernels.shapes_rotation import uniform_rotation, vector_rotation
 
 wp.set_module_options({"enable_backward": True})
@@ -83,12 +84,12 @@ def warped_vertices(theta: Any, tables: list[Any], vertices: Any, device: Any) -
         vertices: (B,V) vec3, out.
         device: Warp device.
     """
-    wp.launch(warped_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
+    launch_grid(warped_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
 
 
 def warped_gradient(theta: Any, tables: list[Any], vertices: Any, upstream: Any, gradient: Any, device: Any) -> None:
     """Add to `gradient` (B,26) what `upstream` (B,V) vec3, the gradient by vertices, gives by theta."""
-    wp.launch(
+    launch_grid(
         warped_kernel,
         dim=vertices.shape,
         inputs=[theta, *tables],

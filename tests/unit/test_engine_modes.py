@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import select
 import signal
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -73,6 +75,34 @@ def test_threads(expected):
         for i, found in enumerate(pool.map(work, range(24))):
             for a, b in zip(found, alone[i % len(shapes)], strict=True):
                 assert torch.equal(a, b)
+
+
+FIRST = """
+import threading
+import sdm
+from sdm.demo_mesh import demo_mesh
+
+mesh = demo_mesh(rings=21, segments=12)
+grid = sdm.Grid.around(mesh, resolution=12)
+all_at_once = threading.Barrier(4)
+
+def work():
+    all_at_once.wait()
+    sdm.signed_distance_map(mesh, grid, device="cpu")
+
+threads = [threading.Thread(target=work) for _ in range(4)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+@pytest.mark.parametrize("turn", range(2))
+def test_the_first_calls_of_a_process_by_several_threads(turn):
+    """Warp would load a module twice, and take back the first while it runs: that was a crash in every second try."""
+    done = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
