@@ -82,6 +82,15 @@ class Recording:
             with torch.cuda.stream(stream), on_current_stream(inputs[0]) as device:
                 self._capture(work, inputs, device.stream, pool)
             room.nbytes += max(0, torch.cuda.memory_reserved() - before)
+            self._place_is_made(torch.cuda.current_stream())
+
+    def _place_is_made(self, stream: torch.cuda.Stream) -> None:
+        """A launch on another stream waits until the place's memory is this recording's."""
+        last = self._room.last
+        if last is not None:
+            # And, as every launch, for the one before.
+            stream.wait_event(last)
+            last.record(stream)
 
     def _capture(self, work: Work, inputs: Inputs, stream: wp.Stream, pool: Any) -> None:
         self._graph = torch.cuda.CUDAGraph()

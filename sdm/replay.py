@@ -33,7 +33,7 @@ __all__ = ["CALLS", "Say", "clear", "enable", "note", "paused", "replayed", "ser
 # The part of a device's memory that recordings may keep.
 SHARE = 16
 
-_switch = SimpleNamespace(on=os.environ.get("SDM_REPLAY", "1") != "0")
+_switch = SimpleNamespace(on=os.environ.get("SDM_REPLAY", "1") != "0", pauses=0)
 _turn = threading.RLock()
 _shelves: dict[torch.device, Shelf] = {}
 
@@ -48,11 +48,13 @@ def enable(on: bool) -> None:
 @contextmanager
 def paused() -> Iterator[None]:
     """Nothing is recorded or replayed meanwhile, by any thread; what is recorded stays."""
-    before, _switch.on = _switch.on, False
+    with _turn:
+        _switch.pauses += 1
     try:
         yield
     finally:
-        _switch.on = before
+        with _turn:
+            _switch.pauses -= 1
 
 
 def clear() -> None:
@@ -64,7 +66,7 @@ def clear() -> None:
 
 def serves(tensor: Tensor) -> bool:
     """Whether a call with this tensor may be recorded and replayed."""
-    if torch.compiler.is_compiling() or not (_switch.on and tensor.is_cuda):
+    if torch.compiler.is_compiling() or not (_switch.on and not _switch.pauses and tensor.is_cuda):
         return False
     # Tensors that only look like some, and modes that watch what happens to each, want to see every step.
     if type(tensor) not in (Tensor, torch.nn.Parameter) or _get_current_dispatch_mode() is not None:

@@ -44,11 +44,13 @@ class _Paired:
         left_over: (N,3) int32, the edges left over, as `sdm.kernels.edges` gives them.
         shared: (F,4) int32, what `neighbours` returns.
         edges: (E,2) int32, the last boundary found.
+        ready: When `shared` is written, if nobody has waited for that yet.
     """
 
     left_over: Tensor
     shared: Tensor
     edges: Tensor | None = None
+    ready: torch.cuda.Event | None = None
 
 
 def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -132,12 +134,28 @@ def leaves_none_over(faces: Tensor, count: int) -> bool:
 
 
 def remember_closed(faces: Tensor, count: int, shared: Tensor) -> None:
-    """Remember of faces that no edge of theirs is left over, and what `neighbours` returns."""
-    _seen[faces] = _state(faces, count), _Paired(faces.new_empty((0, 3)), shared)
+    """Remember of faces that no edge of theirs is left over, and what `neighbours` returns.
+
+    `shared` may still be under way on the current stream of its device: other streams wait for it when they ask.
+    """
+    ready = None
+    if shared.is_cuda:
+        ready = torch.cuda.Event()
+        ready.record(torch.cuda.current_stream(shared.device))
+    _seen[faces] = _state(faces, count), _Paired(faces.new_empty((0, 3)), shared, ready=ready)
 
 
 def _paired(faces: Tensor, count: int) -> _Paired:
-    return _remembered(_seen, faces, lambda: _pair_up(faces, count), count)
+    found: _Paired = _remembered(_seen, faces, lambda: _pair_up(faces, count), count)
+    ready = found.ready
+    if ready is not None:
+        with torch.cuda.device(found.shared.device):
+            # Who captures has called before, so it is long there; an event of before must not be waited for then.
+            if not torch.cuda.is_current_stream_capturing():
+                torch.cuda.current_stream().wait_event(ready)
+                if ready.query():
+                    found.ready = None
+    return found
 
 
 def _pair_up(faces: Tensor, count: int) -> _Paired:

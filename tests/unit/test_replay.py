@@ -170,12 +170,16 @@ def test_a_cpu_never_enters(monkeypatch):
 
 def test_the_switch():
     assert replay._switch.on
-    with replay.paused():
-        assert not replay._switch.on
-        with replay.paused():
-            pass
-        assert not replay._switch.on
+    assert replay._switch.pauses == 0
+    # By turns, as two threads would: the first to end leaves the other's pause alone.
+    one, other = replay.paused(), replay.paused()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    assert replay._switch.pauses == 1
+    other.__exit__(None, None, None)
     assert replay._switch.on
+    assert replay._switch.pauses == 0
     replay.enable(False)
     try:
         assert not replay.serves(INPUTS[0])
