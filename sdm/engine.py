@@ -16,7 +16,7 @@ from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.hierarchy import build
 from sdm.inspect import orient_outward
-from sdm.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, slab_of, slabs_of
+from sdm.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, put_together, slab_of, slabs_of
 from sdm.mesh import TriangleMesh, as_tensor
 from sdm.topology import boundary_edges
 
@@ -123,10 +123,17 @@ class MeshIndex:
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
         with room_for(grid.nbytes, self.device, _described(grid)):
-            made = [self._slab(grid, begin, end) for begin, end in slabs_of(grid, LARGEST_SLAB)]
-            values = made[0][0][0] if len(made) == 1 else torch.cat([values[0] for values, _ in made])
+            unclear = []
+
+            def slabs() -> Iterator[tuple[int, int, Tensor]]:
+                for begin, end in slabs_of(grid, LARGEST_SLAB):
+                    values, ambiguous = self._slab(grid, begin, end)
+                    unclear.append(ambiguous)
+                    yield begin, end, values
+
+            values = put_together(slabs(), grid.shape[0])[0]
         # Of a closed mesh it is known without a look at the device, which would wait for it.
-        return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for _, ambiguous in made))
+        return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear))
 
     def slabs(
         self, grid: Grid, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None

@@ -9,7 +9,7 @@ the guess was wrong, the map is thrown away and made anew.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from functools import partial
 
 import torch
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sdm import ops, replay
 from sdm.beside import Join, beside
+from sdm.errors import GridError
 from sdm.grid import Grid
 from sdm.hierarchy import build, build_known, check_count, surroundings
 from sdm.recording import Work
@@ -32,16 +33,45 @@ from sdm.topology import (
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
+# The kernels work in regions of 16^3 or 32^3: whole ones, so that a slab's voxels are treated as in the whole map.
+THINNEST_SLAB = 32
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
 LARGEST_RECORDED = 1 << 29
 
 
 def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
-    """Layers (begin, end) of slabs with about as many voxels."""
-    # The kernels work in regions of 16^3 or 32^3: whole ones, so that a slab's voxels are treated as in the whole map.
-    layers = max(32, voxels // (grid.shape[1] * grid.shape[2]) // 32 * 32)
+    """Layers (begin, end) of slabs with about as many voxels.
+
+    Raises:
+        GridError: The thinnest slab has more voxels than a launch can count.
+    """
+    if _thinnest(grid) > LARGEST_SLAB:
+        raise GridError(
+            f"{THINNEST_SLAB} layers of a grid of shape {grid.shape} have more than {LARGEST_SLAB:,} voxels: "
+            "split it along y or z, or let x be its longest axis"
+        )
+    layers = max(THINNEST_SLAB, voxels // (grid.shape[1] * grid.shape[2]) // THINNEST_SLAB * THINNEST_SLAB)
     for begin in range(0, grid.shape[0], layers):
         yield begin, min(begin + layers, grid.shape[0])
+
+
+def _thinnest(grid: Grid) -> int:
+    """Voxels of the smallest slab that there can be."""
+    return min(THINNEST_SLAB, grid.shape[0]) * grid.shape[1] * grid.shape[2]
+
+
+def put_together(slabs: Iterable[tuple[int, int, Tensor]], layers: int) -> Tensor:
+    """The maps (B,layers,ny,nz) of slabs (begin, end, values); of those never more than one at a time is there."""
+    whole = None
+    for begin, end, values in slabs:
+        if end - begin == layers:
+            return values
+        if whole is None:
+            whole = values.new_empty((values.shape[0], layers, *values.shape[2:]))
+        whole[:, begin:end] = values
+    if whole is None:
+        raise ValueError("a map without slabs")
+    return whole
 
 
 def slab_of(
@@ -96,12 +126,15 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     if is_replayable(vertices, grid, vertices.shape[0]):
         check_count(vertices, faces)
         return _maps(vertices.detach().contiguous(), faces.contiguous(), grid, edges)[0]
+    most = max(1, LARGEST_SLAB // _thinnest(grid))
+    if vertices.shape[0] > most:
+        return torch.cat([batch_maps(some, faces, grid, edges) for some in vertices.split(most)])
     hierarchy, kind = build(vertices.detach(), faces, edges)
-    values = [
-        slab_of(vertices, faces, hierarchy, kind, grid, begin, end)[0]
-        for begin, end in slabs_of(grid, LARGEST_SLAB // vertices.shape[0])
-    ]
-    return values[0] if len(values) == 1 else torch.cat(values, 1)
+    slabs = slabs_of(grid, LARGEST_SLAB // vertices.shape[0])
+    return put_together(
+        ((begin, end, slab_of(vertices, faces, hierarchy, kind, grid, begin, end)[0]) for begin, end in slabs),
+        grid.shape[0],
+    )
 
 
 def _maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> tuple[Tensor, Tensor | None]:

@@ -36,6 +36,8 @@ POINTS_METHOD = "auto"
 SMALLEST_SORT = 1 << 12
 # Points of a grid that the backward pass looks up at a time.
 BACKWARD_CHUNK = 1 << 22
+# Points of one launch: twice as many are counted with 32 bits.
+MOST_POINTS = 1 << 29
 
 
 def _query(
@@ -50,6 +52,9 @@ def _query(
     if not tensors:
         tensors, kind = build(vertices[None], faces)
     count = at.shape[0]
+    if count > MOST_POINTS:
+        some = [_query(vertices, faces, part, tensors, kind, hits, cube) for part in at.split(MOST_POINTS)]
+        return [torch.cat(parts) for parts in zip(*some, strict=True)]
     values = torch.empty(count, dtype=torch.float32, device=at.device)
     found = []
     if hits:
@@ -197,7 +202,8 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
     values = torch.empty(at.shape[0], dtype=torch.float32, device=at.device)
     with on_current_stream(at, at, hierarchy[0]):
         tree, winding, *_ = unpack(hierarchy, kind, 1)
-        query_winding(tree, winding, as_warp(at, wp.vec3), as_warp(values, wp.float32), launch)
+        for some, found in zip(at.split(MOST_POINTS), values.split(MOST_POINTS), strict=True):
+            query_winding(tree, winding, as_warp(some, wp.vec3), as_warp(found, wp.float32), launch)
     return values
 
 

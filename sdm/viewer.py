@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def view(
 def _started(*, window: bool) -> Any:
     """Polyscope, with nothing to show yet."""
     try:
-        import polyscope
+        polyscope: Any = import_module("polyscope")
     except ImportError:
         raise SDMError('a view needs Polyscope, which is not installed: pip install ".[viewer]"') from None
     if window and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -161,8 +162,7 @@ def _draw(polyscope: Any, path: Path) -> None:
 
 def _slider(polyscope: Any, field: SDM, cut: Any, level: float) -> Callable[[], None]:
     """What draws the slider, once a frame."""
-    import polyscope.imgui as gui
-
+    gui: Any = import_module("polyscope.imgui")
     values = field.numpy()
     low, high = float(values.min()), float(values.max())
     now = level

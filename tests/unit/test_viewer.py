@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import builtins
+import sys
 
 import numpy as np
 import pytest
@@ -89,13 +89,6 @@ def test_what_cannot_be_shown_is_said(tmp_path, monkeypatch):
 
 
 def test_polyscope_is_asked_for_where_it_is_not_installed(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name == "polyscope":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "polyscope", None)
     with pytest.raises(SDMError, match="viewer"):
         view(ball(), picture=tmp_path / "view.png")
