@@ -1,6 +1,6 @@
 """The distance transform of label volumes against SciPy and, on a GPU, CuPy and cuCIM where they are installed.
 
-    python -m bench.edt [--device cuda] [--quick] [--out bench/results/edt_DEVICE.json]
+    python -m bench.edt [--device cuda] [--quick] [--out bench/results/edt-DEVICE.json]
 
 Every answer is compared with SciPy's before it is timed; then all but SciPy take turns, once they are warm. Peers take
 one volume a call, so they go through a batch one by one, and have no signed transform, so they take two. A mask is on
