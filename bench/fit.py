@@ -6,9 +6,10 @@
     python -m bench.fit pictures                docs/fit-*.png from what the others left
 
 The first three write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
-(these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's distances and finite differences, as a method without our derivatives has
-it: `libigl` is asked about the points near the surface alone, which our search for them allows, `libigl-map` makes
-whole maps, as a mesh's signed distance map in the place of a surrogate. `warp` and `warp-map` are stock Warp's.
+(these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's
+distances and finite differences, as a method without our derivatives has it: `libigl` is asked about the points near
+the surface alone, which our search for them allows, `libigl-map` makes whole maps, as a mesh's signed distance map in
+the place of a surrogate. `warp` and `warp-map` are stock Warp's.
 """
 
 from __future__ import annotations
