@@ -10,6 +10,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.io.atomic import replacing
+from sdm.io.torch_file import save_torch
 
 KIND = "sdm-deepsdf"
 VERSION = 1
@@ -19,8 +20,7 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 def write(content: dict[str, Any], path: Path) -> None:
     """Write one file, atomically, with its kind and version."""
-    with replacing(path) as part:
-        torch.save({"kind": KIND, "version": VERSION, **content}, part)
+    save_torch({"kind": KIND, "version": VERSION, **content}, path)
 
 
 def write_both(model: dict[str, Any], optimizer: dict[str, Any], folder: Path) -> None:

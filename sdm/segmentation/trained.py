@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from sdm.errors import FormatError
-from sdm.io.atomic import replacing
+from sdm.io.torch_file import save_torch
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.settings import Settings
 
@@ -34,8 +34,7 @@ def save_model(trained: TrainedModel, path: Path) -> None:
         "spacing": list(trained.spacing),
         "weights": {name: value.cpu().contiguous() for name, value in trained.model.state_dict().items()},
     }
-    with replacing(path) as part:
-        torch.save(state, part)
+    save_torch(state, path)
 
 
 def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:

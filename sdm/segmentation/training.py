@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ import torch
 from torch import nn
 
 from sdm.errors import FormatError, SDMError
+from sdm.io.torch_file import save_torch
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.average import Average
 from sdm.segmentation.model import SegmentationModel
@@ -191,9 +191,7 @@ def _save(
         "random": torch.get_rng_state(),
         "random_device": torch.cuda.get_rng_state(device) if device.type == "cuda" else None,
     }
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    torch.save(state, part)
-    part.replace(path)
+    save_torch(state, path)
 
 
 def _restore(

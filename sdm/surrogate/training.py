@@ -14,7 +14,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
-from sdm.io.atomic import replacing
+from sdm.io.torch_file import save_torch
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
@@ -184,8 +184,7 @@ class Trainer:
             "seconds": self.clock.seconds,
             "stream": self.replay.stream.state_dict(),
         }
-        with replacing(target) as part:
-            torch.save(state, part)
+        save_torch(state, target)
 
     def _load(self, source: Path, stream: SDMStream) -> float:
         state = torch.load(source, map_location=self.device, weights_only=True)
