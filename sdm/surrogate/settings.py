@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import nn
 
+from sdm.budget import check_budget
 from sdm.errors import FormatError, SDMError
 from sdm.stream import Mixture, Sampler
 from sdm.surrogate.models import build
@@ -85,6 +86,7 @@ class Settings:
             raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
         if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
             raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
+        check_budget(self.budget_s)
 
 
 def identity(settings: Settings) -> dict[str, Any]:
