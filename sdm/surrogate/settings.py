@@ -86,6 +86,8 @@ class Settings:
             raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
         if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
             raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
+        if min(self.modes, 1 if self.channels is None else self.channels) < 1:
+            raise SDMError("modes and channels are at least 1")
         check_budget(self.budget_s)
 
 

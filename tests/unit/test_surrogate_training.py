@@ -115,7 +115,17 @@ def test_a_training_ends_with_its_budget():
     assert train(10**9, budget_s=0.01).step <= 1
 
 
-@pytest.mark.parametrize("wrong", [{"recipe": "all"}, {"loss": "l3"}, {"model": "pod-chebyshev"}, {"batch_size": 0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"recipe": "all"},
+        {"loss": "l3"},
+        {"model": "pod-chebyshev"},
+        {"batch_size": 0},
+        {"modes": 0},
+        {"channels": 0},
+    ],
+)
 def test_wrong_settings_are_one_sentence(wrong):
     with pytest.raises(SDMError):
         Settings(**wrong)
