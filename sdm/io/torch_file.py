@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from sdm.errors import FormatError
 from sdm.io.atomic import replacing
 
 
@@ -22,6 +23,30 @@ def save_torch(state: Any, path: Path) -> None:
             torch.save(state, file)
         except RuntimeError as error:
             raise _cause(error) from None
+
+
+def load_torch(path: Path, otherwise: str, *, device: torch.device | str = "cpu", mmap: bool = False) -> dict[str, Any]:
+    """The dictionary in a file of torch's; no code in it is run.
+
+    Args:
+        path: The file.
+        otherwise: What is said, after its name, of one that is damaged or something else.
+        device: Where tensors go.
+        mmap: Read tensors only when they are used.
+
+    Raises:
+        FormatError: It is not there, is damaged, or holds no dictionary.
+    """
+    try:
+        content = torch.load(path, map_location=device, weights_only=True, mmap=mmap)
+    except (MemoryError, torch.OutOfMemoryError):
+        raise
+    # Of bytes that are not its own torch's reader raises whatever it comes across.
+    except Exception as error:
+        raise FormatError(f"{path} {otherwise}") from error
+    if not isinstance(content, dict):
+        raise FormatError(f"{path} {otherwise}")
+    return content
 
 
 def _cause(error: BaseException) -> BaseException:

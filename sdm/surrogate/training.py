@@ -14,7 +14,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
-from sdm.io.torch_file import save_torch
+from sdm.io.torch_file import load_torch, save_torch
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
@@ -29,6 +29,7 @@ from sdm.surrogate.warm_start import warm_start
 
 # Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
 RISE = 500
+NO_CHECKPOINT = "is not a checkpoint of a training of a surrogate: remove it, or give another file"
 
 
 class Trainer:
@@ -187,8 +188,12 @@ class Trainer:
         save_torch(state, target)
 
     def _load(self, source: Path, stream: SDMStream) -> float:
-        state = torch.load(source, map_location=self.device, weights_only=True)
-        if json.loads(state["settings"]) != json.loads(json.dumps(identity(self.settings))):
+        state = load_torch(source, NO_CHECKPOINT, device=self.device)
+        try:
+            known = json.loads(state["settings"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(f"{source} {NO_CHECKPOINT}") from error
+        if known != json.loads(json.dumps(identity(self.settings))):
             raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
         self.model.load_state_dict(state["model"])
         self.ema.load_state_dict(state["ema"])

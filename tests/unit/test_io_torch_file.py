@@ -12,7 +12,7 @@ import torch
 
 from sdm.deepsdf import checkpoint
 from sdm.errors import FormatError
-from sdm.io.torch_file import save_torch
+from sdm.io.torch_file import load_torch, save_torch
 from sdm.segmentation import training as segmentation
 from sdm.segmentation.settings import Settings
 
@@ -32,7 +32,7 @@ def small_files() -> Iterator[None]:
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     save_torch({"a": torch.arange(3)}, tmp_path / "a.pt")
-    assert torch.load(tmp_path / "a.pt", weights_only=True)["a"].tolist() == [0, 1, 2]
+    assert load_torch(tmp_path / "a.pt", "is nothing")["a"].tolist() == [0, 1, 2]
     assert [path.name for path in tmp_path.iterdir()] == ["a.pt"]
 
 
@@ -55,6 +55,22 @@ def test_other_errors_are_what_they_are(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="strange"):
         save_torch(Strange(), tmp_path / "a.pt")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"", b"junk", b"text", b"PK\x03\x04 no archive", b"\x80\x02c", b"hello\n" * 99])
+@pytest.mark.parametrize("mmap", [False, True])
+def test_whatever_bytes_are_no_file_of_torch_s(tmp_path: Path, content: bytes, mmap: bool) -> None:
+    path = tmp_path / "a.pt"
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"a\.pt is nothing$"):
+        load_torch(path, "is nothing", mmap=mmap)
+
+
+@pytest.mark.parametrize("content", [torch.zeros(3), [1, 2], "words"])
+def test_what_is_no_dictionary(tmp_path: Path, content: object) -> None:
+    torch.save(content, tmp_path / "a.pt")
+    with pytest.raises(FormatError, match=r"a\.pt is nothing$"):
+        load_torch(tmp_path / "a.pt", "is nothing")
 
 
 def test_checkpoints_too(tmp_path: Path) -> None:

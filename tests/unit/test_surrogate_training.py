@@ -111,6 +111,19 @@ def test_the_last_line_says_the_last_loss(tmp_path):
     assert "100 %: validation " in lines[-1]
 
 
+def test_what_is_no_checkpoint_is_one_sentence(tmp_path):
+    file = tmp_path / "a.checkpoint"
+    others = [b"junk", b"", {"settings": {"steps": 3}}, {"settings": "no JSON"}, {"other": 1}, [1], torch.zeros(3)]
+    for other in others:
+        torch.save(other, file)
+        if isinstance(other, bytes):
+            file.write_bytes(other)
+        with pytest.raises(
+            FormatError, match=r"a\.checkpoint is not a checkpoint of a training of a surrogate: remove it"
+        ):
+            train(1, checkpoint=file)
+
+
 def test_a_training_ends_with_its_budget():
     assert train(10**9, budget_s=0.01).step <= 1
 
