@@ -35,7 +35,8 @@ class Settings:
         modes: Modes of SDMNN+.
         channels: Feature maps of the network; by default its own.
         recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
-            ones alone) or "mostly-online" (a tenth of the 625, the others by the sampler "chebyshev").
+            ones alone) or "mostly-online" (of the samples a tenth from the 625 and the box's 16 corners, the others
+            by the sampler "chebyshev").
         loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
