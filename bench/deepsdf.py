@@ -47,7 +47,7 @@ from bench.deepsdf_shapes import Shapes, atria, cochleas
 from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
 from sdm.deepsdf.ranks import process_group
 from sdm.deepsdf.settings import VARIANTS, Settings
-from sdm.io.atomic import replacing
+from sdm.io.torch_file import save_torch
 from sdm.mesh import TriangleMesh
 from sdm.sampling import SampleSource, ShapeSet
 from sdm.shapes import Cochlea
@@ -128,8 +128,7 @@ def search(model: DeepSDF, test: list[TriangleMesh], options: argparse.Namespace
     found = evaluation.search(model, test, options.steps, options.prior, compiled, options.search)
     target = options.out / "codes.pt"
     known = torch.load(target, map_location="cpu") if target.exists() else {}
-    with replacing(target) as part:
-        torch.save(known | {name: tuple(each) for name, each in found.items()}, part)
+    save_torch(known | {name: tuple(each) for name, each in found.items()}, target)
     seconds = {name: each.seconds_a_shape for name, each in found.items()}
     return {"device": device_name(str(model.device)), "shapes": len(test), "prior": options.prior, "seconds": seconds}
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from bench._deepsdf_cameras import Cameras, seen_points
 from bench._deepsdf_nearest import VOTES, Nearest
 from bench._timing import once
-from sdm.io.atomic import replacing
+from sdm.io.torch_file import save_torch
 from sdm.sampling import Samples, ShapeSet, surface_points
 from sdm.shapes.sampling import uniform
 
@@ -173,8 +173,7 @@ def _read(path: Path | None, about: dict[str, Any]) -> dict[str, Any] | None:
 def _keep(path: Path | None, saved: dict[str, Any]) -> None:
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as part:
-            torch.save(saved, part)
+        save_torch(saved, path)
 
 
 def _quantile(values: Tensor, share: float) -> Tensor:

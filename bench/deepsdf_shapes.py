@@ -21,6 +21,7 @@ import torch
 
 from sdm.deepsdf import label_surface
 from sdm.errors import FormatError
+from sdm.io.torch_file import save_torch
 from sdm.mesh import TriangleMesh
 from sdm.shapes import Cochlea
 
@@ -64,9 +65,7 @@ def atria(source: Path, count: int | None = None, test: int | None = None, *, ca
         found = _surfaces(source)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
-            part = cache.with_suffix(".part")
-            torch.save([[(m.vertices, m.faces, m.name) for m in group] for group in found], part)
-            part.replace(cache)
+            save_torch([[(m.vertices, m.faces, m.name) for m in group] for group in found], cache)
     else:
         kept = torch.load(cache, weights_only=True)
         found = [[TriangleMesh(v, f, name, check=False) for v, f, name in group] for group in kept]

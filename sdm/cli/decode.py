@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
-
-if TYPE_CHECKING:
-    from sdm.mesh import TriangleMesh
 
 
 def decode(
@@ -40,6 +37,7 @@ def decode(
     from sdm.errors import FormatError
     from sdm.grid import Grid
     from sdm.io.formats import check_target
+    from sdm.io.meshes import write_ply
 
     if to is not None and out.suffix != ".png":
         raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")
@@ -53,7 +51,7 @@ def decode(
         save_picture(render(found, shape.code, size=resolution), out)
     elif out.suffix == ".ply":
         mesh = decode_mesh(found, shape.code, sphere=shape.sphere, resolution=resolution)
-        _write(mesh, out)
+        write_ply(mesh, out)
         print(f"{out}: {len(mesh):,} triangles")
         return
     else:
@@ -62,13 +60,3 @@ def decode(
         grid = Grid([c - sphere.radius for c in sphere.centre], (step,) * 3, (resolution,) * 3)
         found.signed_distance_map(grid, shape.code, sphere).save(out)
     print(out)
-
-
-def _write(mesh: TriangleMesh, target: Path) -> None:
-    import trimesh
-    from trimesh.exchange.ply import export_ply
-
-    from sdm.io.atomic import replacing
-
-    with replacing(target) as part:
-        part.write_bytes(export_ply(trimesh.Trimesh(*mesh.numpy(), process=False)))

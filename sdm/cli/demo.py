@@ -40,6 +40,7 @@ def demo(
     from sdm.device import choose_device
     from sdm.errors import FormatError
     from sdm.grid import Grid
+    from sdm.io.meshes import write_ply
     from sdm.picture import picture
 
     mesh = demo_mesh()
@@ -65,7 +66,7 @@ def demo(
     _say("map", f"{low:.4g} mm (deepest inside) to {high:.4g} mm, {inside:.4g} mm3 inside")
 
     facts = {"mesh": mesh.name, "triangles": f"{len(mesh):,}", "time": f"{seconds:.3g} s", "device": name}
-    _write_mesh(mesh, out / "demo.ply")
+    write_ply(mesh, out / "demo.ply")
     field.save(out / "demo.nii.gz")
     picture(field, out / "demo.png", title=f"Exact signed distance map of the {mesh.name}", unit="mm", facts=facts)
     _say("wrote", ", ".join(str(out / f"demo.{end}") for end in ("ply", "nii.gz", "png")))
@@ -138,13 +139,3 @@ def _name(device: torch.device) -> str:
     from sdm.kernels.launch import threads
 
     return f"CPU, {threads()} threads"
-
-
-def _write_mesh(mesh: TriangleMesh, target: Path) -> None:
-    import trimesh
-    from trimesh.exchange.ply import export_ply
-
-    from sdm.io.atomic import replacing
-
-    with replacing(target) as part:
-        part.write_bytes(export_ply(trimesh.Trimesh(*mesh.numpy(), process=False)))

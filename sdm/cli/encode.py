@@ -9,7 +9,10 @@ import tyro
 
 
 def encode(
-    shapes: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SHAPE")],
+    shapes: Annotated[
+        tyro.conf.Positional[list[Path]],
+        tyro.conf.arg(metavar="SHAPE [SHAPE ...]", help_behavior_hint="(required)"),
+    ],
     /,
     *,
     model: Annotated[Path, tyro.conf.arg(aliases=["-m"])],

@@ -25,9 +25,10 @@ def evaluate(
     Args:
         predictions: A NIfTI label, or a folder of them; files that end in _sdm are not looked at.
         truths: The true label, or a folder with labels of the same names (NIfTI, or HDF5 with a data set label).
-        json: File for the scores of every case.
+        json: File for the scores of every case; a distance that is infinite is null.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    import math
     from json import dumps
 
     from sdm.device import choose_device
@@ -45,7 +46,12 @@ def evaluate(
     print(table({**rows, f"mean of {len(rows)}": list(scores.values())} if len(rows) > 1 else rows, list(COLUMNS)))
     if json is not None:
         with replacing(json) as part:
-            part.write_text(dumps(scores, indent=1) + "\n")
+            # JSON has no word for infinite.
+            known = {
+                name: {key: value if math.isfinite(value) else None for key, value in case.items()}
+                for name, case in scores.items()
+            }
+            part.write_text(dumps(known, indent=1, allow_nan=False) + "\n")
     failed = [name for name, case in scores.items() if case["failed"]]
     if failed:
         print(f"failed, for one of the two labels is empty: {', '.join(failed)}")

@@ -45,7 +45,8 @@ def fit(
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
         turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
-        backend: exact distances; the surrogate's; or hybrid, the surrogate first and exact to finish.
+        backend: exact distances; the surrogate's, anchored near the end by two exact evaluations; or hybrid, the
+            surrogate first and exact to finish.
         triangles: Triangles of the exact backend's meshes.
         weights: A surrogate's weights; those that come with the package if not given.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.

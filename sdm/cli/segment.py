@@ -30,7 +30,8 @@ def segment(
     """Segment images by one or several networks of `sdm train segmentation`.
 
     Each image gives OUT/NAME.nii.gz, its label, and OUT/NAME_sdm.nii.gz, the exact signed distance map of that label in
-    mm, negative inside. Both have the image's geometry.
+    mm, negative inside. Both have the image's geometry. Where nothing, or everything, is foreground there is no such
+    map, and the command says so.
 
     With --model given several times, for instance for trainings that differ in their --seed, the networks'
     probabilities are averaged before the label is cut, or their signed distances of one kind.

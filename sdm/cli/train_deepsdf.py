@@ -51,6 +51,7 @@ def deepsdf(
         resume: Go on from OUT/checkpoint if it is there.
         compile: Compile the network first.
     """
+    from sdm.budget import check_budget
     from sdm.cli.meter import Meter
     from sdm.deepsdf import train
     from sdm.deepsdf.ranks import is_first, process_group
@@ -62,6 +63,7 @@ def deepsdf(
     settings = VARIANTS[variant](**{name: value for name, value in given.items() if value is not None})
     if variant == "local" and budget_s is None and epochs is None:
         raise SDMError("say how long to train: --budget-s or --epochs")
+    check_budget(budget_s)
     with process_group(device) as where:
         found = ShapeSet(_meshes(source, count), where)
         with Meter("steps") as meter:

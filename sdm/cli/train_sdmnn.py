@@ -39,12 +39,13 @@ def sdmnn(
 
     Args:
         out: Folder to write to; made if it is not there.
-        model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is smaller, quicker and more accurate.
+        model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is quicker and more accurate, with
+            a file seven times as large.
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
         channels: Feature maps of the network.
         recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
-            ones alone; mostly-online has a tenth of the 625 and of the 16 corners, the others denser towards the ends
-            of each parameter.
+            ones alone; of mostly-online's samples a tenth are from the 625 and from the 16 corners of the parameters'
+            box, the others random, denser towards the ends of each parameter.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
         budget_s: Seconds for all of it; the learning rate follows the clock.
         steps: Steps for all of it, if that is sooner.

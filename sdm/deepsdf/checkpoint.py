@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.io.atomic import replacing
+from sdm.io.torch_file import load_torch, save_torch
 
 KIND = "sdm-deepsdf"
 VERSION = 1
@@ -19,8 +19,7 @@ WEIGHTS = Path(__file__).parent / "weights"
 
 def write(content: dict[str, Any], path: Path) -> None:
     """Write one file, atomically, with its kind and version."""
-    with replacing(path) as part:
-        torch.save({"kind": KIND, "version": VERSION, **content}, part)
+    save_torch({"kind": KIND, "version": VERSION, **content}, path)
 
 
 def write_both(model: dict[str, Any], optimizer: dict[str, Any], folder: Path) -> None:
@@ -46,15 +45,12 @@ def read(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
         path = path / MODEL
     elif not path.exists():
         path = shipped().get(str(path), path)
-    try:
-        content = torch.load(path, map_location=device, weights_only=True)
-    except FileNotFoundError:
+    if not path.exists():
         raise FormatError(
             f"{path} is not there; train a model first, or give another file or a name ({', '.join(shipped())})"
-        ) from None
-    except (OSError, pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError) as error:
-        raise FormatError(f"{path} is no DeepSDF model, or it is damaged; train it again") from error
-    if not isinstance(content, dict) or content.get("kind") != KIND:
+        )
+    content = load_torch(path, "is no DeepSDF model, or it is damaged; train it again", device=device)
+    if content.get("kind") != KIND:
         raise FormatError(f"{path} is no DeepSDF model; give a file that sdm train deepsdf wrote")
     if content.get("version") != VERSION:
         raise FormatError(

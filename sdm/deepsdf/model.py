@@ -15,7 +15,7 @@ from sdm.deepsdf import checkpoint
 from sdm.deepsdf.auto_decoder import AutoDecoder, bounded
 from sdm.deepsdf.settings import Settings
 from sdm.device import choose_device
-from sdm.errors import SDMError
+from sdm.errors import FormatError, SDMError
 from sdm.grid import Grid
 from sdm.mesh import as_tensor
 from sdm.sampling import UnitSphere
@@ -63,6 +63,8 @@ class DeepSDF:
         """
         where = choose_device(device)
         saved = checkpoint.read(Path(path), where)
+        if "settings" not in saved:
+            raise FormatError(f"{path} is the state of a training's optimizer; give the {checkpoint.MODEL} beside it")
         settings = Settings(**saved["settings"])
         whole = AutoDecoder(settings, len(saved["names"])).to(where)
         whole.load_state_dict(saved["state"])

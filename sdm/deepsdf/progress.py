@@ -1,4 +1,4 @@
-"""How far a training is, by steps or by the clock, and what that means for rates and weights."""
+"""What it means for rates and weights how far a training is."""
 
 from __future__ import annotations
 
@@ -9,12 +9,6 @@ from sdm.deepsdf.settings import Settings
 # Share of a cosine schedule in which the rate rises, and where it ends.
 RISE = 0.02
 END = 0.01
-
-
-def share_done(step: int, steps: int, seconds: float, budget_s: float | None) -> float:
-    """0 to 1: what is nearer its end, the steps or the budget of seconds."""
-    by_clock = 0.0 if budget_s is None else seconds / budget_s
-    return min(1.0, max(step / steps, by_clock))
 
 
 def rate_factor(settings: Settings, done: float) -> float:

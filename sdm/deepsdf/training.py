@@ -14,10 +14,11 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from sdm.ahead import ahead, one_by_one
+from sdm.budget import share_done
 from sdm.deepsdf import checkpoint
 from sdm.deepsdf.auto_decoder import AutoDecoder
 from sdm.deepsdf.batches import Batches, mixed
-from sdm.deepsdf.progress import code_weight, rate_factor, share_done
+from sdm.deepsdf.progress import code_weight, rate_factor
 from sdm.deepsdf.settings import Settings
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
@@ -64,7 +65,7 @@ def train(
 
     Raises:
         FormatError: The checkpoint is of other settings or shapes.
-        SDMError: The loss is not finite any more.
+        SDMError: The loss is not finite any more, or the budget is not positive.
 
     Under an initialised process group the shapes of a batch are shared by the ranks, and rank 0 writes.
     """

@@ -16,6 +16,7 @@ from sdm.fit.jacobian import vertices_with_jacobian
 from sdm.fit.result import FitResult, vertex_normals
 from sdm.grid import Grid
 from sdm.io.atomic import replacing
+from sdm.io.meshes import write_ply
 from sdm.mesh import TriangleMesh
 from sdm.shapes import Cochlea, Family
 
@@ -36,11 +37,7 @@ def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
 
 def write_surface(backend: Backend, result: FitResult, path: Path) -> None:
     """Write the fitted surface as PLY; atomic."""
-    import trimesh
-    from trimesh.exchange.ply import export_ply
-
-    with replacing(path) as part:
-        part.write_bytes(export_ply(trimesh.Trimesh(*surface_of(backend, result).numpy(), process=False)))
+    write_ply(surface_of(backend, result), path)
 
 
 def draw_fit(

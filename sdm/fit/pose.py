@@ -58,10 +58,6 @@ class State:
         arm = inside - self.centre
         return torch.cat([by_theta, -torch.linalg.cross(arm, by_point), -by_point @ self.rotation.T], 1)
 
-    def rotation_vector(self) -> Tensor:
-        """The rotation as axis times angle [rad], (3,)."""
-        return vector_from_rotation(self.rotation)
-
 
 def rotation_from_vector(vector: Tensor) -> Tensor:
     """Rotation matrix (3,3) of a rotation vector (3,) [rad]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sdm.fit.pose import State, vector_from_rotation
+from sdm.fit.pose import State
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Posterior:
 
     def standardised(self, truth: State) -> Tensor:
         """(P+6,) errors of the estimate against a known truth, in marginal standard deviations."""
-        return increment(self.state, truth) / -self.deviations
+        return truth.since(self.state) / -self.deviations
 
     def surface_deviation(self, vertices: Tensor, jacobian: Tensor, normals: Tensor) -> Tensor:
         """(V,) standard deviation [mm] of the surface along its normal at each vertex.
@@ -51,9 +51,3 @@ class Posterior:
         # A point that moves outward makes the distance there fall: the same chain, with the other sign.
         rows = -self.state.chain(vertices, -torch.einsum("vcp,vc->vp", jacobian, normals), normals)
         return torch.einsum("vi,ij,vj->v", rows, self.covariance, rows).clamp_min(0).sqrt()
-
-
-def increment(start: State, end: State) -> Tensor:
-    """(P+6,) the increment with `start.moved(increment) = end`."""
-    turn = vector_from_rotation(start.rotation.T @ end.rotation)
-    return torch.cat([end.theta - start.theta, turn, end.translation - start.translation])

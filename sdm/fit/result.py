@@ -19,7 +19,6 @@ from sdm.io.atomic import replacing
 from sdm.shapes import Parameter
 
 POSE_NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z")
-POSE_UNITS = ("rad",) * 3 + ("mm",) * 3
 
 
 class FitError(SDMError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -56,6 +57,9 @@ class FitOptions:
         starts: Best of the plain shapes to start from.
         most_steps: Most steps of a stage.
         tolerance: Converged once the next step is shorter than so many posterior standard deviations.
+
+    Raises:
+        SDMError: A number that no fit can be made with.
     """
 
     model: str = "partial-volume"
@@ -69,6 +73,16 @@ class FitOptions:
     starts: int = 3
     most_steps: int = 40
     tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name in ("fine", "turn", "shift", "length"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise SDMError(f"{name} is {value}; a positive number is needed")
+        if not 0 <= self.blur < math.inf:
+            raise SDMError(f"blur is {self.blur}; a number of 0 or more is needed")
+        if len(self.components) != 2 or min(self.components) < 1:
+            raise SDMError(f"components are {self.components}; 1 or more are needed inside and outside")
 
 
 def fit_shape(

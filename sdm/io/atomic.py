@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sdm.errors import FormatError
+from sdm.io.exchange import exchange
 
 # What a killed write leaves behind: hidden files or folders that end like this.
 LEFTOVER = ".part"
@@ -20,7 +21,8 @@ def replacing(target: Path) -> Iterator[Path]:
     """A temporary path beside `target`: what the block makes there, a file or a folder, then takes its place.
 
     The name is `.NAME.PID-TOKEN.part`. If the block fails, nothing is left; if the process is killed, what is left has
-    that name and `target` is what it was. An older folder is put aside and removed once the new one is in place.
+    that name and `target` is what it was, or already the new one. An older folder changes places with the new one;
+    where the file system cannot do that in one step it is put aside first, as `.NAME.PID-TOKEN-old.part`.
 
     Raises:
         FormatError: The folder is not there, or cannot be written.
@@ -69,6 +71,9 @@ def _flush(path: Path) -> None:
 def _take_place(part: Path, target: Path) -> None:
     if not (part.is_dir() and target.exists()):
         part.replace(target)
+        return
+    if exchange(part, target):
+        # What `part` names now is the old one, which goes with it.
         return
     old = part.with_name(f"{part.name.removesuffix(LEFTOVER)}-old{LEFTOVER}")
     target.rename(old)

@@ -1,4 +1,4 @@
-"""Meshes from files."""
+"""Meshes from files, and to PLY."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
+from sdm.io.atomic import replacing
 from sdm.io.sentence import one_line
 from sdm.io.whole import check_whole
 from sdm.mesh import TriangleMesh
@@ -46,6 +47,19 @@ def load_mesh(path: str | Path) -> TriangleMesh:
         raise MeshError(f"vertex {index} of {source} is {vertices[index].tolist()}; every coordinate must be finite")
     vertices, faces = _merge(vertices.astype(np.float32), faces)
     return TriangleMesh(vertices, faces, source.name)
+
+
+def write_ply(mesh: TriangleMesh, path: str | Path) -> None:
+    """Write a mesh as binary PLY, atomically.
+
+    Raises:
+        FormatError: A place that cannot be written.
+    """
+    import trimesh
+    from trimesh.exchange.ply import export_ply
+
+    with replacing(Path(path)) as part:
+        part.write_bytes(export_ply(trimesh.Trimesh(*mesh.numpy(), process=False)))
 
 
 def mesh_files(folder: str | Path) -> list[Path]:

@@ -83,6 +83,17 @@ class Settings:
             raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
         if not 0 <= self.average <= 1:
             raise SDMError(f"weights are averaged over a share of the training from 0 to 1, not {self.average}")
+        self._check_network()
+
+    def _check_network(self) -> None:
+        # The first of the U-Net's convolutions has half of the filters.
+        least = 2 if self.architecture == "unet" else 1
+        if self.filters is not None and self.filters < least:
+            raise SDMError(f"{self.architecture} has {least} or more filters, not {self.filters}")
+        for name in ("dropout", "last_dropout"):
+            share = getattr(self, name)
+            if share is not None and not 0 <= share < 1:
+                raise SDMError(f"{name} is a share from 0 to less than 1, not {share}")
 
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step."""

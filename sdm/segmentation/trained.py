@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,12 @@ from typing import Any
 import torch
 
 from sdm.errors import FormatError
-from sdm.io.atomic import replacing
+from sdm.io.torch_file import load_torch, save_torch
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.settings import Settings
 
 FORMAT = "sdm segmentation 1"
+NO_NETWORK = "is not a trained segmentation network"
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,7 @@ def save_model(trained: TrainedModel, path: Path) -> None:
         "spacing": list(trained.spacing),
         "weights": {name: value.cpu().contiguous() for name, value in trained.model.state_dict().items()},
     }
-    with replacing(path) as part:
-        torch.save(state, part)
+    save_torch(state, path)
 
 
 def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
@@ -64,11 +63,9 @@ def load_settings(path: Path) -> Settings:
 def _state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
     if not path.is_file():
         raise FormatError(f"{path} is not there: give the model.pt that sdm train segmentation wrote")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True, mmap=mmap)
-        kind = state["format"]
-    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
-        raise FormatError(f"{path} is not a trained segmentation network") from error
-    if kind != FORMAT:
-        raise FormatError(f"{path} is a file of the kind {kind!r}, not {FORMAT!r}")
+    state = load_torch(path, NO_NETWORK, mmap=mmap)
+    if "format" not in state:
+        raise FormatError(f"{path} {NO_NETWORK}")
+    if state["format"] != FORMAT:
+        raise FormatError(f"{path} is a file of the kind {state['format']!r}, not {FORMAT!r}")
     return state

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import pickle
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -15,6 +13,7 @@ import torch
 from torch import nn
 
 from sdm.errors import FormatError, SDMError
+from sdm.io.torch_file import load_torch, save_torch
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.average import Average
 from sdm.segmentation.model import SegmentationModel
@@ -26,6 +25,7 @@ LARGEST_GRADIENT = 1.0
 SAVE_EVERY_S = 120.0
 # Losses that a log keeps.
 POINTS = 20
+NO_CHECKPOINT = "is not a checkpoint of a training: remove it to begin anew"
 
 
 class Source(Protocol):
@@ -191,19 +191,17 @@ def _save(
         "random": torch.get_rng_state(),
         "random_device": torch.cuda.get_rng_state(device) if device.type == "cuda" else None,
     }
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    torch.save(state, part)
-    part.replace(path)
+    save_torch(state, path)
 
 
 def _restore(
     path: Path, training: Training, optimizer: torch.optim.Optimizer, settings: Settings, device: torch.device
 ) -> None:
+    state = load_torch(path, NO_CHECKPOINT)
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
         known = Settings.of_record(state["settings"])
-    except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
-        raise FormatError(f"{path} is not a checkpoint of a training: remove it to begin anew") from error
+    except (KeyError, TypeError) as error:
+        raise FormatError(f"{path} {NO_CHECKPOINT}") from error
     if known != settings:
         raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")
     training.model.load_state_dict(state["model"])

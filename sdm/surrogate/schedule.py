@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import time
 
+from sdm.budget import share_done
+
 
 class Clock:
     """The share of a training that is done: of its steps, or of its seconds if that is more.
@@ -26,8 +28,7 @@ class Clock:
 
     def share(self, step: int) -> float:
         """0 at the beginning to 1 at the end, before step number `step`."""
-        by_time = 0.0 if self.budget_s is None else self.seconds / self.budget_s
-        return min(1.0, max(step / self.steps, by_time))
+        return share_done(step, self.steps, self.seconds, self.budget_s)
 
 
 def learning_rate(share: float, warmup: float = 0.02, floor: float = 0.005) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import nn
 
+from sdm.budget import check_budget
 from sdm.errors import FormatError, SDMError
 from sdm.stream import Mixture, Sampler
 from sdm.surrogate.models import build
@@ -34,7 +35,8 @@ class Settings:
         modes: Modes of SDMNN+.
         channels: Feature maps of the network; by default its own.
         recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
-            ones alone) or "mostly-online" (a tenth of the 625, the others by the sampler "chebyshev").
+            ones alone) or "mostly-online" (of the samples a tenth from the 625 and the box's 16 corners, the others
+            by the sampler "chebyshev").
         loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
@@ -85,6 +87,9 @@ class Settings:
             raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
         if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
             raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
+        if min(self.modes, 1 if self.channels is None else self.channels) < 1:
+            raise SDMError("modes and channels are at least 1")
+        check_budget(self.budget_s)
 
 
 def identity(settings: Settings) -> dict[str, Any]:

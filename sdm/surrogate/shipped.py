@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -56,7 +55,8 @@ class Predictor:
     Args:
         source: A file of weights; by default those that come with the package.
         backend: "torch", "onnxruntime" or "openvino"; by default the fastest that is installed.
-        threads: Cores to use; by default all of this process.
+        threads: Cores to use; by default all of this process. The backend "torch" uses as many as
+            `torch.set_num_threads` has set, whatever is given here.
 
     Raises:
         FormatError: A file that is not there or not a surrogate.
@@ -89,7 +89,7 @@ class Predictor:
 @lru_cache(maxsize=1)
 def _quick() -> Predictor:
     """The shipped surrogate by torch: it is ready at once, where the others first compile."""
-    return Predictor(backend="torch", threads=len(os.sched_getaffinity(0)))
+    return Predictor(backend="torch")
 
 
 def predict(theta: Any) -> SDM:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.device import choose_device
-from sdm.errors import FormatError
-from sdm.io.atomic import replacing
+from sdm.errors import FormatError, SDMError
+from sdm.io.torch_file import load_torch, save_torch
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
@@ -28,6 +29,7 @@ from sdm.surrogate.warm_start import warm_start
 
 # Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
 RISE = 500
+NO_CHECKPOINT = "is not a checkpoint of a training of a surrogate: remove it, or give another file"
 
 
 class Trainer:
@@ -91,7 +93,12 @@ class Trainer:
         self._fast: Any = torch.compile(self._loss) if self.device.type == "cuda" else self._loss
 
     def run(self) -> nn.Module:
-        """Train to the end and return the running mean of the model, on the device, in evaluation mode."""
+        """Train to the end and return the running mean of the model, on the device, in evaluation mode.
+
+        Raises:
+            SDMError: The loss, or the error that follows from it, is not finite any more; the checkpoint stays as it
+                was.
+        """
         settings = self.settings
         budget = settings.budget_s or float("inf")
         self.replay.fill(settings.fill_share * budget)
@@ -100,14 +107,14 @@ class Trainer:
             seconds = settings.warm_share * budget
             warm_start(self.model, self.replay, seconds=seconds, seed=settings.seed, report=self._report)
             self.ema.module.load_state_dict(self.model.state_dict())
-        look = 0.0
+        look, loss = 0.0, None
         while (share := self.clock.share(self.step)) < 1:
             loss = self._train(share)
             self.step += 1
             if self.clock.seconds > look:
                 look = self.clock.seconds + max(5.0, 0.05 * (settings.budget_s or 0))
-                self._look(float(loss.detach()), share)
-        self._look(float("nan"), 1.0)
+                self._look(loss, share)
+        self._look(loss, 1.0)
         return self.ema.module.eval()
 
     def _train(self, share: float) -> Tensor:
@@ -142,8 +149,11 @@ class Trainer:
         return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
 
     @torch.no_grad()
-    def _look(self, loss: float, share: float) -> None:
-        """Errors on a part of the validation set: say them, write them, and write the checkpoint."""
+    def _look(self, loss: Tensor | None, share: float) -> None:
+        """Errors on a part of the validation set: say them, write them, and write the checkpoint.
+
+        `loss` is that of the last step, None if there was none since the checkpoint.
+        """
         self.ema.eval()
         errors, near = [], []
         for theta, exact in self._validation:
@@ -151,11 +161,16 @@ class Trainer:
             errors.append(error.mean())
             near.append(error[exact.abs() < 0.5].mean())
         mae, shell = float(torch.stack(errors).mean()), float(torch.stack(near).mean())
-        record = {"step": self.step, "seconds": round(self.clock.seconds, 1), "loss": loss, "mae": mae, "near": shell}
-        self._curves.add(record)
+        record: dict[str, float] = {"step": self.step, "seconds": round(self.clock.seconds, 1)}
+        record |= {} if loss is None else {"loss": float(loss.detach())}
+        # Weights that are no numbers must take the place of good ones in no file.
+        if not all(math.isfinite(value) for value in (*record.values(), mae)):
+            raise SDMError(f"the loss is not finite at step {self.step:,}: lower the learning rate")
+        self._curves.add(record | {"mae": mae, "near": shell})
         self._report(
-            f"step {self.step:,}, {self.clock.seconds:.0f} s, {100 * share:.0f} %: loss {loss:.4f}, "
-            f"validation {mae:.4f} mm, within 0.5 mm of the surface {shell:.4f} mm"
+            f"step {self.step:,}, {self.clock.seconds:.0f} s, {100 * share:.0f} %: "
+            + (f"loss {record['loss']:.4f}, " if "loss" in record else "")
+            + f"validation {mae:.4f} mm, within 0.5 mm of the surface {shell:.4f} mm"
         )
         if self.checkpoint is not None:
             self._save(self.checkpoint)
@@ -170,12 +185,15 @@ class Trainer:
             "seconds": self.clock.seconds,
             "stream": self.replay.stream.state_dict(),
         }
-        with replacing(target) as part:
-            torch.save(state, part)
+        save_torch(state, target)
 
     def _load(self, source: Path, stream: SDMStream) -> float:
-        state = torch.load(source, map_location=self.device, weights_only=True)
-        if json.loads(state["settings"]) != json.loads(json.dumps(identity(self.settings))):
+        state = load_torch(source, NO_CHECKPOINT, device=self.device)
+        try:
+            known = json.loads(state["settings"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(f"{source} {NO_CHECKPOINT}") from error
+        if known != json.loads(json.dumps(identity(self.settings))):
             raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
         self.model.load_state_dict(state["model"])
         self.ema.load_state_dict(state["ema"])

@@ -46,6 +46,22 @@ def test_the_list_of_commands(capsys):
         assert f"• {name}" in text
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["encode"], "SHAPE [SHAPE ...]"),
+        (["encode"], "vertices are the points. (required)"),
+        (["train", "sdmnn"], "a tenth are from the 625 and from the 16 corners"),
+        (["train", "sdmnn"], "a file seven times as large"),
+        (["fit"], "anchored near the end by two exact evaluations"),
+        (["segment"], "Where nothing, or everything, is foreground there is no such map"),
+    ],
+)
+def test_help_says_what_is_so(words, said, capsys):
+    assert main([*words, "--help"]) == 0
+    assert said in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
 def test_help_tells_units_and_conventions(capsys):
     main(["compute", "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())

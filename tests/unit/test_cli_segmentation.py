@@ -118,8 +118,13 @@ def test_labels_that_do_not_fit(trained, tmp_path, capsys):
 
 def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     nib.save(nib.Nifti1Image(np.zeros(SHAPE, np.uint8), AFFINE), tmp_path / "case0.nii.gz")
-    assert main(["evaluate", str(tmp_path), str(trained / "data" / "labelsTr")]) == 0
+    scores = tmp_path / "scores.json"
+    assert main(["evaluate", str(tmp_path), str(trained / "data" / "labelsTr"), "--json", str(scores)]) == 0
     said = capsys.readouterr().out
+    case = json.loads(scores.read_text(), parse_constant=pytest.fail)["case0"]
+    assert case["failed"] is True
+    assert case["dice"] == 0
+    assert case["hausdorff95_mm"] is None
     assert "| case0 | 0.00 |" in said
     assert "failed, for one of the two labels is empty: case0" in said
 

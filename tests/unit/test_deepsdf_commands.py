@@ -78,6 +78,7 @@ def test_several_shapes_and_a_scan(work: Path, tmp_path: Path) -> None:
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
         (["train", "deepsdf", "cochlea", "-o", "x"], "say how long to train: --budget-s or --epochs"),
         (["train", "deepsdf", "nothing", "-o", "x", "--epochs", "1"], "neither a family"),
+        (["train", "deepsdf", "cochlea", "-o", "x", "--budget-s", "0"], "a budget of 0 seconds trains nothing"),
     ],
 )
 def test_bad_input_is_one_sentence_and_code_2(

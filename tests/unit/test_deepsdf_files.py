@@ -37,6 +37,12 @@ def test_what_is_no_model_is_refused(tmp_path: Path) -> None:
         DeepSDF.load(path, "cpu")
 
 
+def test_what_an_optimizer_needs_is_no_model(tmp_path: Path) -> None:
+    checkpoint.write({"state": {}, "step": 1}, tmp_path / checkpoint.OPTIMIZER)
+    with pytest.raises(FormatError, match=r"optimizer; give the model\.pt beside it"):
+        DeepSDF.load(tmp_path / checkpoint.OPTIMIZER, "cpu")
+
+
 def test_a_file_that_would_run_code_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "evil.pt"
     torch.save({"kind": checkpoint.KIND, "version": checkpoint.VERSION, "run": print}, path)

@@ -11,7 +11,7 @@ import torch
 from sdm.deepsdf import DeepSDF, local, published, train
 from sdm.deepsdf import training as module
 from sdm.deepsdf.batches import Batches
-from sdm.deepsdf.progress import code_weight, rate_factor, share_done
+from sdm.deepsdf.progress import code_weight, rate_factor
 from sdm.errors import FormatError, SDMError
 from sdm.sampling import ShapeSet
 from sdm.shapes import Cochlea
@@ -120,8 +120,6 @@ def test_ranks_share_a_batch() -> None:
 
 
 def test_the_schedules() -> None:
-    assert share_done(30, 100, 9.0, 10.0) == 0.9
-    assert share_done(30, 100, 9.0, None) == 0.3
     paper, ours = published(), local()
     assert [rate_factor(paper, d) for d in (0.0, 0.24, 0.25, 0.6, 0.99)] == [1, 1, 0.5, 0.25, 0.125]
     assert rate_factor(ours, 0.0) < 0.1 < 0.9 < rate_factor(ours, 0.03)

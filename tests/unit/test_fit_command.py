@@ -47,6 +47,25 @@ def test_noise_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert not (tmp_path / "fit.ply").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--fine", "0"], "fine is 0.0; a positive number is needed"),
+        (["--turn", "0"], "turn is 0.0; a positive number is needed"),
+        (["--turn", "nan"], "turn is nan; a positive number is needed"),
+        (["--blur", "-1"], "blur is -1.0; a number of 0 or more is needed"),
+        (["--components", "0", "1"], "components are (0, 1); 1 or more are needed inside and outside"),
+    ],
+)
+def test_options_that_no_fit_can_be_made_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    grid = sdm.Grid((0, 0, 0), (0.5, 0.5, 0.5), (10, 10, 10))
+    sdm.SDM(torch.rand(grid.shape), grid).save(tmp_path / "scan.nii.gz")
+    assert main(["fit", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "fit.json"), *words]) == 2
+    assert capsys.readouterr().err == f"sdm: {said}\n"
+
+
 def test_a_missing_image_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(tmp_path / "none.nii.gz"), "-o", str(tmp_path / "fit.json")]) == 2
     assert "there is no file" in capsys.readouterr().err

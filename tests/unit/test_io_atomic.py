@@ -11,7 +11,7 @@ import torch
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
-from sdm.io import FORMATS, load, save
+from sdm.io import FORMATS, atomic, exchange, load, save
 from sdm.io.atomic import LEFTOVER, replacing
 
 GRID = Grid((0, 0, 0), (1, 1, 1), (6, 5, 4))
@@ -125,6 +125,14 @@ def test_a_full_disk_is_one_sentence(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture(params=[True, False], ids=["in one step", "in two"])
+def steps(request, monkeypatch):
+    """File systems that exchange two names, and those that do not."""
+    if not request.param:
+        monkeypatch.setattr(atomic, "exchange", lambda one, other: False)
+
+
+@pytest.mark.usefixtures("steps")
 def test_a_folder_takes_the_place_of_an_older_one(tmp_path):
     for content in ("one", "two"):
         with replacing(tmp_path / "a") as part:
@@ -134,7 +142,46 @@ def test_a_folder_takes_the_place_of_an_older_one(tmp_path):
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["two"]
 
 
-def test_if_the_new_folder_cannot_be_put_in_place_the_old_one_stays(tmp_path):
+REPLACE = """
+import os, signal, sys
+from pathlib import Path
+from sdm.io.atomic import replacing
+
+real = Path.rename
+
+def rename(self, target):
+    real(self, target)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+Path.rename = rename
+with replacing(Path(sys.argv[1])) as part:
+    part.mkdir()
+    (part / "new").touch()
+"""
+
+
+def test_an_older_folder_is_there_until_the_new_one_is(tmp_path):
+    """Killed after the first renaming, where there is one."""
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    if not atomic.exchange(tmp_path / "one", tmp_path / "other"):
+        pytest.skip("this file system cannot exchange two names")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "old").touch()
+    subprocess.run([sys.executable, "-W", "ignore", "-c", REPLACE, str(tmp_path / "a")], check=False)
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["new"]
+
+
+def test_names_that_cannot_be_exchanged(tmp_path, monkeypatch):
+    (tmp_path / "a").touch()
+    assert not atomic.exchange(tmp_path / "a", tmp_path / "none")
+    monkeypatch.setattr(exchange, "_renameat2", lambda: None)
+    (tmp_path / "b").touch()
+    assert not atomic.exchange(tmp_path / "a", tmp_path / "b")
+
+
+def test_if_the_new_folder_cannot_be_put_in_place_the_old_one_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(atomic, "exchange", lambda one, other: False)
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "old").write_text("old")
     with pytest.raises(FormatError), replacing(tmp_path / "a") as part:
@@ -148,8 +195,6 @@ def test_if_the_new_folder_cannot_be_put_in_place_the_old_one_stays(tmp_path):
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(type(part), "rename", rename)
-            from sdm.io import atomic
-
             atomic._take_place(part, tmp_path / "a")
     assert (tmp_path / "a" / "old").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from sdm.demo_mesh import demo_mesh
+from sdm.errors import FormatError
 from sdm.inspect import inspect_mesh
 from sdm.io import load_mesh, mesh_files
+from sdm.io.meshes import write_ply
 
 BOX = trimesh.creation.box((1, 2, 3))
 
@@ -113,3 +116,13 @@ def test_real_meshes(data_dir):
         mesh = load_mesh(path)
         assert len(mesh) > 0
         assert inspect_mesh(mesh).name == path.name
+
+
+def test_a_mesh_that_was_written_is_read(tmp_path):
+    mesh = demo_mesh()
+    write_ply(mesh, tmp_path / "a.ply")
+    again = load_mesh(tmp_path / "a.ply")
+    for found, expected in zip(again.numpy(), mesh.numpy(), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    with pytest.raises(FormatError, match="make it first"):
+        write_ply(mesh, tmp_path / "none" / "a.ply")

@@ -170,6 +170,12 @@ def test_the_learning_rate_rises_and_falls_to_zero():
         {"average": 1.5},
         {"mirrors": "lr"},
         {"architecture": "resnet"},
+        {"architecture": "vnet", "batch": 2, "filters": 0},
+        {"architecture": "unet", "filters": 1},
+        {"dropout": 2.0},
+        {"dropout": -0.1},
+        {"last_dropout": 1.5},
+        {"last_dropout": float("nan")},
     ],
 )
 def test_settings_that_make_no_sense(bad):

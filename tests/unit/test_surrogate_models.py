@@ -11,6 +11,7 @@ from sdm.shapes import Cochlea
 from sdm.surrogate import GRID, build
 from sdm.surrogate.blocks import merge, split
 from sdm.surrogate.plus import SDMNNPlus
+from sdm.surrogate.sdmnn import SDMNN
 
 SMALL = {
     "sdmnn": {"channels": 2},
@@ -85,3 +86,15 @@ def test_blocks_are_taken_apart_and_put_together():
 def test_an_unknown_model_is_refused():
     with pytest.raises(SDMError, match="sdmnn-plus"):
         build("sdmnn++")
+
+
+@pytest.mark.parametrize("channels", [0, 1, 5, 10, 20])
+def test_channels_that_cannot_be_normalised_in_groups(channels):
+    with pytest.raises(SDMError, match=f"a multiple of 8 channels, not {channels}"):
+        SDMNN(channels)
+
+
+@pytest.mark.parametrize("channels", [2, 3, 12, 24])
+def test_channels_that_can(channels):
+    with torch.no_grad():
+        assert build("sdmnn", channels=channels)(Cochlea().sample(1, device="cpu")).shape == (1, 1, *GRID.shape)

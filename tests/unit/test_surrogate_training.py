@@ -85,11 +85,60 @@ def test_a_training_goes_on_from_its_checkpoint(tmp_path):
         train(4, checkpoint=file, rate=0.5)
 
 
+def test_a_training_that_diverges_says_so_and_keeps_its_checkpoint(tmp_path, monkeypatch):
+    wild = tmp_path / "wild.checkpoint"
+    with pytest.raises(SDMError, match="the loss is not finite at step 1: lower"):
+        train(4, checkpoint=wild, rate=1e30)
+    assert not wild.exists()
+    file = tmp_path / "a.checkpoint"
+    train(2, checkpoint=file)
+    good = file.read_bytes()
+    right = Trainer._loss
+    monkeypatch.setattr(Trainer, "_loss", lambda *given: right(*given) * float("nan"))
+    with pytest.raises(SDMError, match="lower the learning rate"):
+        train(4, checkpoint=file)
+    assert file.read_bytes() == good
+
+
+def test_the_last_line_says_the_last_loss(tmp_path):
+    lines = []
+    for _ in range(2):
+        settings = Settings(**TINY, steps=2)
+        Trainer(settings, device="cpu", validation=1, checkpoint=tmp_path / "a", report=lines.append).run()
+    assert not any("nan" in line for line in lines)
+    assert "100 %: loss " in lines[-3]
+    # There was no step any more.
+    assert "100 %: validation " in lines[-1]
+
+
+def test_what_is_no_checkpoint_is_one_sentence(tmp_path):
+    file = tmp_path / "a.checkpoint"
+    others = [b"junk", b"", {"settings": {"steps": 3}}, {"settings": "no JSON"}, {"other": 1}, [1], torch.zeros(3)]
+    for other in others:
+        torch.save(other, file)
+        if isinstance(other, bytes):
+            file.write_bytes(other)
+        with pytest.raises(
+            FormatError, match=r"a\.checkpoint is not a checkpoint of a training of a surrogate: remove it"
+        ):
+            train(1, checkpoint=file)
+
+
 def test_a_training_ends_with_its_budget():
     assert train(10**9, budget_s=0.01).step <= 1
 
 
-@pytest.mark.parametrize("wrong", [{"recipe": "all"}, {"loss": "l3"}, {"model": "pod-chebyshev"}, {"batch_size": 0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"recipe": "all"},
+        {"loss": "l3"},
+        {"model": "pod-chebyshev"},
+        {"batch_size": 0},
+        {"modes": 0},
+        {"channels": 0},
+    ],
+)
 def test_wrong_settings_are_one_sentence(wrong):
     with pytest.raises(SDMError):
         Settings(**wrong)
