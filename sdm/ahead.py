@@ -49,9 +49,13 @@ def ahead(make: Callable[[int], B], steps: Iterator[int], device: torch.device, 
         queue()
         consumer = torch.cuda.current_stream(device)
         consumer.wait_event(done)
-        for tensor in batch:
-            if tensor.is_cuda:
-                tensor.record_stream(consumer)
+        _is_read(batch, consumer)
         yield step, batch
         # A generator's own names would keep the batch until the next one is there.
         del batch
+
+
+def _is_read(batch: tuple[Tensor, ...], stream: torch.cuda.Stream) -> None:
+    for tensor in batch:
+        if tensor.is_cuda:
+            tensor.record_stream(stream)

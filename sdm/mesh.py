@@ -25,7 +25,9 @@ class TriangleMesh:
     Args:
         vertices: (V,3) coordinates in any one unit of length (millimetres for anatomy); NumPy, torch or
             anything with DLPack. Kept as a float32 tensor on its device, without a copy where it is one already.
-        faces: (F,3) vertex indices, counter-clockwise seen from outside. Kept as an int32 tensor.
+        faces: (F,3) vertex indices, counter-clockwise seen from outside. Kept as an int32 tensor, which may share the
+            memory of what was given: who writes into a NumPy array afterwards needs a new mesh, as what faces say is
+            remembered.
         name: What messages call it, for example the file's name.
         check: Look for values that are not finite and for indices out of range. On a GPU this waits for the
             device, so a caller that made the arrays itself may turn it off.

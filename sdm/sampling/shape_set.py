@@ -80,7 +80,8 @@ class ShapeSet:
             raise MeshError(f"{self._first_open()} is not closed, so its inside is not defined; close its holes first")
         corners = scene.vertices[scene.faces.long()]
         self._corners = corners.reshape(-1, 3)
-        areas = triangle_areas(corners).cumsum(0)
+        # On the host: a GPU adds up in another order each time.
+        areas = triangle_areas(corners).cpu().cumsum(0).to(self.device)
         ends = torch.tensor(self._first_face, device=self.device)
         bounds = torch.cat([areas.new_zeros(1), areas])[ends]
         self._last_face = ends[1:] - 1
@@ -117,7 +118,7 @@ class ShapeSet:
         in_scene = torch.empty(len(shapes), points, 3, dtype=torch.float32, device=self.device)
         own = torch.empty_like(in_scene)
         chosen = shapes.to(torch.int64).contiguous()
-        with on_current_stream(in_scene, chosen):
+        with on_current_stream(in_scene, chosen, *self._tables()):
             draw(
                 self._scene,
                 law,
@@ -132,15 +133,19 @@ class ShapeSet:
         values = self._index.distances_in(self._cube, in_scene.view(-1, 3))
         return Samples(own, values.view(own.shape[:2]))
 
+    def _tables(self) -> tuple[Tensor, ...]:
+        return self._places, self._corners, self._areas, self._area_before, self._area_size, self._last_face
+
     def _as_scene(self) -> Any:
         """The kernels' view of the shapes, whose memory stays this object's."""
+        places, corners, areas, before, size, last = self._tables()
         scene = Scene()
-        scene.places = as_warp(self._places, wp.vec3)
-        scene.corners = as_warp(self._corners, wp.vec3)
-        scene.areas = as_warp(self._areas, wp.float64)
-        scene.area_before = as_warp(self._area_before, wp.float64)
-        scene.area_size = as_warp(self._area_size, wp.float64)
-        scene.last_face = as_warp(self._last_face, wp.int64)
+        scene.places = as_warp(places, wp.vec3)
+        scene.corners = as_warp(corners, wp.vec3)
+        scene.areas = as_warp(areas, wp.float64)
+        scene.area_before = as_warp(before, wp.float64)
+        scene.area_size = as_warp(size, wp.float64)
+        scene.last_face = as_warp(last, wp.int64)
         return scene
 
     def signed_distance(self, shapes: Tensor, points: Tensor) -> Tensor:
