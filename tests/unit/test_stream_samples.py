@@ -173,6 +173,28 @@ def test_stops_where_it_is_told(family):
     assert list(source) == []
 
 
+def test_goes_on_to_its_stop_and_no_further(monkeypatch):
+    family = Cochlea(600)
+    first = stream(family, 4, stop=16)
+    take(first, 1)
+    state = first.state_dict()
+    resumed = stream(family, 6, stop=12)
+    with pytest.raises(SDMError, match=r"from sample 4 to 12, 8 samples, .* of the 6 of"):
+        resumed.load_state_dict(state)
+    assert resumed.position == 0
+    resumed = stream(family, 2, stop=16)
+    resumed.load_state_dict(state)
+    assert [i for b in resumed for i in b.index.tolist()] == list(range(4, 16))
+    # The process group may be made after the state is loaded.
+    resumed = stream(family, 4, stop=16)
+    resumed.load_state_dict(state)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 0)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    with pytest.raises(SDMError, match=r"from sample 4 to 16, 12 samples, .* of the 8 of"):
+        next(iter(resumed))
+
+
 def test_refuses_what_makes_no_sense():
     family = Cochlea(600)
     grid = family.grid(8)
