@@ -95,10 +95,12 @@ class _Static(Sampler):
     def _permutation(self, count: int, seed: int, number: int) -> Tensor:
         key = (count, seed, number)
         # Samples come in order, so one pass is asked about many times in a row.
-        if self._order is None or self._order[0] != key:
+        known = self._order
+        if known is None or known[0] != key:
             draws = sampling.uniform(derived_seed(seed, "shuffle", number), torch.arange(count), 2).double()
-            self._order = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
-        return self._order[1]
+            # Another thread may ask about another pass at any moment: what is kept is not read again.
+            self._order = known = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
+        return known[1]
 
 
 class TensorGrid(_Static):
