@@ -169,7 +169,10 @@ class Family(ABC):
         return self.from_unit(unit.to(choose_device(device)))
 
     def bounds(self) -> tuple[Tensor, Tensor]:
-        """Lowest and highest x, y, z (3,) over the box of parameters: over its corners and 512 Sobol points."""
+        """Lowest and highest x, y, z (3,) over the box of parameters: over its corners and 512 Sobol points.
+
+        A family whose extremes lie elsewhere says here how far it reaches.
+        """
         width = len(self.parameters)
         unit = sampling.sobol(0, torch.arange(PROBES), width)
         if 2**width <= MOST_CORNERS:
