@@ -215,7 +215,9 @@ class Family(ABC):
         # Made on first use, so that a subclass need not call a constructor here.
         copies: dict[tuple[torch.device, str], list[Tensor]] = vars(self).setdefault("_copies", {})
         if (where, key) not in copies:
-            copies[where, key] = [t.to(where) for t in make()]
+            # What is made in inference mode could never be saved for a gradient.
+            with torch.inference_mode(False):
+                copies[where, key] = [t.to(where, copy=t.is_inference()) for t in make()]
         return copies[where, key]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class Maker:
         self._prepare()
 
     def _prepare(self) -> None:
-        with torch.no_grad():
+        with torch.inference_mode(False), torch.no_grad():
             self._topology = Topology(self.family, self.device)
 
     def __getstate__(self) -> dict[str, Any]:
