@@ -72,8 +72,8 @@ class ShapeSet:
             vertices.append(unit + place)
             faces.append(mesh.faces.to(self.device) + count)
             count += len(unit)
-        self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)]).cumsum(0).tolist()
-        self._first_face = torch.tensor([0, *(len(f) for f in faces)]).cumsum(0).tolist()
+        self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)], device="cpu").cumsum(0).tolist()
+        self._first_face = torch.tensor([0, *(len(f) for f in faces)], device="cpu").cumsum(0).tolist()
         scene = TriangleMesh(torch.cat(vertices), torch.cat(faces), "the shapes", check=False)
         self._index = MeshIndex(scene, self.device)
         if not self._index.closed:
@@ -162,7 +162,7 @@ class ShapeSet:
 def _places(count: int) -> Tensor:
     """Centres (count,3) of the shapes: a cubic lattice whose layers along x are staggered, so that rays pass."""
     side = max(1, math.ceil(round(count ** (1 / 3), 6)))
-    number = torch.arange(count)
+    number = torch.arange(count, device="cpu")
     layer = number // (side * side)
     row, column = number % (side * side) // side, number % side
     y = row * STEP + layer % 2 * (STEP / 2)

@@ -103,10 +103,12 @@ class MeshFolder(Family):
         uniform = 0.0 if rotation is None else 1.0
         shared = [
             torch.stack([m.vertices[int(m.faces[0, 0])] for m in self.meshes]),
-            torch.tensor([_frame(m, normalize) for m in self.meshes], dtype=torch.float32),
-            torch.tensor([AMPLITUDE, FREQUENCY, uniform]),
+            torch.tensor([_frame(m, normalize) for m in self.meshes], dtype=torch.float32, device="cpu"),
+            torch.tensor([AMPLITUDE, FREQUENCY, uniform], dtype=torch.float32, device="cpu"),
         ]
-        owner = torch.repeat_interleave(torch.arange(len(sizes), dtype=torch.int32), torch.tensor(sizes))
+        owner = torch.repeat_interleave(
+            torch.arange(len(sizes), dtype=torch.int32, device="cpu"), torch.tensor(sizes, device="cpu")
+        )
         rest = torch.cat([m.vertices for m in self.meshes])
         self._tables = [rest, owner, *shared]
 

@@ -43,7 +43,7 @@ class Topology:
 
 
 def _probes(family: Family) -> list[Tensor]:
-    theta = Sobol().theta(family, 0, torch.arange(PROBES))
+    theta = Sobol().theta(family, 0, torch.arange(PROBES, device="cpu"))
     meshes = len(getattr(family, "meshes", ()))
     if not meshes:
         return [theta]
