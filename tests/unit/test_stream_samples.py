@@ -12,7 +12,7 @@ import torch
 import sdm
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import DeviceError, SDMError
-from sdm.shapes import Cochlea, GeometricShapes, MeshFolder
+from sdm.shapes import Cochlea, Ellipsoid, GeometricShapes, MeshFolder
 from sdm.stream import Batch, SDMStream, TensorGrid
 
 FAMILIES = {
@@ -165,6 +165,15 @@ def test_half_precision_and_truncation(family):
     limit = float(full.abs().median())
     half = take(stream(family, dtype=torch.float16, truncate=limit), 1)[0].sdm
     assert torch.equal(half, full.clamp(-limit, limit).half())
+
+
+def test_half_precision_must_hold_the_distances():
+    family = Ellipsoid(triangles=108, sizes=(5e4, 1e5))
+    for truncate in (None, 1e5):
+        with pytest.raises(SDMError, match="float16 ends at 65504: use float32, or truncate"):
+            stream(family, dtype=torch.float16, truncate=truncate)
+    for options in ({"dtype": torch.float16, "truncate": 6e4}, {"dtype": torch.bfloat16}):
+        assert bool(stream(family, 4, **options).sample(0).sdm.isfinite().all())
 
 
 def test_stops_where_it_is_told(family):
