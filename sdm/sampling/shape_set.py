@@ -17,14 +17,13 @@ from sdm.kernels.launch import launch
 from sdm.kernels.samples import Law, Scene, draw
 from sdm.memory import as_warp, on_current_stream
 from sdm.mesh import TriangleMesh
-from sdm.sampling.distribution import SampleDistribution
+from sdm.sampling.distribution import REACH, SampleDistribution
 from sdm.sampling.samples import Samples
 from sdm.sampling.surface_points import triangle_areas
 from sdm.sampling.unit_sphere import UnitSphere
 
-# Samples reach to REACH along each axis, and are at most sqrt(3) REACH + 1 from their own shape. With this step between
-# the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.
-REACH = 1.5
+# Samples, which reach to REACH along each axis, are at most sqrt(3) REACH + 1 from their own shape. With this step
+# between the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.
 STEP = 6.0
 
 
