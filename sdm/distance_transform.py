@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -118,7 +120,9 @@ def spacing_of(spacing: float | Sequence[float]) -> list[float]:
     Raises:
         GridError: They are not three positive, finite numbers, or so different that their squares leave float32.
     """
-    sizes = [float(spacing)] * 3 if isinstance(spacing, int | float) else [float(s) for s in spacing]
+    # One number may be NumPy's or a tensor, which are no floats.
+    each: Any = [spacing] * 3 if np.ndim(spacing) == 0 else spacing
+    sizes = [float(s) for s in each]
     if len(sizes) != 3 or not all(s > 0 and math.isfinite(s) for s in sizes):
         raise GridError(f"the spacing {spacing} must be one or three positive numbers")
     if max(sizes) > 1e9 * min(sizes):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import textwrap
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -13,23 +15,31 @@ from sdm.dataset.atomic import put
 from sdm.dataset.devices import device_kind
 from sdm.dataset.job import Job
 from sdm.errors import SDMError
+from sdm.stream import Maker
 
 # How often new machines are looked for [s], and how long a cluster may have no worker at all.
 LOOK, PATIENCE = 5.0, 120.0
+# How many workers a shard may lose, and how many may be lost in a row at one place.
+TRIES = 3
+# Characters of what Ray says that a sentence has room for.
+LONGEST = 240
 
 
 class Worker:
     """On one GPU of the cluster, or on the CPU of one machine."""
 
+    _maker: Maker
+
     def __init__(self, job: Job, device: str) -> None:
-        if not (job.folder / "zarr.json").is_file():
-            raise SDMError(
-                f"a machine of the cluster does not see {job.folder}: write to a disk that all of them share"
-            )
-        self._job, self._maker = job, job.maker(device)
+        self._job, self._device = job, device
 
     def kind(self) -> str:
-        """The kind of its device."""
+        """The kind of its device. The first call, which makes it ready: of a constructor Ray hides what went wrong."""
+        if not (self._job.folder / "zarr.json").is_file():
+            raise SDMError(
+                f"a machine of the cluster does not see {self._job.folder}: write to a disk that all of them share"
+            )
+        self._maker = self._job.maker(self._device)
         return device_kind(self._maker.device)
 
     def make(self, number: int) -> int:
@@ -42,7 +52,8 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
     """Make shards on a Ray cluster; a shard whose worker is lost goes to another.
 
     Raises:
-        SDMError: Ray is not installed, no cluster is there, its GPUs differ, or a shard cannot be made.
+        SDMError: Ray is not installed, no cluster is there, its GPUs differ, workers are lost again and again, or a
+            shard cannot be made.
     """
     try:
         import ray  # pyright: ignore[reportMissingImports]
@@ -71,6 +82,9 @@ class _Crew:
         self._actors: dict[tuple[str, int], Any] = {}
         self._tasks: dict[Any, tuple[tuple[str, int], int | None]] = {}
         self._idle: list[tuple[str, int]] = []
+        # Workers lost by shard, and by place since one there did its work; what was said of the last one.
+        self._lost: Counter[int | tuple[str, int]] = Counter()
+        self._reason = ""
         self._kind: str | None = job.manifest["device"]
 
     def run(self, todo: list[int]) -> None:
@@ -99,9 +113,9 @@ class _Crew:
             answer = self._ray.get(task)
         except self._ray.exceptions.RayTaskError as error:
             raise SDMError(str(error.cause)) from error
-        except self._ray.exceptions.RayError:
+        except self._ray.exceptions.RayError as error:
             # Its machine or its process is gone: whatever it has written of the shard is written again.
-            self._actors.pop(place, None)
+            self._lose(place, number, error)
             if number is not None:
                 todo.append(number)
             self._hand_out(todo)
@@ -109,10 +123,28 @@ class _Crew:
         if number is None:
             self._agree(answer)
         else:
+            del self._lost[place]
             self._done(answer)
         self._idle.append(place)
         self._hand_out(todo)
         return number is not None
+
+    def _lose(self, place: tuple[str, int], number: int | None, error: Exception) -> None:
+        self._actors.pop(place, None)
+        # Ray tells a story of many lines; the last one has what happened, and then what often is the cause.
+        lines = [line for line in str(error).splitlines() if line.strip()] or [repr(error)]
+        self._reason = textwrap.shorten(lines[-1], LONGEST, placeholder=" ...")
+        if getattr(error, "actor_init_failed", False):
+            raise SDMError(f"a worker of the Ray cluster cannot start: {self._reason}") from error
+        self._lost[place] += 1
+        if number is None:
+            return
+        self._lost[number] += 1
+        if self._lost[number] >= TRIES:
+            raise SDMError(
+                f"shard {number} has lost {TRIES} workers, the last one to this: {self._reason}; "
+                "--resume goes on from there"
+            ) from error
 
     def _hand_out(self, todo: list[int]) -> None:
         while todo and self._idle:
@@ -127,17 +159,26 @@ class _Crew:
 
         nodes = [n for n in self._ray.nodes() if n["Alive"]]
         name = "GPU" if any(n["Resources"].get("GPU", 0) >= 1 for n in nodes) else "CPU"
+        given_up = False
         for node in nodes:
             have = int(node["Resources"].get(name, 0))
             for number in range(have if name == "GPU" else min(have, 1)):
                 place = (node["NodeID"], number)
                 if place in self._actors:
                     continue
+                if self._lost[place] >= TRIES:
+                    given_up = True
+                    continue
                 strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
                 needs = {"num_gpus": 1, "num_cpus": 0} if name == "GPU" else {"num_cpus": 1}
                 actor = self._ray.remote(Worker).options(scheduling_strategy=strategy, **needs)
                 self._actors[place] = actor.remote(self._shared, "cuda:0" if name == "GPU" else "cpu")
                 self._tasks[self._actors[place].kind.remote()] = place, None
+        if given_up and not self._actors:
+            raise SDMError(
+                f"the Ray cluster loses its workers again and again, the last one to this: {self._reason}; "
+                "--resume goes on from there"
+            )
 
     def _agree(self, kind: str) -> None:
         """All devices must be of one kind, or the shards would differ in their last bits."""

@@ -99,8 +99,8 @@ class Job:
 
     def _make(self, number: int, maker: Maker) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
         begin, end = rows_of(self.manifest, number)
-        theta = maker.theta(torch.arange(begin, end))
-        maps = torch.empty((end - begin, *self.grid.shape), dtype=self.dtype)
+        theta = maker.theta(_numbers(begin, end))
+        maps = torch.empty((end - begin, *self.grid.shape), dtype=self.dtype, device="cpu")
         for first, batch in self._batches(begin, end, maker):
             maps[first - begin : first - begin + len(batch.index)] = batch.sdm[:, 0]
         transform = transforms_of(self.family, theta)

@@ -24,16 +24,16 @@ def transforms_of(family: Family, theta: Tensor) -> Tensor | None:
     plain[:, RIGID:] = 0
     _, _, anchors, frames, constants = family._tables
     which = theta[:, 0].floor().long().clamp(0, len(family.meshes) - 1)
-    found = torch.empty(theta.shape[0], 4, 4, dtype=torch.float64)
+    found = torch.empty(theta.shape[0], 4, 4, dtype=torch.float64, device="cpu")
     for number in which.unique().tolist():
         rows = which == number
         centre, half = frames[number, :3], frames[number, 3]
         # An affine map is known by where it takes a point and three steps from it.
-        probes = torch.cat([centre[None], centre + half * torch.eye(3)])
-        owner = torch.full((4,), number, dtype=torch.int32)
+        probes = torch.cat([centre[None], centre + half * torch.eye(3, dtype=torch.float32, device="cpu")])
+        owner = torch.full((4,), number, dtype=torch.int32, device="cpu")
         moved = _warped_vertices(plain[rows], [probes, owner, anchors, frames, constants], 4).double()
         linear = (moved[:, 1:] - moved[:, :1]).transpose(1, 2) / half.double()
-        matrix = torch.eye(4, dtype=torch.float64).repeat(int(rows.sum()), 1, 1)
+        matrix = torch.eye(4, dtype=torch.float64, device="cpu").repeat(int(rows.sum()), 1, 1)
         matrix[:, :3, :3] = linear
         matrix[:, :3, 3] = moved[:, 0] - linear @ centre.double()
         found[rows] = matrix

@@ -63,7 +63,9 @@ class SDMDataset(Dataset[Batch]):
             raise FormatError(
                 f"sample {number} of {self.path} is damaged: sdm generate --verify makes it again ({error})"
             ) from error
-        return Batch(self.theta[number], torch.from_numpy(self._whole(values, number))[None], torch.tensor(number))
+        return Batch(
+            self.theta[number], torch.from_numpy(self._whole(values, number))[None], torch.tensor(number, device="cpu")
+        )
 
     def sdm(self, item: int) -> SDM:
         """One sample as a map with its grid, float32."""
@@ -77,7 +79,7 @@ class SDMDataset(Dataset[Batch]):
         """
         number = self._number(item)
         if not self.manifest["transforms"]:
-            return torch.eye(4, dtype=torch.float64)
+            return torch.eye(4, dtype=torch.float64, device="cpu")
         return torch.linalg.inv(torch.from_numpy(np.asarray(self._open("transform")[number])))
 
     def _number(self, item: int) -> int:

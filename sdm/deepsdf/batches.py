@@ -1,4 +1,4 @@
-"""Which shapes a training step sees: a pure function of seed and step, whatever the number of ranks."""
+"""Which shapes a training step sees: a pure function of seed and step, for any number of ranks that divides a batch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ class Batches:
 
     Args:
         count: Number of shapes.
-        size: Shapes of a batch over all ranks; fewer where there are not that many.
+        size: Shapes of a batch over all ranks; fewer where there are not that many. Each rank has as many as any
+            other: what `world` does not divide is left out of the batch, 1 of 64 for 3 processes.
         seed: Of the order.
         rank: This process.
         world: Processes. Each takes every `world`-th shape of the batch.

@@ -70,6 +70,8 @@ class LocalDecoder(nn.Module):
         self.of_point = nn.Linear(3 + 6 * settings.frequencies, width)
         self.of_code = nn.Linear(settings.global_size, width, bias=False)
         self.of_grids = nn.Linear(max(1, sum(c for _, c in settings.grids)), width, bias=False)
+        # Files have this layer in any case. Where nothing goes through it, ranks must not wait for its gradient.
+        self.of_grids.requires_grad_(bool(settings.grids))
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(settings.layers - 1))
         self.last = nn.Linear(width, 1)
         nn.init.zeros_(self.last.weight)

@@ -47,9 +47,8 @@ class Scan:
             raise SDMError(f"{int((~at.isfinite().all(-1)).sum())} points of the scan are not finite; leave them out")
         self._points, self._normals = at, None
         if normals is not None:
-            out = as_tensor(normals, torch.float32, "the scan's normals", device=at.device).reshape(
-                -1, *normals.shape[-2:]
-            )
+            out = as_tensor(normals, torch.float32, "the scan's normals", device=at.device)
+            out = out[None] if out.ndim == 2 else out
             if out.shape != at.shape:
                 raise SDMError(
                     f"the scan has {tuple(at.shape)} points and {tuple(out.shape)} normals; give one for each"

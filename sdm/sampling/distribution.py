@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from sdm.errors import SDMError
+
+# Samples reach no further along each axis, in unit-sphere radii: there the nearest shape of a scene is their own.
+REACH = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +19,10 @@ class SampleDistribution:
         near: Share of the samples around points of the surface; half of them have each variance, the rest is
             uniform in the box.
         variances: Of the normal offset along each axis, in squared unit-sphere radii.
-        box: Half the edge of the box around the origin.
+        box: Half the edge of the box around the origin, at most 1.5.
+
+    Raises:
+        SDMError: A number that makes no sense.
     """
 
     near: float = 0.94
@@ -23,8 +30,11 @@ class SampleDistribution:
     box: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.near <= 1 or min(self.variances) < 0 or self.box <= 0:
-            raise SDMError(f"{self} is no distribution: near is a share, variances and box are positive")
+        if not (0 <= self.near <= 1 and all(0 <= v < math.inf for v in self.variances) and 0 < self.box <= REACH):
+            raise SDMError(
+                f"{self} is no distribution: near is a share, variances are not negative, and box is above 0 and at "
+                f"most {REACH}"
+            )
 
     def near_count(self, points: int) -> int:
         """How many of `points` samples of a shape are near the surface: always the first ones.

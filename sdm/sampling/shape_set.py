@@ -17,14 +17,13 @@ from sdm.kernels.launch import launch
 from sdm.kernels.samples import Law, Scene, draw
 from sdm.memory import as_warp, on_current_stream
 from sdm.mesh import TriangleMesh
-from sdm.sampling.distribution import SampleDistribution
+from sdm.sampling.distribution import REACH, SampleDistribution
 from sdm.sampling.samples import Samples
 from sdm.sampling.surface_points import triangle_areas
 from sdm.sampling.unit_sphere import UnitSphere
 
-# Samples reach to REACH along each axis, and are at most sqrt(3) REACH + 1 from their own shape. With this step between
-# the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.
-REACH = 1.5
+# Samples, which reach to REACH along each axis, are at most sqrt(3) REACH + 1 from their own shape. With this step
+# between the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.
 STEP = 6.0
 
 
@@ -72,8 +71,8 @@ class ShapeSet:
             vertices.append(unit + place)
             faces.append(mesh.faces.to(self.device) + count)
             count += len(unit)
-        self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)]).cumsum(0).tolist()
-        self._first_face = torch.tensor([0, *(len(f) for f in faces)]).cumsum(0).tolist()
+        self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)], device="cpu").cumsum(0).tolist()
+        self._first_face = torch.tensor([0, *(len(f) for f in faces)], device="cpu").cumsum(0).tolist()
         scene = TriangleMesh(torch.cat(vertices), torch.cat(faces), "the shapes", check=False)
         self._index = MeshIndex(scene, self.device)
         if not self._index.closed:
@@ -167,7 +166,7 @@ class ShapeSet:
 def _places(count: int) -> Tensor:
     """Centres (count,3) of the shapes: a cubic lattice whose layers along x are staggered, so that rays pass."""
     side = max(1, math.ceil(round(count ** (1 / 3), 6)))
-    number = torch.arange(count)
+    number = torch.arange(count, device="cpu")
     layer = number // (side * side)
     row, column = number % (side * side) // side, number % side
     y = row * STEP + layer % 2 * (STEP / 2)

@@ -45,7 +45,7 @@ class UnitSphere:
         """The sphere around a mesh, or around points (N,3): at the middle of their box, with 3 % of room."""
         if isinstance(points, TriangleMesh):
             points = points.vertices.detach()[points.faces.reshape(-1).long()]
-        at = torch.as_tensor(points).detach().double().cpu()
+        at = torch.as_tensor(points, device="cpu").detach().double()
         middle = (at.amin(0) + at.amax(0)) / 2
         radius = BUFFER * float((at - middle).norm(dim=1).max())
         x, y, z = middle.tolist()

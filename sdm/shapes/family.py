@@ -114,7 +114,7 @@ class Family(ABC):
         values = tensor.detach().cpu()
         for column, p in enumerate(self.parameters):
             # The ends as float32, so that a bound that float32 cannot hold does not refuse itself.
-            low, high = torch.tensor([p.low, p.high], dtype=torch.float32)
+            low, high = torch.tensor([p.low, p.high], dtype=torch.float32, device="cpu")
             wrong = ~((values[:, column] >= low) & (values[:, column] <= high))
             if bool(wrong.any()):
                 row = int(wrong.nonzero()[0])
@@ -169,11 +169,14 @@ class Family(ABC):
         return self.from_unit(unit.to(choose_device(device)))
 
     def bounds(self) -> tuple[Tensor, Tensor]:
-        """Lowest and highest x, y, z (3,) over the box of parameters: over its corners and 512 Sobol points."""
+        """Lowest and highest x, y, z (3,) over the box of parameters: over its corners and 512 Sobol points.
+
+        A family whose extremes lie elsewhere says here how far it reaches.
+        """
         width = len(self.parameters)
-        unit = sampling.sobol(0, torch.arange(PROBES), width)
+        unit = sampling.sobol(0, torch.arange(PROBES, device="cpu"), width)
         if 2**width <= MOST_CORNERS:
-            corners = torch.tensor(list(itertools.product((0.0, 1.0), repeat=width)))
+            corners = torch.tensor(list(itertools.product((0.0, 1.0), repeat=width)), dtype=torch.float32, device="cpu")
             unit = torch.cat([unit, corners])
         lows, highs = [], []
         with torch.no_grad():
@@ -187,7 +190,7 @@ class Family(ABC):
         """A cube of voxels that holds every shape of the family, with `margin` of its edge on each side."""
         low, high = self.bounds()
         corners = torch.stack([low, high, low])
-        box = TriangleMesh(corners, torch.tensor([[0, 1, 2]]), self.name)
+        box = TriangleMesh(corners, torch.tensor([[0, 1, 2]], device="cpu"), self.name)
         return Grid.around(box, resolution=resolution, margin=margin)
 
     @property
@@ -200,8 +203,8 @@ class Family(ABC):
         return digest.hexdigest()
 
     def _box(self) -> list[Tensor]:
-        low = torch.tensor([p.low for p in self.parameters], dtype=torch.float32)
-        high = torch.tensor([p.high for p in self.parameters], dtype=torch.float32)
+        low = torch.tensor([p.low for p in self.parameters], dtype=torch.float32, device="cpu")
+        high = torch.tensor([p.high for p in self.parameters], dtype=torch.float32, device="cpu")
         return [low, high - low]
 
     def _on(self, device: torch.device | str, key: str, make: Callable[[], Sequence[Tensor]]) -> list[Tensor]:
@@ -212,7 +215,9 @@ class Family(ABC):
         # Made on first use, so that a subclass need not call a constructor here.
         copies: dict[tuple[torch.device, str], list[Tensor]] = vars(self).setdefault("_copies", {})
         if (where, key) not in copies:
-            copies[where, key] = [t.to(where) for t in make()]
+            # What is made in inference mode could never be saved for a gradient.
+            with torch.inference_mode(False):
+                copies[where, key] = [t.to(where, copy=t.is_inference()) for t in make()]
         return copies[where, key]
 
     def __getstate__(self) -> dict[str, Any]:

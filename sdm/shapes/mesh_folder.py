@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -25,6 +26,8 @@ FREQUENCY = math.pi / 2
 # With every coefficient within [-1,1] this amplitude makes the warp's Lipschitz bound exactly 1.
 AMPLITUDE = 1 / (3 * math.sqrt(2) * FREQUENCY)
 LARGEST_WARP = 0.95
+# What float32 may put a vertex out of place by, as a share of its largest coordinate.
+ROUNDING = 1e-6
 
 _warped_vertices = vertex_op(
     "warped_vertices",
@@ -100,12 +103,34 @@ class MeshFolder(Family):
         uniform = 0.0 if rotation is None else 1.0
         shared = [
             torch.stack([m.vertices[int(m.faces[0, 0])] for m in self.meshes]),
-            torch.tensor([_frame(m, normalize) for m in self.meshes], dtype=torch.float32),
-            torch.tensor([AMPLITUDE, FREQUENCY, uniform]),
+            torch.tensor([_frame(m, normalize) for m in self.meshes], dtype=torch.float32, device="cpu"),
+            torch.tensor([AMPLITUDE, FREQUENCY, uniform], dtype=torch.float32, device="cpu"),
         ]
-        owner = torch.repeat_interleave(torch.arange(len(sizes), dtype=torch.int32), torch.tensor(sizes))
+        owner = torch.repeat_interleave(
+            torch.arange(len(sizes), dtype=torch.int32, device="cpu"), torch.tensor(sizes, device="cpu")
+        )
         rest = torch.cat([m.vertices for m in self.meshes])
         self._tables = [rest, owner, *shared]
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """Lowest and highest x, y, z (3,) of all meshes over the whole box of parameters: reached, but for rounding.
+
+        Where rotations are limited, it is as if each could be about any axis.
+        """
+        high = [p.high for p in self.parameters]
+        turn = high[shapes_warped.ROTATION : shapes_warped.SHIFT]
+        frames, constants = self._tables[3].double(), self._tables[4]
+        angle = math.hypot(*turn) if float(constants[2]) > 0 else math.pi
+        lows, highs = [], []
+        for mesh, frame in zip(self.meshes, frames, strict=True):
+            points = mesh.vertices[mesh.faces.unique().long()].double()
+            reach = _reach((points - frame[:3]) / frame[3], high[shapes_warped.SINES], angle)
+            reach = frame[7] * (high[shapes_warped.SCALE] * reach + high[shapes_warped.SHIFT])
+            lows.append(frame[4:7] - reach[1])
+            highs.append(frame[4:7] + reach[0])
+        ends = torch.stack([torch.stack(lows).amin(0), torch.stack(highs).amax(0)])
+        room = ROUNDING * ends.abs().amax()
+        return (ends[0] - room).float(), (ends[1] + room).float()
 
     def vertices(self, theta: Tensor) -> Tensor:
         """Vertices (B,V,3) of all meshes for theta (B,26): one mesh a sample, the others shrunk to a point of it."""
@@ -135,6 +160,18 @@ class MeshFolder(Family):
 
     def _faces_of(self, number: int) -> list[Tensor]:
         return [self.meshes[number].faces]
+
+
+def _reach(points: Tensor, warp: float, angle: float) -> Tensor:
+    """How far points (V,3), warped and then turned by at most `angle`, come along the axes and against them (2,3)."""
+    wave = FREQUENCY * points
+    # Each coordinate has coefficients of its own, so a point may come to any corner of a cube around it.
+    by = AMPLITUDE * warp * (wave.sin().abs() + wave.cos().abs()).sum(1, keepdim=True)
+    signs = torch.tensor(list(itertools.product((-1.0, 1.0), repeat=3)), dtype=torch.float64, device="cpu")
+    corners = (points + by * signs[:, None]).reshape(-1, 3)
+    length = corners.norm(dim=1, keepdim=True)
+    cosine = torch.stack([corners, -corners]) / length.clamp_min(1e-30)
+    return (length * (cosine.clamp(-1, 1).acos() - angle).clamp_min(0).cos()).amax(1)
 
 
 def _parameters(rotation: float | None, scale: tuple[float, float], shift: float, warp: float) -> tuple[Parameter, ...]:

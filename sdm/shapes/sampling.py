@@ -95,7 +95,7 @@ def grid(per_axis: int, width: int) -> Tensor:
         raise MeshError(f"a grid of {per_axis} points for each axis has no width; give 2 or more")
     if per_axis**width > LARGEST_GRID:
         raise MeshError(f"a grid of {per_axis} points for each of {width} axes is too large: use a random sampler")
-    axis = torch.linspace(0, 1, per_axis)
+    axis = torch.linspace(0, 1, per_axis, dtype=torch.float32, device="cpu")
     return torch.cartesian_prod(*[axis] * width).reshape(-1, width)
 
 

@@ -37,7 +37,7 @@ class Maker:
     Raises:
         DeviceError: The device is not there.
         GridError: A map that does not fit into memory.
-        SDMError: A type or a truncation that makes no sense.
+        SDMError: A type or a truncation that makes no sense, or distances that float16 may not hold.
 
     A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
     so for all arithmetic by element, but not for every matrix product.
@@ -58,6 +58,8 @@ class Maker:
             raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
         if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
             raise SDMError(f"the truncation {truncate} must be a positive distance")
+        if dtype == torch.float16:
+            _refuse_overflow(grid, truncate)
         if device is None or str(device).startswith("cuda"):
             refuse_fork(getattr(torch.cuda, "_is_in_bad_fork", bool)())
         self.family, self.grid, self.seed = family, grid, int(seed)
@@ -69,7 +71,7 @@ class Maker:
         self._prepare()
 
     def _prepare(self) -> None:
-        with torch.no_grad():
+        with torch.inference_mode(False), torch.no_grad():
             self._topology = Topology(self.family, self.device)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -126,6 +128,17 @@ class Maker:
         for group in self.family.groups(theta, host):
             values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
         return values
+
+
+def _refuse_overflow(grid: Grid, truncate: float | None) -> None:
+    # No voxel is further than this from a surface within the grid.
+    diagonal = math.hypot(*(s * (n - 1) for s, n in zip(grid.spacing, grid.shape, strict=True)))
+    largest = torch.finfo(torch.float16).max
+    if min(diagonal, math.inf if truncate is None else truncate) > largest:
+        raise SDMError(
+            f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: "
+            "use float32, or truncate to less"
+        )
 
 
 def refuse_fork(forked: bool) -> None:

@@ -95,10 +95,13 @@ class _Static(Sampler):
     def _permutation(self, count: int, seed: int, number: int) -> Tensor:
         key = (count, seed, number)
         # Samples come in order, so one pass is asked about many times in a row.
-        if self._order is None or self._order[0] != key:
-            draws = sampling.uniform(derived_seed(seed, "shuffle", number), torch.arange(count), 2).double()
-            self._order = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
-        return self._order[1]
+        known = self._order
+        if known is None or known[0] != key:
+            numbers = torch.arange(count, device="cpu")
+            draws = sampling.uniform(derived_seed(seed, "shuffle", number), numbers, 2).double()
+            # Another thread may ask about another pass at any moment: what is kept is not read again.
+            self._order = known = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
+        return known[1]
 
 
 class TensorGrid(_Static):
@@ -128,7 +131,7 @@ class TensorGrid(_Static):
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
         """As `Sampler.theta`."""
         place = self._places(self.size(family), seed, index)
-        axis = torch.linspace(0, 1, self.per_axis)
+        axis = torch.linspace(0, 1, self.per_axis, dtype=torch.float32, device="cpu")
         digits = [place // self.per_axis**k % self.per_axis for k in reversed(range(len(family.parameters)))]
         return family.from_unit(torch.stack([axis[d] for d in digits], 1))
 
@@ -146,7 +149,7 @@ class Table(_Static):
 
     def __init__(self, theta: Tensor, *, shuffle: bool = True) -> None:
         super().__init__(shuffle)
-        self.rows = torch.as_tensor(theta, dtype=torch.float32).detach().cpu().contiguous()
+        self.rows = torch.as_tensor(theta, dtype=torch.float32, device="cpu").detach().contiguous()
         if self.rows.ndim != 2 or self.rows.shape[0] == 0:
             raise SDMError(f"the table has shape {tuple(self.rows.shape)}; (N, P) with N > 0 is needed")
 
@@ -186,7 +189,7 @@ class Mixture(Sampler):
         up, down = self.share.numerator, self.share.denominator
         before = index // down * up + index % down * up // down
         is_static = (index % down + 1) * up // down > index % down * up // down
-        theta = torch.empty(index.shape[0], len(family.parameters))
+        theta = torch.empty(index.shape[0], len(family.parameters), dtype=torch.float32, device="cpu")
         for sampler, name, rows, number in (
             (self.static, "static", is_static, before),
             (self.online, "online", ~is_static, index - before),

@@ -54,7 +54,8 @@ class SDMStream(IterableDataset[Batch]):
     the batch that one process with `world_size` times the batch size has.
 
     Iterating again goes on where the last batch was given. `state_dict` and `load_state_dict` (as torchdata's
-    StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks.
+    StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks that lead to
+    `stop` in whole steps.
 
     Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
     device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`. Workers are for
@@ -130,6 +131,7 @@ class SDMStream(IterableDataset[Batch]):
         if self._find_rank and worker is None:
             # A worker of a DataLoader is not in the process group; it has been given its rank with the stream.
             self._take_rank(None, None)
+            self._check_end(self._position)
         workers, first = (1, 0) if worker is None else (worker.num_workers, worker.id)
         # Worker w of a DataLoader makes every n-th step, which is the order in which it asks its n workers.
         stride = workers * self.global_batch_size
@@ -151,6 +153,14 @@ class SDMStream(IterableDataset[Batch]):
             raise SDMError(
                 f"the stream runs from sample {start} to {stop}; give a start of at least 0, and a stop that is a "
                 f"multiple of the {self.global_batch_size} samples of a global batch after it"
+            )
+
+    def _check_end(self, position: int) -> None:
+        left = 0 if self.stop is None else self.stop - position
+        if left > 0 and left % self.global_batch_size:
+            raise SDMError(
+                f"the stream goes on from sample {position} to {self.stop}, {left} samples, which is no multiple of "
+                f"the {self.global_batch_size} of a global batch; choose another batch size or another stop"
             )
 
     def _count(self, batches: Iterator[tuple[int, Batch]], stride: int) -> Iterator[Batch]:
@@ -185,7 +195,7 @@ class SDMStream(IterableDataset[Batch]):
         """Go on from a state, from the next `iter` on.
 
         Raises:
-            SDMError: The state is of a stream with other samples.
+            SDMError: The state is of a stream with other samples, or whole batches from there do not end at `stop`.
         """
         if not isinstance(state, dict) or state.get("version") != VERSION:
             raise SDMError("this is not the state of a stream of this version of sdm")
@@ -196,7 +206,9 @@ class SDMStream(IterableDataset[Batch]):
                     f"the state is of a stream whose {key} is {value}, but here it is {mine.get(key)}: "
                     "make the stream as it was"
                 )
-        self._position, self._own = int(state["position"]), bool(state["own"])
+        position = int(state["position"])
+        self._check_end(position)
+        self._position, self._own = position, bool(state["own"])
 
     def _refuse_fork(self) -> None:
         refuse_fork(self.device.type == "cuda" and os.getpid() != self._process)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.shapes import Family
 from sdm.stream.samplers import Sobol
@@ -26,7 +27,8 @@ class Topology:
     """
 
     def __init__(self, family: Family, device: torch.device) -> None:
-        self._known: dict[int, tuple[Tensor, Tensor]] = {}
+        # As long as somebody has the faces: a family may make new ones for each batch.
+        self._known: WeakIdKeyDictionary = WeakIdKeyDictionary()
         for theta in _probes(family):
             host = theta.cpu()
             for group in family.groups(theta.to(device), host):
@@ -34,14 +36,14 @@ class Topology:
 
     def edges(self, vertices: Tensor, faces: Tensor) -> Tensor:
         """Directed boundary edges (E,2) int32 of faces; `vertices` (B,V,3) are looked at the first time alone."""
-        # The faces are kept too, so that no other tensor can have their number.
-        if id(faces) not in self._known:
-            self._known[id(faces)] = (faces, boundary_edges(vertices, faces))
-        return self._known[id(faces)][1]
+        edges: Tensor | None = self._known.get(faces)
+        if edges is None:
+            self._known[faces] = edges = boundary_edges(vertices, faces)
+        return edges
 
 
 def _probes(family: Family) -> list[Tensor]:
-    theta = Sobol().theta(family, 0, torch.arange(PROBES))
+    theta = Sobol().theta(family, 0, torch.arange(PROBES, device="cpu"))
     meshes = len(getattr(family, "meshes", ()))
     if not meshes:
         return [theta]

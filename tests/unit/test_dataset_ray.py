@@ -1,17 +1,22 @@
-"""A Ray cluster shares the shards; one that loses a node half way makes the identical dataset."""
+"""A Ray cluster shares the shards: one that loses a node makes the identical dataset, one that cannot work says why."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
-from sdm.dataset import SDMDataset, generate
+from sdm.dataset import SDMDataset, cluster, generate
+from sdm.dataset.job import Job
 from sdm.errors import SDMError
-from sdm.shapes import Cochlea
+from sdm.shapes import Cochlea, Family
+from sdm.stream import Uniform
 
 FAMILY = Cochlea(5_000)
 COUNT = 60
@@ -30,6 +35,59 @@ def test_says_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(SDMError, match=r"pip install 'warp-sdm\[ray\]'"):
         write(tmp_path / "d.zarr", ray="auto")
+
+
+def job(family: Family, folder: Path) -> Job:
+    (folder / "zarr.json").write_text("{}")
+    manifest = {"device": "cpu", "count": 2, "shard": 1}
+    return Job(folder, manifest, family, FAMILY.grid(8), Uniform(), 0, torch.float32, None)
+
+
+def not_there() -> Family:
+    raise ModuleNotFoundError("No module named 'theirs'")
+
+
+class Unknown(Cochlea):
+    """As a family that no other machine has."""
+
+    def __reduce__(self) -> Any:
+        return not_there, ()
+
+
+def ends_at(call: int) -> Family:
+    """A family that takes its process with it at one of the calls of `vertices`."""
+    family, left = Cochlea(600), [call]
+
+    def vertices(theta: torch.Tensor) -> torch.Tensor:
+        left[0] -= 1
+        if not left[0]:
+            os._exit(1)
+        return Cochlea.vertices(family, theta)
+
+    family.vertices = vertices
+    return family
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_workers_that_cannot_work_are_given_up(tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray", reason="needs Ray, an extra")
+    monkeypatch.setattr(cluster, "LOOK", 0.1)
+    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    try:
+        for family, message in (
+            (Unknown(600), r"cannot start: .*No module named 'theirs'"),
+            (ends_at(1), r"loses its workers again and again, the last one to this"),
+            (ends_at(2), r"shard 0 has lost 3 workers, .* \.\.\.; --resume"),
+        ):
+            with pytest.raises(SDMError, match=message):
+                cluster.run_on_ray(job(family, tmp_path), [0, 1], "auto", lambda _: None)
+        elsewhere = job(FAMILY, tmp_path)
+        (tmp_path / "zarr.json").unlink()
+        with pytest.raises(SDMError, match=r"does not see .*: write to a disk"):
+            cluster.run_on_ray(elsewhere, [0, 1], "auto", lambda _: None)
+    finally:
+        ray.shutdown()
 
 
 @pytest.mark.slow

@@ -69,6 +69,17 @@ def test_weights_and_codes_are_functions_of_the_seed() -> None:
     assert not torch.equal(first["codes"], third["codes"])
 
 
+@pytest.mark.parametrize("grids", [(), ((3, 2),)])
+def test_all_that_is_trained_has_a_gradient(grids: tuple[tuple[int, int], ...]) -> None:
+    """Several processes wait for the gradient of each parameter that wants one."""
+    model = AutoDecoder(local(global_size=4, grids=grids, width=16, layers=2), 3)
+    loss, length = model(torch.arange(3), torch.rand(3, 10, 3), torch.rand(3, 10))
+    (loss + length).backward()
+    wanting = {name for name, p in model.named_parameters() if p.requires_grad}
+    assert wanting == {name for name, p in model.named_parameters() if p.grad is not None}
+    assert ("decoder.of_grids.weight" in wanting) == bool(grids)
+
+
 def test_the_published_loss_is_the_papers() -> None:
     prediction, values = torch.randn(2, 50) / 5, torch.randn(2, 50) / 5
     assert errors(prediction, values, published()).mean() == pytest.approx(

@@ -71,6 +71,17 @@ def test_a_strong_prior_pulls_codes_to_the_mean_of_the_training_and_the_papers_t
     assert abs(float(estimate_codes(paper, scan, steps=400, prior=100.0).codes)) < 0.02
 
 
+def test_a_scan_may_be_lists() -> None:
+    points, normals = some(200, 0.7), some(200, 1.0)
+    for some_of in (lambda x: x, lambda x: x[None].expand(2, -1, -1)):
+        one = Scan(some_of(points), some_of(normals))(0)
+        other = Scan(some_of(points).tolist(), some_of(normals).tolist())(0)
+        assert torch.equal(one.points, other.points)
+        assert torch.equal(one.values, other.values)
+    with pytest.raises(SDMError, match=r"200, 3.* points and .*199, 3.* normals"):
+        Scan(points.tolist(), normals[1:].tolist())
+
+
 def test_the_decoder_stays_what_it_is() -> None:
     settings = local(width=16, layers=2, global_size=4, grids=())
     from sdm.deepsdf.decoders import make_decoder

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -19,6 +20,14 @@ def test_shapes_that_are_no_volumes(shape):
 def test_spacings_that_are_none(spacing):
     with pytest.raises(GridError, match="spacing"):
         euclidean_distance_transform(torch.zeros(3, 3, 3), spacing)
+
+
+@pytest.mark.parametrize("spacing", [np.float32(0.5), np.int64(2), np.array(0.5), torch.tensor(0.5)])
+def test_one_number_of_any_kind_is_a_spacing(spacing):
+    mask = torch.zeros(3, 4, 5)
+    mask[1, 1, 1] = 1
+    found = euclidean_distance_transform(mask, spacing)
+    assert torch.equal(found, euclidean_distance_transform(mask, float(spacing)))
 
 
 def test_a_line_that_is_too_long():

@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from sdm import MeshError, TriangleMesh, signed_distance
+from sdm.errors import SDMError
 from sdm.sampling import SampleDistribution, ShapeSet, UnitSphere, surface_points
 from sdm.sampling.shape_set import REACH, STEP, _cube_around, _places
 from sdm.shapes import Cochlea
@@ -153,6 +154,13 @@ def test_bad_input_is_said() -> None:
         ShapeSet([ball()], "cpu", spheres=[UnitSphere((0, 0, 0), 0.5)])
     with pytest.raises(MeshError, match="1 spheres were given for 2 meshes"):
         ShapeSet([ball(), ball()], "cpu", spheres=[UnitSphere((0, 0, 0), 2)])
+    # Beyond that box a sample may be nearer to another shape of the scene.
+    for box in (1.51, 0.0, math.nan):
+        with pytest.raises(SDMError, match=r"box is above 0 and at most 1.5"):
+            SampleDistribution(box=box)
+    with pytest.raises(SDMError, match="variances are not negative"):
+        SampleDistribution(variances=(0.005, math.nan))
+    assert SampleDistribution(box=1.5).box == 1.5
 
 
 def test_points_of_a_surface_are_on_it_and_spread_by_area() -> None:

@@ -83,3 +83,14 @@ def test_fingerprint_tells_families_apart():
 def test_parameters_make_sense():
     with pytest.raises(MeshError, match="length runs from 2 to 1"):
         Parameter("length", 2, 1)
+
+
+def test_what_inference_mode_leaves_behind_can_be_trained_with():
+    with torch.inference_mode():
+        family = Cuboid(triangles=108)
+        family.vertices(family.sample(2, device="cpu"))
+    unit = torch.full((1, len(family.parameters)), 0.5, requires_grad=True)
+    theta = family.from_unit(unit)
+    (family.vertices(theta).sum() + family.to_unit(theta).sum()).backward()
+    assert unit.grad is not None
+    assert not family.faces.is_inference()

@@ -141,6 +141,39 @@ def test_normalized_meshes_fit_the_unit_box():
         assert float(group.vertices.abs().max()) == pytest.approx(1, abs=1e-5)
 
 
+@pytest.mark.parametrize("rotation", [None, 0.0, 30.0])
+@pytest.mark.parametrize("warp", [0.0, 0.95])
+def test_bounds_hold_every_shape_and_little_more(rotation, warp):
+    family = MeshFolder(meshes(), normalize=False, rotation=rotation, warp=warp, scale=(0.5, 1.5))
+    low, high = family.bounds()
+    random = torch.Generator().manual_seed(4)
+    unit = torch.randint(0, 2, (12_000, 26), generator=random).float()
+    # Uniform rotations do not turn furthest at corners of the box.
+    unit[:, 2:5] = torch.rand((12_000, 3), generator=random)
+    # Of all warps those that move some point the same way by all of their waves.
+    to, by = (torch.randint(0, 2, (12_000, *n), generator=random) * 2.0 - 1 for n in ((3, 1), (2, 1, 3)))
+    unit[:, 8:] = (to[:, None] * by).flatten(1) / 2 + 0.5
+    least, most = torch.full((3,), torch.inf), torch.full((3,), -torch.inf)
+    for group in family.groups(family.from_unit(unit)):
+        least = torch.minimum(least, group.vertices.amin((0, 1)))
+        most = torch.maximum(most, group.vertices.amax((0, 1)))
+    assert bool((least >= low).all())
+    assert bool((most <= high).all())
+    assert bool((most - least >= 0.9 * (high - low)).all())
+
+
+def test_the_grid_holds_a_large_mesh_among_many():
+    small = trimesh.creation.icosahedron()
+    one = sdm.TriangleMesh(small.vertices, small.faces)
+    large = sdm.TriangleMesh(10 * one.vertices, one.faces)
+    family = MeshFolder([large if n == 7 else one for n in range(1200)], normalize=False)
+    low, high = family.bounds()
+    theta = family.sample(200, device="cpu")
+    theta[:, 0] = 7.5
+    found = torch.cat([group.vertices for group in family.groups(theta)])
+    assert bool(((found >= low) & (found <= high)).all())
+
+
 def test_both_layouts_are_the_same_surface():
     family = MeshFolder(meshes())
     theta = family.sample(6, seed=4, device="cpu")

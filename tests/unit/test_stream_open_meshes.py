@@ -7,7 +7,7 @@ import torch
 import sdm
 from sdm.demo_mesh import demo_mesh
 from sdm.mesh import TriangleMesh
-from sdm.shapes import MeshFolder
+from sdm.shapes import Group, MeshFolder
 from sdm.stream import SDMStream, topology
 
 
@@ -30,6 +30,25 @@ def test_no_sample_depends_on_its_batch():
         group = next(iter(family.groups(batch.theta[number : number + 1])))
         alone = sdm.signed_distance_map(TriangleMesh(group.vertices[0], group.faces), grid, device="cpu")
         assert torch.equal(batch.sdm[number, 0], alone.values)
+
+
+class Remaking(MeshFolder):
+    """Its faces are new for each batch."""
+
+    def groups(self, theta, host=None):
+        for group in super().groups(theta, host):
+            yield Group(group.rows, group.vertices, group.faces.clone())
+
+
+def test_nothing_is_kept_of_faces_that_are_gone():
+    family = Remaking(meshes(), open_meshes="keep")
+    plain = MeshFolder(family.meshes, open_meshes="keep")
+    grid = plain.grid(8)
+    source = SDMStream(family, grid, 4, device="cpu")
+    for number in range(3):
+        expected = SDMStream(plain, grid, 4, device="cpu").sample(number).sdm
+        assert torch.equal(source.sample(number).sdm, expected)
+    assert len(source.maker._topology._known) == 0
 
 
 def test_topology_is_found_once(monkeypatch):

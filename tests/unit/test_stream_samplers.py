@@ -52,6 +52,14 @@ def test_grid_is_the_papers_static_set_in_each_pass():
     assert torch.equal(ordered[625:1250], ordered[:625])
 
 
+def test_threads_share_a_sampler(monkeypatch):
+    expected = TensorGrid(5).theta(FAMILY, 0, INDEX)
+    # Another thread has always asked about another pass in between.
+    other = property(lambda _: (None, torch.zeros(625, dtype=torch.int64)), lambda _, order: None)
+    monkeypatch.setattr(TensorGrid, "_order", other, raising=False)
+    assert torch.equal(TensorGrid(5).theta(FAMILY, 0, INDEX), expected)
+
+
 def test_table_gives_its_own_rows():
     table = FAMILY.sample(7, seed=1, device="cpu")
     theta = Table(table).theta(FAMILY, 0, torch.arange(14))

@@ -12,7 +12,7 @@ import torch
 import sdm
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import DeviceError, SDMError
-from sdm.shapes import Cochlea, GeometricShapes, MeshFolder
+from sdm.shapes import Cochlea, Ellipsoid, GeometricShapes, MeshFolder
 from sdm.stream import Batch, SDMStream, TensorGrid
 
 FAMILIES = {
@@ -167,10 +167,41 @@ def test_half_precision_and_truncation(family):
     assert torch.equal(half, full.clamp(-limit, limit).half())
 
 
+def test_half_precision_must_hold_the_distances():
+    family = Ellipsoid(triangles=108, sizes=(5e4, 1e5))
+    for truncate in (None, 1e5):
+        with pytest.raises(SDMError, match="float16 ends at 65504: use float32, or truncate"):
+            stream(family, dtype=torch.float16, truncate=truncate)
+    for options in ({"dtype": torch.float16, "truncate": 6e4}, {"dtype": torch.bfloat16}):
+        assert bool(stream(family, 4, **options).sample(0).sdm.isfinite().all())
+
+
 def test_stops_where_it_is_told(family):
     source = stream(family, start=8, stop=16)
     assert [b.index.tolist() for b in source] == [[8, 9, 10, 11], [12, 13, 14, 15]]
     assert list(source) == []
+
+
+def test_goes_on_to_its_stop_and_no_further(monkeypatch):
+    family = Cochlea(600)
+    first = stream(family, 4, stop=16)
+    take(first, 1)
+    state = first.state_dict()
+    resumed = stream(family, 6, stop=12)
+    with pytest.raises(SDMError, match=r"from sample 4 to 12, 8 samples, .* of the 6 of"):
+        resumed.load_state_dict(state)
+    assert resumed.position == 0
+    resumed = stream(family, 2, stop=16)
+    resumed.load_state_dict(state)
+    assert [i for b in resumed for i in b.index.tolist()] == list(range(4, 16))
+    # The process group may be made after the state is loaded.
+    resumed = stream(family, 4, stop=16)
+    resumed.load_state_dict(state)
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 0)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    with pytest.raises(SDMError, match=r"from sample 4 to 16, 12 samples, .* of the 8 of"):
+        next(iter(resumed))
 
 
 def test_refuses_what_makes_no_sense():
