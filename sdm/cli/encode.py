@@ -41,6 +41,7 @@ def encode(
         seed: Of the samples.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    from sdm.cli.inputs import refuse_inputs
     from sdm.deepsdf import DeepSDF, encode_meshes, encode_scan, save_code
     from sdm.errors import FormatError, SDMError
     from sdm.io import load_mesh
@@ -52,6 +53,7 @@ def encode(
         raise FormatError(f"{out} does not end like a code: use .npz")
     if len(shapes) > 1 and out.suffix:
         raise FormatError(f"{out} is one file, but {len(shapes)} shapes were given; give a folder")
+    refuse_inputs([out], [*shapes, model])
     given = None if sphere is None else UnitSphere(sphere[:3], sphere[3])
     found = DeepSDF.load(model, device)
     if scan:

@@ -52,10 +52,12 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
+    from sdm.cli.inputs import refuse_inputs
     from sdm.fit import FitOptions, fit_shape
     from sdm.fit.backends import make_backends
     from sdm.io.atomic import try_to_write
 
+    refuse_inputs([out, mesh, picture], [image, weights])
     for target in (out, mesh, picture):
         if target is not None:
             try_to_write(target)
