@@ -64,6 +64,18 @@ def test_several_shapes_and_a_scan(work: Path, tmp_path: Path) -> None:
     assert main([*words, "-o", str(tmp_path / "scan.npz"), "--steps", "3"]) == 0
 
 
+def test_shapes_of_one_name_lose_no_code(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, out, ball = str(work / "model" / "model.pt"), tmp_path / "codes", work / "meshes" / "0.ply"
+    (tmp_path / "0.ply").write_bytes(ball.read_bytes())
+    words = ["-m", model, "-o", str(out), "--steps", "2"]
+    assert main(["encode", str(ball), str(tmp_path / "0.ply"), *words]) == 2
+    assert "several files are called 0.ply" in capsys.readouterr().err
+    assert not out.exists()
+    trimesh.load_mesh(ball).export(tmp_path / "0.stl")
+    assert main(["encode", str(ball), str(ball), str(tmp_path / "0.stl"), *words]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["0.ply.npz", "0.stl.npz"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
