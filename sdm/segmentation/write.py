@@ -27,7 +27,8 @@ def prediction_files(case: Case, folder: Path) -> tuple[Path, Path]:
 def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Path | None]:
     """Write `NAME.nii.gz` (uint8, 1 inside) and `NAME_sdm.nii.gz` (float32, mm, negative inside, 0 on voxel faces).
 
-    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file.
+    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file, and
+    one that is there is removed.
 
     Returns:
         The two files, None for one that was not written.
@@ -45,6 +46,8 @@ def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Pat
     with replacing(target) as part:
         part.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
     if not label.any() or label.all():
+        # One of an earlier label would be taken for this one's.
+        distances.unlink(missing_ok=True)
         return target, None
     SDM(label_distance_map(label, grid.spacing).cpu(), grid, 0).save(distances)
     return target, distances

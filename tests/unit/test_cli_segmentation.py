@@ -129,6 +129,30 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert "failed, for one of the two labels is empty: case0" in said
 
 
+def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_path):
+    import torch
+
+    from sdm.segmentation import write_prediction
+    from sdm.segmentation.folder import read_images
+
+    (case,) = read_images([trained / "data" / "imagesTs"])
+    some = torch.zeros(case.image.shape, dtype=torch.bool)
+    some[3:6, 3:6, 3:6] = True
+    label, distances = write_prediction(case, some, tmp_path)
+    assert sorted(tmp_path.iterdir()) == [label, distances]
+    assert write_prediction(case, torch.zeros_like(some), tmp_path) == (label, None)
+    assert list(tmp_path.iterdir()) == [label]
+
+
+def test_a_label_is_not_written_over_by_a_distance_map(trained, tmp_path, capsys):
+    capsys.readouterr()
+    paths = [str(tmp_path / f"{name}.nii.gz") for name in ("a_sdm", "a")]
+    for path in paths:
+        nib.save(nib.Nifti1Image(volume(0)[0], AFFINE), path)
+    words = ["segment", *paths, "--model", str(trained / "net" / "model.pt"), "--out", str(tmp_path / "out")]
+    assert "a_sdm.nii.gz would be one image's label and another's distance map" in refused(words, capsys)
+
+
 def test_networks_are_told_positions(trained, tmp_path, capsys):
     data, images = str(trained / "data"), str(trained / "data" / "imagesTs")
     words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
