@@ -61,8 +61,21 @@ def test_a_training_cut_short_goes_on(trained, tmp_path, capsys):
     assert main([*words, "--budget-s", "0"]) == 0
     assert "0 of 3 steps are done" in capsys.readouterr().out
     assert not (tmp_path / "model.pt").exists()
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+    assert "keeps an unfinished training: --resume goes on with it; or remove it" in refused(words, capsys)
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before
     assert main([*words, "--resume"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["model.pt"]
+    assert main(words) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model.pt"]
+
+
+@pytest.mark.parametrize("budget", ["nan", "-1"])
+def test_budgets_that_are_none(trained, tmp_path, capsys, budget):
+    capsys.readouterr()
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path / "net"), *QUICK]
+    assert f"a budget of {budget} seconds trains nothing" in refused([*words, "--budget-s", budget], capsys)
+    assert not (tmp_path / "net").exists()
 
 
 def refused(words, capsys) -> str:

@@ -76,6 +76,14 @@ def test_shapes_of_one_name_lose_no_code(work: Path, tmp_path: Path, capsys: pyt
     assert sorted(p.name for p in out.iterdir()) == ["0.ply.npz", "0.stl.npz"]
 
 
+def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "model.pt").write_bytes(b"mine")
+    assert main(["train", "deepsdf", "cochlea", "-o", str(tmp_path), "--epochs", "1"]) == 2
+    assert "keeps an unfinished training: --resume goes on with it; or remove it" in capsys.readouterr().err
+    assert (tmp_path / "checkpoint" / "model.pt").read_bytes() == b"mine"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
