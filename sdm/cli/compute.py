@@ -50,6 +50,7 @@ def compute(
         orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
         resume: Skip meshes whose map is there already, on the same grid.
     """
+    from sdm.cli.inputs import refuse_inputs
     from sdm.cli.jobs import Settings, run
     from sdm.cli.targets import plan
     from sdm.device import choose_device
@@ -71,4 +72,8 @@ def compute(
         orient=orient,
         resume=resume,
     )
-    return run(plan(meshes, out, format), settings)
+    jobs = plan(meshes, out, format)
+    # A map that is there on its own grid is skipped by --resume, and so may give the grid of the others.
+    like = None if resume else grid_like
+    refuse_inputs((target for _, target in jobs), [*(source for source, _ in jobs), like])
+    return run(jobs, settings)

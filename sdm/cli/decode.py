@@ -33,6 +33,7 @@ def decode(
         resolution: Points along each axis, or pixels of a picture.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    from sdm.cli.inputs import refuse_inputs
     from sdm.deepsdf import DeepSDF, decode_mesh, interpolation_strip, load_code, render, save_picture
     from sdm.errors import FormatError
     from sdm.grid import Grid
@@ -41,6 +42,7 @@ def decode(
 
     if to is not None and out.suffix != ".png":
         raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")
+    refuse_inputs([out], [code, model, to])
     if out.suffix not in (".ply", ".png"):
         check_target(out)
     shape, found = load_code(code), DeepSDF.load(model, device)

@@ -41,6 +41,8 @@ def encode(
         seed: Of the samples.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    from sdm.cli.inputs import refuse_inputs
+    from sdm.cli.targets import targets_in
     from sdm.deepsdf import DeepSDF, encode_meshes, encode_scan, save_code
     from sdm.errors import FormatError, SDMError
     from sdm.io import load_mesh
@@ -52,18 +54,21 @@ def encode(
         raise FormatError(f"{out} does not end like a code: use .npz")
     if len(shapes) > 1 and out.suffix:
         raise FormatError(f"{out} is one file, but {len(shapes)} shapes were given; give a folder")
+    # A file that is named twice is encoded once.
+    sources = list(dict.fromkeys(shapes))
+    targets = [out] if len(shapes) == 1 else targets_in(out, sources, "npz")
+    refuse_inputs(targets, [*sources, model])
     given = None if sphere is None else UnitSphere(sphere[:3], sphere[3])
     found = DeepSDF.load(model, device)
     if scan:
-        codes = [encode_scan(found, *_points(path), sphere=given, steps=steps, seed=seed) for path in shapes]
+        codes = [encode_scan(found, *_points(path), sphere=given, steps=steps, seed=seed) for path in sources]
     else:
-        meshes = [load_mesh(path) for path in shapes]
+        meshes = [load_mesh(path) for path in sources]
         spheres = None if given is None else [given] * len(meshes)
         codes = encode_meshes(found, meshes, steps=steps, seed=seed, spheres=spheres)
     if len(shapes) > 1:
         out.mkdir(parents=True, exist_ok=True)
-    for path, code in zip(shapes, codes, strict=True):
-        target = out if len(shapes) == 1 else out / f"{path.stem}.npz"
+    for target, code in zip(targets, codes, strict=True):
         save_code(code, target)
         print(f"{target}: {found.code_size} numbers, sphere of radius {code.sphere.radius:.4g}")
 

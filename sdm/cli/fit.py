@@ -52,13 +52,12 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
+    from sdm.cli.inputs import refuse_inputs
     from sdm.fit import FitOptions, fit_shape
     from sdm.fit.backends import make_backends
-    from sdm.io.atomic import try_to_write
 
-    for target in (out, mesh, picture):
-        if target is not None:
-            try_to_write(target)
+    refuse_inputs([out, mesh, picture], [image, weights])
+    _check_targets(out, mesh, picture)
     scan = sdm.load(image)
     first, finish = make_backends(backend, triangles=triangles, weights=weights, device=device)
     options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
@@ -74,6 +73,26 @@ def fit(
         if picture is not None:
             draw_fit(scan.values, scan.grid, *surface, picture)
     _print(result)
+
+
+def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
+    """Find out before the fit, which takes minutes, what could not be written after it."""
+    from sdm.errors import FormatError
+    from sdm.fit.drawing import FORMATS
+    from sdm.io.atomic import try_to_write
+    from sdm.io.formats import is_folder
+
+    if mesh is not None and mesh.suffix.lower() != ".ply":
+        raise FormatError(f"{mesh} does not end like the surface that is written there: use .ply")
+    if picture is not None and picture.suffix.lower().lstrip(".") not in FORMATS:
+        raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
+    targets = [target for target in (out, mesh, picture) if target is not None]
+    for number, target in enumerate(targets):
+        if is_folder(target):
+            raise FormatError(f"{target} cannot be written: a folder of that name is there; choose another name")
+        if target.resolve() in [other.resolve() for other in targets[:number]]:
+            raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
+        try_to_write(target)
 
 
 def _print(result: FitResult) -> None:

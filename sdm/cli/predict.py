@@ -34,10 +34,12 @@ def predict(
         weights: Weights of another surrogate, from `sdm train sdmnn`.
         backend: What runs the network; all but torch are optional, and prepare for seconds before they are quick.
     """
+    from sdm.cli.inputs import refuse_inputs
     from sdm.io.formats import check_target
     from sdm.surrogate.exact import exact_map
     from sdm.surrogate.shipped import Predictor
 
+    refuse_inputs([out], [weights])
     check_target(out)
     theta = [a, alpha, b, phi]
     field = exact_map(theta) if exact else Predictor(weights, backend=backend).predict(theta)

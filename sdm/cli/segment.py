@@ -46,13 +46,17 @@ def segment(
             little more accurate.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
+    from collections import Counter
+
+    from sdm.cli.inputs import refuse_inputs
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
-    from sdm.errors import SDMError
+    from sdm.errors import FormatError, SDMError
     from sdm.grid import Grid
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
     from sdm.segmentation.checks import check_spacing
-    from sdm.segmentation.folder import read_images
+    from sdm.segmentation.folder import PARTS, label_files, read_images
+    from sdm.segmentation.write import prediction_files
 
     if not model:
         raise SDMError("there is no network: name its model.pt with --model")
@@ -67,6 +71,13 @@ def segment(
         for one in trained:
             check_spacing(case, one.spacing)
         Grid.from_affine(case.affine, case.image.shape)
+    targets = [path for case in cases for path in prediction_files(case, out)]
+    twice = next((path for path, count in Counter(targets).items() if count > 1), None)
+    if twice is not None:
+        raise FormatError(f"{twice} would be one image's label and another's distance map: segment them apart")
+    # nnU-Net's folder has the true labels beside the images, under the names of those to write.
+    truths = [path for place in images for path in label_files(place / PARTS["train"][2]).values()]
+    refuse_inputs(targets, [*(case.source for case in cases), *truths, *model])
     out.mkdir(parents=True, exist_ok=True)
     empty = []
     with Meter("images") as meter:

@@ -41,17 +41,22 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
         return [(sources[0], out)]
     if one and out.suffix and not out.is_dir():
         raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make the folder")
-    targets = _names(sources, out, ending or DEFAULT_ENDING)
+    targets = targets_in(out, sources, ending or DEFAULT_ENDING)
     _make(out)
     return list(zip(sources, targets, strict=True))
 
 
-def _names(sources: list[Path], out: Path, ending: str) -> list[Path]:
+def targets_in(out: Path, sources: list[Path], ending: str) -> list[Path]:
+    """A file of a folder for each source, named like it; sources that differ by their ending alone keep it.
+
+    Raises:
+        FormatError: Two sources have one name.
+    """
     times = Counter(source.stem for source in sources)
     names = [source.stem if times[source.stem] == 1 else source.name for source in sources]
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
-        raise FormatError(f"several meshes are called {twice}, and their maps would be too: use a folder for each")
+        raise FormatError(f"several files are called {twice}, and so would be what is written: use a folder for each")
     return [out / f"{name}.{ending}" for name in names]
 
 

@@ -48,12 +48,13 @@ def deepsdf(
         width: Neurons of a hidden layer.
         seed: Whole number that everything random depends on.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
-        resume: Go on from OUT/checkpoint if it is there.
+        resume: Go on from OUT/checkpoint if it is there. Without it an unfinished training is never replaced.
         compile: Compile the network first.
     """
     from sdm.budget import check_budget
     from sdm.cli.meter import Meter
     from sdm.deepsdf import train
+    from sdm.deepsdf.checkpoint import refuse_unfinished
     from sdm.deepsdf.ranks import is_first, process_group
     from sdm.deepsdf.settings import VARIANTS
     from sdm.errors import SDMError
@@ -64,6 +65,8 @@ def deepsdf(
     if variant == "local" and budget_s is None and epochs is None:
         raise SDMError("say how long to train: --budget-s or --epochs")
     check_budget(budget_s)
+    if not resume:
+        refuse_unfinished(out)
     with process_group(device) as where:
         found = ShapeSet(_meshes(source, count), where)
         with Meter("steps") as meter:

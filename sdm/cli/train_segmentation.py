@@ -72,12 +72,14 @@ def segmentation(
         budget_s: Seconds of training at most; what is unfinished then goes on with --resume.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         compile: Compile the network first, for long trainings on GPUs.
-        resume: Go on from OUT/checkpoint.pt if it is there.
+        resume: Go on from OUT/checkpoint.pt if it is there. Without it an unfinished training is never replaced.
     """
     import time
 
+    from sdm.budget import check_budget
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
+    from sdm.errors import FormatError
     from sdm.segmentation import (
         Patches,
         Settings,
@@ -111,6 +113,12 @@ def segmentation(
         position=position,
         seed=seed,
     )
+    # None at all is allowed: it shows that the cases can be read.
+    if budget_s:
+        check_budget(budget_s)
+    checkpoint = out / "checkpoint.pt"
+    if not resume and checkpoint.exists():
+        raise FormatError(f"{checkpoint} keeps an unfinished training: --resume goes on with it; or remove it")
     where = choose_device(device)
     cases = read_cases(data, "train")
     check_cases(cases, spacing=spacing)
@@ -119,9 +127,6 @@ def segmentation(
     if others:
         check_cases(others, spacing=cases[0].spacing)
     out.mkdir(parents=True, exist_ok=True)
-    checkpoint = out / "checkpoint.pt"
-    if not resume:
-        checkpoint.unlink(missing_ok=True)
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:

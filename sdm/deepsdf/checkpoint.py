@@ -13,6 +13,8 @@ from sdm.io.torch_file import load_torch, save_torch
 
 KIND = "sdm-deepsdf"
 VERSION = 1
+# The folder of an unfinished training in that of its model.
+CHECKPOINT = "checkpoint"
 MODEL, OPTIMIZER = "model.pt", "optimizer.pt"
 WEIGHTS = Path(__file__).parent / "weights"
 
@@ -28,6 +30,27 @@ def write_both(model: dict[str, Any], optimizer: dict[str, Any], folder: Path) -
         part.mkdir()
         write(model, part / MODEL)
         write(optimizer, part / OPTIMIZER)
+
+
+def refuse_unfinished(folder: Path) -> None:
+    """Refuse to begin a training in a folder whose checkpoint is of one that has not come to its model.
+
+    Raises:
+        FormatError: Names the checkpoint.
+    """
+    last = folder / CHECKPOINT
+    if last.exists() and not _finished(folder / MODEL, last / MODEL):
+        raise FormatError(f"{last} keeps an unfinished training: --resume goes on with it; or remove it")
+
+
+def _finished(model: Path, last: Path) -> bool:
+    """Whether a model is what its training's last checkpoint holds: it may be that of an earlier training."""
+    try:
+        found, kept = read(model), read(last)
+    except FormatError:
+        return False
+    # Seconds are of a clock, and so tell trainings of equal settings apart.
+    return all(found.get(name) == kept.get(name) for name in ("settings", "names", "step", "seconds"))
 
 
 def shipped() -> dict[str, Path]:

@@ -18,6 +18,7 @@ from sdm.budget import share_done
 from sdm.deepsdf import checkpoint
 from sdm.deepsdf.auto_decoder import AutoDecoder
 from sdm.deepsdf.batches import Batches, mixed
+from sdm.deepsdf.checkpoint import CHECKPOINT
 from sdm.deepsdf.progress import code_weight, rate_factor
 from sdm.deepsdf.settings import Settings
 from sdm.device import choose_device
@@ -25,7 +26,6 @@ from sdm.errors import FormatError, SDMError
 from sdm.memory import to_device
 from sdm.sampling import SampleSource, UnitSphere
 
-CHECKPOINT = "checkpoint"
 # How many steps the device may be behind before the loss is read and the clock is looked at.
 LOOK_EVERY = 10
 
@@ -55,7 +55,7 @@ def train(
         budget_s: Seconds of training at most, over all restarts, compiling apart. The schedule fits itself to what ends
             first.
         device: Where to train; by default a GPU if there is one.
-        resume: Go on from the folder's checkpoint if there is one.
+        resume: Go on from the folder's checkpoint if there is one. Else one of an unfinished training is refused.
         checkpoint_every_s: Seconds between checkpoints.
         compile_network: By torch.compile; by default on GPUs.
         progress: Called now and then with the step, the number of steps, and the loss.
@@ -64,7 +64,7 @@ def train(
         The model's file.
 
     Raises:
-        FormatError: The checkpoint is of other settings or shapes.
+        FormatError: The checkpoint is of other settings or shapes, or of an unfinished training that is not resumed.
         SDMError: The loss is not finite any more, or the budget is not positive.
 
     Under an initialised process group the shapes of a batch are shared by the ranks, and rank 0 writes.
@@ -72,6 +72,8 @@ def train(
     run = Trainer(source, settings, folder, names=names, spheres=spheres, device=device)
     if resume:
         run.restore()
+    else:
+        checkpoint.refuse_unfinished(run.folder)
     run.prepare(run.device.type == "cuda" if compile_network is None else compile_network)
     with own_random(settings, run.device):
         run.go(budget_s, checkpoint_every_s, progress)

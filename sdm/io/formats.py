@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -13,9 +14,12 @@ from sdm.device import free_memory, require_memory
 from sdm.errors import FormatError, GridError
 from sdm.grid import Grid
 from sdm.io.atomic import try_to_write
+from sdm.io.record import KEY
 
 # Bytes that are always there; asking takes time.
 SMALL = 1 << 26
+# What makes a folder a Zarr array or group.
+METADATA = "zarr.json"
 
 
 @dataclass(frozen=True)
@@ -72,10 +76,22 @@ def check_target(path: Path) -> Format:
             kind has that name.
     """
     found = format_of(path)
-    if is_folder(path) and not (found.streamed and (path / "zarr.json").is_file()):
-        raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
+    if is_folder(path):
+        if not (found.streamed and (path / METADATA).is_file()):
+            raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
+        if not _is_map(path):
+            raise FormatError(f"{path} cannot be written: what is there is no map of sdm; choose another name")
     try_to_write(path)
     return found
+
+
+def _is_map(path: Path) -> bool:
+    """Whether a Zarr folder is a map that `sdm.io.zarr` wrote: data sets and others' arrays are not to be replaced."""
+    try:
+        found = json.loads((path / METADATA).read_bytes())
+        return found["node_type"] == "array" and KEY in found["attributes"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return False
 
 
 def is_folder(path: Path) -> bool:

@@ -26,11 +26,11 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
     Raises:
         FormatError: A prediction has no truth, or one of another shape or place.
     """
-    found = _labels(predictions)
+    found = labels_of(predictions)
     found = {name: path for name, path in found.items() if not name.endswith(DISTANCES)}
     if not found:
         raise FormatError(f"{predictions} holds no labels to evaluate")
-    known = _labels(truths)
+    known = labels_of(truths)
     if truths.is_file() and predictions.is_file():
         known = dict.fromkeys(found, truths)
     missing = [name for name in found if name not in known]
@@ -48,7 +48,8 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
         yield name, first, second, prediction.spacing
 
 
-def _labels(place: Path) -> dict[str, Path]:
+def labels_of(place: Path) -> dict[str, Path]:
+    """A label's file, or those of a folder, by name."""
     files = [place] if place.is_file() else nifti_files(place) or hdf5_files(place)
     return {stem_of(p) if p.name.endswith(NIFTI) else p.stem: p for p in files}
 

@@ -19,10 +19,16 @@ from sdm.segmentation.predict import label_distance_map
 SCANNER = 1
 
 
+def prediction_files(case: Case, folder: Path) -> tuple[Path, Path]:
+    """Where `write_prediction` writes the label and its distance map."""
+    return folder / f"{case.name}{ENDINGS[0]}", folder / f"{case.name}_sdm{ENDINGS[0]}"
+
+
 def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Path | None]:
     """Write `NAME.nii.gz` (uint8, 1 inside) and `NAME_sdm.nii.gz` (float32, mm, negative inside, 0 on voxel faces).
 
-    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file.
+    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file, and
+    one that is there is removed.
 
     Returns:
         The two files, None for one that was not written.
@@ -32,7 +38,7 @@ def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Pat
         FormatError: The folder cannot be written.
     """
     grid = Grid.from_affine(case.affine, label.shape)
-    target = folder / f"{case.name}{ENDINGS[0]}"
+    target, distances = prediction_files(case, folder)
     image = nib.Nifti1Image(label.cpu().numpy().astype(np.uint8), case.affine)
     image.header.set_xyzt_units("mm", "unknown")
     image.set_sform(case.affine, SCANNER)
@@ -40,7 +46,8 @@ def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Pat
     with replacing(target) as part:
         part.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
     if not label.any() or label.all():
+        # One of an earlier label would be taken for this one's.
+        distances.unlink(missing_ok=True)
         return target, None
-    distances = folder / f"{case.name}_sdm{ENDINGS[0]}"
     SDM(label_distance_map(label, grid.spacing).cpu(), grid, 0).save(distances)
     return target, distances

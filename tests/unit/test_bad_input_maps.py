@@ -180,6 +180,33 @@ def test_a_file_in_place_of_a_zarr_is_replaced(tmp_path):
     assert load(tmp_path / "map.zarr").grid == GRID
 
 
+@pytest.mark.parametrize("kind", ["group", "array", "data set", "damaged"])
+def test_a_zarr_that_is_no_map_is_never_replaced(kind, tmp_path):
+    import zarr
+
+    path = tmp_path / "map.zarr"
+    if kind == "array":
+        zarr.create_array(store=path, shape=(3,), dtype="float32", attributes={"mine": 1})
+    else:
+        # A data set of sdm generate keeps its manifest under the same key as a map.
+        zarr.create_group(store=path, attributes={"sdm": {"version": 1}} if kind == "data set" else {})
+    if kind == "damaged":
+        (path / "zarr.json").write_text("{")
+    before = (path / "zarr.json").read_text()
+    for call in (check_target, lambda target: save(FIELD, target)):
+        with pytest.raises(FormatError) as error:
+            call(path)
+        one_sentence(error, "map.zarr cannot be written: what is there is no map of sdm")
+    assert (path / "zarr.json").read_text() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_zarr_map_is_replaced(tmp_path):
+    save(SDM(FIELD.values + 1, GRID, 0), tmp_path / "map.zarr")
+    save(FIELD, tmp_path / "map.zarr")
+    assert torch.equal(load(tmp_path / "map.zarr").values, FIELD.values)
+
+
 def test_a_target_is_checked_without_touching_it(tmp_path):
     (tmp_path / "map.npz").write_text("old")
     check_target(tmp_path / "map.npz")

@@ -61,8 +61,21 @@ def test_a_training_cut_short_goes_on(trained, tmp_path, capsys):
     assert main([*words, "--budget-s", "0"]) == 0
     assert "0 of 3 steps are done" in capsys.readouterr().out
     assert not (tmp_path / "model.pt").exists()
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+    assert "keeps an unfinished training: --resume goes on with it; or remove it" in refused(words, capsys)
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before
     assert main([*words, "--resume"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["model.pt"]
+    assert main(words) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["model.pt"]
+
+
+@pytest.mark.parametrize("budget", ["nan", "-1"])
+def test_budgets_that_are_none(trained, tmp_path, capsys, budget):
+    capsys.readouterr()
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path / "net"), *QUICK]
+    assert f"a budget of {budget} seconds trains nothing" in refused([*words, "--budget-s", budget], capsys)
+    assert not (tmp_path / "net").exists()
 
 
 def refused(words, capsys) -> str:
@@ -127,6 +140,30 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert case["hausdorff95_mm"] is None
     assert "| case0 | 0.00 |" in said
     assert "failed, for one of the two labels is empty: case0" in said
+
+
+def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_path):
+    import torch
+
+    from sdm.segmentation import write_prediction
+    from sdm.segmentation.folder import read_images
+
+    (case,) = read_images([trained / "data" / "imagesTs"])
+    some = torch.zeros(case.image.shape, dtype=torch.bool)
+    some[3:6, 3:6, 3:6] = True
+    label, distances = write_prediction(case, some, tmp_path)
+    assert sorted(tmp_path.iterdir()) == [label, distances]
+    assert write_prediction(case, torch.zeros_like(some), tmp_path) == (label, None)
+    assert list(tmp_path.iterdir()) == [label]
+
+
+def test_a_label_is_not_written_over_by_a_distance_map(trained, tmp_path, capsys):
+    capsys.readouterr()
+    paths = [str(tmp_path / f"{name}.nii.gz") for name in ("a_sdm", "a")]
+    for path in paths:
+        nib.save(nib.Nifti1Image(volume(0)[0], AFFINE), path)
+    words = ["segment", *paths, "--model", str(trained / "net" / "model.pt"), "--out", str(tmp_path / "out")]
+    assert "a_sdm.nii.gz would be one image's label and another's distance map" in refused(words, capsys)
 
 
 def test_networks_are_told_positions(trained, tmp_path, capsys):

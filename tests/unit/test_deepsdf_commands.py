@@ -64,6 +64,26 @@ def test_several_shapes_and_a_scan(work: Path, tmp_path: Path) -> None:
     assert main([*words, "-o", str(tmp_path / "scan.npz"), "--steps", "3"]) == 0
 
 
+def test_shapes_of_one_name_lose_no_code(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, out, ball = str(work / "model" / "model.pt"), tmp_path / "codes", work / "meshes" / "0.ply"
+    (tmp_path / "0.ply").write_bytes(ball.read_bytes())
+    words = ["-m", model, "-o", str(out), "--steps", "2"]
+    assert main(["encode", str(ball), str(tmp_path / "0.ply"), *words]) == 2
+    assert "several files are called 0.ply" in capsys.readouterr().err
+    assert not out.exists()
+    trimesh.load_mesh(ball).export(tmp_path / "0.stl")
+    assert main(["encode", str(ball), str(ball), str(tmp_path / "0.stl"), *words]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["0.ply.npz", "0.stl.npz"]
+
+
+def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "model.pt").write_bytes(b"mine")
+    assert main(["train", "deepsdf", "cochlea", "-o", str(tmp_path), "--epochs", "1"]) == 2
+    assert "keeps an unfinished training: --resume goes on with it; or remove it" in capsys.readouterr().err
+    assert (tmp_path / "checkpoint" / "model.pt").read_bytes() == b"mine"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from sdm.deepsdf import DeepSDF, local, published, train
+from sdm.deepsdf import DeepSDF, checkpoint, local, published, train
 from sdm.deepsdf import training as module
 from sdm.deepsdf.batches import Batches
 from sdm.deepsdf.progress import code_weight, rate_factor
@@ -65,10 +65,24 @@ def test_a_training_that_was_killed_ends_with_the_same_weights(
         run(shapes, tmp_path / "parts", checkpoint_every_s=0.0)
     assert not (tmp_path / "parts" / "model.pt").exists()
     monkeypatch.setattr(module.Trainer, "update", update)
+    with pytest.raises(FormatError, match="keeps an unfinished training: --resume goes on with it; or remove it"):
+        run(shapes, tmp_path / "parts")
     torch.manual_seed(99)
     parts = run(shapes, tmp_path / "parts", resume=True)
     assert parts["step"] == whole["step"] == 40
     assert all(torch.equal(whole["state"][name], parts["state"][name]) for name in whole["state"])
+
+
+def test_a_finished_training_may_be_replaced_but_not_an_unfinished_one_beside_its_model(
+    shapes: ShapeSet, tmp_path: Path
+) -> None:
+    first, second = run(shapes, tmp_path, budget_s=0.01), run(shapes, tmp_path, budget_s=0.01)
+    assert first["seconds"] != second["seconds"]
+    # What a third training leaves that is killed: its checkpoint beside the second's model.
+    kept = torch.load(tmp_path / "checkpoint" / "model.pt", weights_only=True)
+    checkpoint.write({**kept, "seconds": 123.0}, tmp_path / "checkpoint" / "model.pt")
+    with pytest.raises(FormatError, match="keeps an unfinished training"):
+        run(shapes, tmp_path, budget_s=0.01)
 
 
 def test_nobody_elses_random_numbers_change(shapes: ShapeSet, tmp_path: Path) -> None:

@@ -66,6 +66,43 @@ def test_options_that_no_fit_can_be_made_with(
     assert capsys.readouterr().err == f"sdm: {said}\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--out", "fit.json", "--picture", "r.bmp"], "r.bmp does not end like a picture: use one of .png, .pdf, .svg"),
+        (
+            ["--out", "fit.json", "--mesh", "r.stl"],
+            "r.stl does not end like the surface that is written there: use .ply",
+        ),
+        (["--out", "r.json", "--mesh", "r.json"], "r.json does not end like the surface"),
+        (
+            ["--out", "r.ply", "--mesh", "here/../r.ply"],
+            "r.ply is given for two outputs, and one would replace the other",
+        ),
+        (["--out", "r.png", "--picture", "r.png"], "r.png is given for two outputs"),
+        (["--out", "here"], "here cannot be written: a folder of that name is there"),
+        (
+            ["--out", "fit.json", "--mesh", "here/fit.ply"],
+            "fit.ply cannot be written: a folder of",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_the_fit(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here" / "fit.ply").mkdir(parents=True)
+    # There is no image: whatever is said was found out before it was read.
+    assert main(["fit", "none.nii.gz", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "fit.ply"]
+
+
 def test_a_missing_image_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(tmp_path / "none.nii.gz"), "-o", str(tmp_path / "fit.json")]) == 2
     assert "there is no file" in capsys.readouterr().err

@@ -1,0 +1,31 @@
+"""Inputs are never outputs: a command that would write over what it reads is refused before any work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from sdm.errors import FormatError
+
+
+def refuse_inputs(targets: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Refuse to write over a file that is read, under whatever name; None stands for an option that is not given.
+
+    Raises:
+        FormatError: A target is an input.
+    """
+    read = {found for path in inputs if (found := _identity(path)) is not None}
+    for target in targets:
+        if _identity(target) in read:
+            raise FormatError(f"{target} is an input too, and would be lost: choose another name for the output")
+
+
+def _identity(path: Path | None) -> tuple[int, int] | None:
+    """What links and other spellings of a name share; None where nothing is, which nothing can be lost from."""
+    if path is None:
+        return None
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
