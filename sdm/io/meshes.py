@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.io.atomic import replacing
+from sdm.io.polygons import cut_ply, cut_text
 from sdm.io.sentence import one_line
 from sdm.io.whole import check_whole
 from sdm.mesh import TriangleMesh
@@ -29,8 +31,8 @@ def load_mesh(path: str | Path) -> TriangleMesh:
 
     Returns:
         The mesh, named like the file. Scenes are one mesh, each part where the scene puts it; polygons are cut into
-        triangles; every face is kept, zero-area and repeated ones too. Vertices at exactly equal positions (after
-        rounding to float32) are merged, so that a closed STL file is closed.
+        triangles, concave ones of OBJ, PLY and OFF too; every face is kept, zero-area and repeated ones too. Vertices
+        at exactly equal positions (after rounding to float32) are merged, so that a closed STL file is closed.
 
     Raises:
         MeshError: No such file, a folder, an ending that is not known, a file that is damaged or holds no triangles,
@@ -99,7 +101,10 @@ def _parse(path: Path) -> Any:
         check_whole(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return trimesh.load_scene(path, process=False, **options)
+            text = cut_text(path)
+            if text is None:
+                return trimesh.load_scene(path, process=False, **options)
+            return trimesh.load_scene(BytesIO(text), file_type=path.suffix[1:].lower(), process=False, **options)
     except (MeshError, MemoryError):
         raise
     except IndexError as error:
@@ -124,7 +129,7 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
         part = scene.geometry[name]
         if not isinstance(part, trimesh.Trimesh) or len(part.faces) == 0:
             continue
-        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        vertices, faces = cut_ply(part) or (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
         # Here, since the next part's vertices would hide it.
         if faces.min() < 0 or faces.max() >= len(vertices):
             bad = int(faces.min() if faces.min() < 0 else faces.max())
