@@ -66,7 +66,8 @@ class ShapeSet:
         vertices, faces, count = [], [], 0
         for mesh, sphere, place in zip(meshes, self.spheres, self._places, strict=True):
             unit = sphere.to_unit(mesh.vertices.detach().to(self.device))
-            if float(unit.norm(dim=1).max()) > 1 + 1e-5:
+            # Of the vertices that faces use, as for the sphere: others are no part of the shape.
+            if float(unit[mesh.faces.to(self.device).unique().long()].norm(dim=1).max()) > 1 + 1e-5:
                 raise MeshError(f"{mesh.name} reaches out of its unit sphere; give a larger radius")
             vertices.append(unit + place)
             faces.append(mesh.faces.to(self.device) + count)

@@ -163,6 +163,14 @@ def test_bad_input_is_said() -> None:
     assert SampleDistribution(box=1.5).box == 1.5
 
 
+def test_vertices_that_no_face_uses_are_no_part_of_a_shape() -> None:
+    stray = torch.tensor([[50.0, 50, 50]])
+    with_stray = TriangleMesh(torch.cat([ball().vertices, stray]), ball().faces, "stray")
+    found, wanted = (ShapeSet([mesh], "cpu").sample(torch.tensor([0]), 200) for mesh in (with_stray, ball()))
+    assert torch.equal(found.points, wanted.points)
+    assert torch.equal(found.values, wanted.values)
+
+
 def test_points_of_a_surface_are_on_it_and_spread_by_area() -> None:
     box = trimesh.creation.box((1, 2, 4))
     mesh = TriangleMesh(box.vertices, box.faces)
