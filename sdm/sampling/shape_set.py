@@ -13,6 +13,7 @@ from torch import Tensor
 from sdm.device import choose_device
 from sdm.engine import MeshIndex
 from sdm.errors import MeshError
+from sdm.inspect import orient_outward
 from sdm.kernels.launch import launch
 from sdm.kernels.samples import Law, Scene, draw
 from sdm.memory import as_warp, on_current_stream
@@ -31,7 +32,8 @@ class ShapeSet:
     """Exact samples of many closed meshes, normalised and laid out in one scene with room between them.
 
     Args:
-        meshes: Closed meshes, each in its own unit.
+        meshes: Closed meshes, each in its own unit. One that is inside out as a whole is turned, so that values are
+            negative within every shape; faces keep their order.
         device: Where to compute; by default a GPU if there is one.
         spheres: The normalisation of each mesh; its own unit sphere if not given.
         distribution: Where samples are.
@@ -70,7 +72,8 @@ class ShapeSet:
             if float(unit[mesh.faces.to(self.device).unique().long()].norm(dim=1).max()) > 1 + 1e-5:
                 raise MeshError(f"{mesh.name} reaches out of its unit sphere; give a larger radius")
             vertices.append(unit + place)
-            faces.append(mesh.faces.to(self.device) + count)
+            # The mesh, not the scene: the volumes of the others would hide that one is inside out.
+            faces.append(orient_outward(mesh.to(self.device)).faces + count)
             count += len(unit)
         self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)], device="cpu").cumsum(0).tolist()
         self._first_face = torch.tensor([0, *(len(f) for f in faces)], device="cpu").cumsum(0).tolist()

@@ -163,6 +163,15 @@ def test_bad_input_is_said() -> None:
     assert SampleDistribution(box=1.5).box == 1.5
 
 
+def test_a_mesh_that_is_inside_out_is_turned() -> None:
+    shapes = ShapeSet([ball(2.0).flipped(), ball()], "cpu")
+    centre, outside = shapes.signed_distance(torch.tensor([0, 1]), torch.tensor([[[0.0, 0, 0], [1.2, 0, 0]]] * 2)).T
+    assert (centre < 0).all()
+    assert (outside > 0).all()
+    assert torch.equal(shapes.mesh(1).faces, ball().faces)
+    assert torch.equal(shapes.mesh(0).faces, ball().faces)
+
+
 def test_vertices_that_no_face_uses_are_no_part_of_a_shape() -> None:
     stray = torch.tensor([[50.0, 50, 50]])
     with_stray = TriangleMesh(torch.cat([ball().vertices, stray]), ball().faces, "stray")
