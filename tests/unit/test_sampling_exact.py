@@ -172,6 +172,21 @@ def test_a_mesh_that_is_inside_out_is_turned() -> None:
     assert torch.equal(shapes.mesh(0).faces, ball().faces)
 
 
+def test_shapes_that_are_not_there_are_refused_on_a_cpu_and_read_no_other_memory(device: str) -> None:
+    shapes = ShapeSet([ball(), ball(2.0)], device)
+    asked, points = torch.tensor([-1, 5], device=device), torch.zeros(2, 1, 3, device=device)
+    if device == "cpu":
+        for call in (lambda: shapes.sample(asked[1:], 5), lambda: shapes.signed_distance(asked[1:], points[1:])):
+            with pytest.raises(SDMError, match="shape 5 is not there: the set has 2, numbered from 0"):
+                call()
+        with pytest.raises(SDMError, match="shape -1 is not there"):
+            shapes.sample(asked, 5)
+    else:
+        there = torch.tensor([0, 1], device=device)
+        assert torch.equal(shapes.sample(asked, 5).values, shapes.sample(there, 5).values)
+        assert torch.equal(shapes.signed_distance(asked, points), shapes.signed_distance(there, points))
+
+
 def test_vertices_that_no_face_uses_are_no_part_of_a_shape() -> None:
     stray = torch.tensor([[50.0, 50, 50]])
     with_stray = TriangleMesh(torch.cat([ball().vertices, stray]), ball().faces, "stray")
