@@ -40,7 +40,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     """
     source = Path(path)
     _check_file(source)
-    vertices, faces = _flatten(_parse(source), source)
+    vertices, faces = _read(source)
     if len(faces) == 0:
         raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
     wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > np.finfo(np.float32).max).any(1)
@@ -93,18 +93,14 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join((*USUAL, *others))}")
 
 
-def _parse(path: Path) -> Any:
-    import trimesh
-
-    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V,3) float64 and faces (F,3) int64 of a file; whatever is wrong with it is one sentence."""
     try:
         check_whole(path)
+        # A scene is odd only once it is gone through: trimesh keeps rows of any length, and makes hashes of names.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            text = cut_text(path)
-            if text is None:
-                return trimesh.load_scene(path, process=False, **options)
-            return trimesh.load_scene(BytesIO(text), file_type=path.suffix[1:].lower(), process=False, **options)
+            return _flatten(_parse(path), path)
     except (MeshError, MemoryError):
         raise
     except IndexError as error:
@@ -112,10 +108,23 @@ def _parse(path: Path) -> Any:
         raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({why})") from error
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
+    except UnicodeEncodeError as error:
+        raise MeshError(f"{path} cannot be read: its name, or one in it, is not UTF-8; give it another") from error
     # Parsers of damaged files raise whatever they come across.
     except Exception as error:
         why = one_line(error)
         raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
+
+
+def _parse(path: Path) -> Any:
+    """What trimesh makes of a file."""
+    import trimesh
+
+    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+    text = cut_text(path)
+    if text is None:
+        return trimesh.load_scene(path, process=False, **options)
+    return trimesh.load_scene(BytesIO(text), file_type=path.suffix[1:].lower(), process=False, **options)
 
 
 def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -130,6 +139,8 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
         if not isinstance(part, trimesh.Trimesh) or len(part.faces) == 0:
             continue
         vertices, faces = cut_ply(part) or (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise MeshError(f"a vertex of {path} has fewer than 3 coordinates; each needs x, y and z")
         # Here, since the next part's vertices would hide it.
         if faces.min() < 0 or faces.max() >= len(vertices):
             bad = int(faces.min() if faces.min() < 0 else faces.max())
