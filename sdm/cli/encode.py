@@ -31,8 +31,8 @@ def encode(
     Writes .npz files for sdm decode. Several meshes are encoded at once, which is faster than one by one.
 
     Args:
-        shapes: Closed meshes; with --scan, points: .npy of (N,3), or (N,6) with outward normals, or a mesh file whose
-            vertices are the points.
+        shapes: Closed meshes, turned if they are inside out; with --scan, points: .npy of (N,3), or (N,6) with outward
+            normals, or a mesh file whose vertices are the points.
         model: What sdm train deepsdf wrote, or cochlea: the one that comes with the package.
         out: File to write, ending in .npz; or for several shapes a folder.
         scan: The shapes are points of surfaces, perhaps of a part: find whole shapes that go through them.

@@ -37,7 +37,7 @@ def deepsdf(
     own: give --budget-s or --epochs. Under torchrun the shapes of a batch are shared by the processes.
 
     Args:
-        source: A family (cochlea, ...), or a folder of closed meshes.
+        source: A family (cochlea, ...), or a folder of closed meshes, which are turned if they are inside out.
         out: Folder for the model; made if it is not there.
         variant: published: one code a shape; local: codes on coarse grids too, for unseen shapes of small sets.
         count: Shapes of a family.

@@ -33,7 +33,7 @@ def encode_meshes(
 
     Args:
         model: A trained model.
-        meshes: Closed meshes.
+        meshes: Closed meshes; one that is inside out is turned first.
         steps: Of the search.
         points: Samples of each shape and step.
         seed: Of the samples.

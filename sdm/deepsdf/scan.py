@@ -31,7 +31,8 @@ class Scan:
             then what is inside is for the prior to say.
 
     Raises:
-        SDMError: Fewer than 100 points, a point that is not finite, or normals of another shape.
+        SDMError: Fewer than 100 points, a point that is not finite, or normals of another shape, not finite or of
+            length 0.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class Scan:
                 raise SDMError(
                     f"the scan has {tuple(at.shape)} points and {tuple(out.shape)} normals; give one for each"
                 )
-            self._normals = normalize(out, dim=-1)
+            self._normals = _unit(out)
         self._count = min(count, at.shape[1])
         self._seed, self._offset = seed, offset
 
@@ -68,6 +69,20 @@ class Scan:
         off = self._offset * self._normals[:, chosen]
         values = torch.full(at.shape[:2], self._offset, device=device)
         return Samples(torch.cat([at + off, at - off], 1), torch.cat([values, -values], 1))
+
+
+def _unit(normals: Tensor) -> Tensor:
+    """Normals (B,N,3) with length 1."""
+    # The squares of lengths that float32 holds are beyond it.
+    wide = normals.double()
+    wrong = ~(wide.isfinite().all(-1) & (wide.norm(dim=-1) > 0))
+    if bool(wrong.any()):
+        row = int(wrong.nonzero()[0, -1])
+        raise SDMError(
+            f"{int(wrong.sum())} normals of the scan are not finite or have no length, the first in row {row} "
+            f"({normals[wrong][0].tolist()}); leave those points out, or give no normals"
+        )
+    return normalize(wide, dim=-1, eps=0.0).float()
 
 
 def half_of(points: Tensor, direction: Tensor) -> Tensor:

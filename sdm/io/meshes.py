@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.io.atomic import replacing
+from sdm.io.polygons import cut_ply, cut_text
 from sdm.io.sentence import one_line
 from sdm.io.whole import check_whole
 from sdm.mesh import TriangleMesh
@@ -29,8 +31,8 @@ def load_mesh(path: str | Path) -> TriangleMesh:
 
     Returns:
         The mesh, named like the file. Scenes are one mesh, each part where the scene puts it; polygons are cut into
-        triangles; every face is kept, zero-area and repeated ones too. Vertices at exactly equal positions (after
-        rounding to float32) are merged, so that a closed STL file is closed.
+        triangles, concave ones of OBJ, PLY and OFF too; every face is kept, zero-area and repeated ones too. Vertices
+        at exactly equal positions (after rounding to float32) are merged, so that a closed STL file is closed.
 
     Raises:
         MeshError: No such file, a folder, an ending that is not known, a file that is damaged or holds no triangles,
@@ -38,7 +40,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     """
     source = Path(path)
     _check_file(source)
-    vertices, faces = _flatten(_parse(source), source)
+    vertices, faces = _read(source)
     if len(faces) == 0:
         raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
     wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > np.finfo(np.float32).max).any(1)
@@ -91,15 +93,14 @@ def _check_file(path: Path) -> None:
         raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join((*USUAL, *others))}")
 
 
-def _parse(path: Path) -> Any:
-    import trimesh
-
-    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V,3) float64 and faces (F,3) int64 of a file; whatever is wrong with it is one sentence."""
     try:
         check_whole(path)
+        # A scene is odd only once it is gone through: trimesh keeps rows of any length, and makes hashes of names.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return trimesh.load_scene(path, process=False, **options)
+            return _flatten(_parse(path), path)
     except (MeshError, MemoryError):
         raise
     except IndexError as error:
@@ -107,10 +108,23 @@ def _parse(path: Path) -> Any:
         raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({why})") from error
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
+    except UnicodeEncodeError as error:
+        raise MeshError(f"{path} cannot be read: its name, or one in it, is not UTF-8; give it another") from error
     # Parsers of damaged files raise whatever they come across.
     except Exception as error:
         why = one_line(error)
         raise MeshError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error
+
+
+def _parse(path: Path) -> Any:
+    """What trimesh makes of a file."""
+    import trimesh
+
+    options: dict[str, Any] = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+    text = cut_text(path)
+    if text is None:
+        return trimesh.load_scene(path, process=False, **options)
+    return trimesh.load_scene(BytesIO(text), file_type=path.suffix[1:].lower(), process=False, **options)
 
 
 def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +138,9 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
         part = scene.geometry[name]
         if not isinstance(part, trimesh.Trimesh) or len(part.faces) == 0:
             continue
-        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        vertices, faces = cut_ply(part) or (np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64))
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise MeshError(f"a vertex of {path} has fewer than 3 coordinates; each needs x, y and z")
         # Here, since the next part's vertices would hide it.
         if faces.min() < 0 or faces.max() >= len(vertices):
             bad = int(faces.min() if faces.min() < 0 else faces.max())

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from sdm.device import choose_device
 from sdm.engine import MeshIndex
-from sdm.errors import MeshError
+from sdm.errors import MeshError, SDMError
+from sdm.inspect import orient_outward
 from sdm.kernels.launch import launch
 from sdm.kernels.samples import Law, Scene, draw
 from sdm.memory import as_warp, on_current_stream
@@ -31,7 +32,8 @@ class ShapeSet:
     """Exact samples of many closed meshes, normalised and laid out in one scene with room between them.
 
     Args:
-        meshes: Closed meshes, each in its own unit.
+        meshes: Closed meshes, each in its own unit. One that is inside out as a whole is turned, so that values are
+            negative within every shape; faces keep their order.
         device: Where to compute; by default a GPU if there is one.
         spheres: The normalisation of each mesh; its own unit sphere if not given.
         distribution: Where samples are.
@@ -66,10 +68,12 @@ class ShapeSet:
         vertices, faces, count = [], [], 0
         for mesh, sphere, place in zip(meshes, self.spheres, self._places, strict=True):
             unit = sphere.to_unit(mesh.vertices.detach().to(self.device))
-            if float(unit.norm(dim=1).max()) > 1 + 1e-5:
+            # Of the vertices that faces use, as for the sphere: others are no part of the shape.
+            if float(unit[mesh.faces.to(self.device).unique().long()].norm(dim=1).max()) > 1 + 1e-5:
                 raise MeshError(f"{mesh.name} reaches out of its unit sphere; give a larger radius")
             vertices.append(unit + place)
-            faces.append(mesh.faces.to(self.device) + count)
+            # The mesh, not the scene: the volumes of the others would hide that one is inside out.
+            faces.append(orient_outward(mesh.to(self.device)).faces + count)
             count += len(unit)
         self._first_vertex = torch.tensor([0, *(len(v) for v in vertices)], device="cpu").cumsum(0).tolist()
         self._first_face = torch.tensor([0, *(len(f) for f in faces)], device="cpu").cumsum(0).tolist()
@@ -101,7 +105,8 @@ class ShapeSet:
         """Fresh samples with exact signed distances, on the device; nothing waits for it.
 
         Args:
-            shapes: (B,) int64 numbers of shapes on the device.
+            shapes: (B,) int64 numbers of shapes on the device. On a CPU each must be there; on a GPU, where a look at
+                them would wait, a number out of range is taken for the nearest one that is there.
             points: Samples of each shape.
             seed: Whole number.
             step: Number of the training step.
@@ -109,6 +114,9 @@ class ShapeSet:
         Returns:
             Points (B,points,3) and values (B,points): a pure function of (seed, step, shape), whatever the batch.
             Surface points are stratified: one in each of equal parts of the area, in the order of the faces.
+
+        Raises:
+            SDMError: On a CPU, a number of a shape that is not there.
         """
         law = Law()
         law.near = self.distribution.near_count(points)
@@ -116,7 +124,7 @@ class ShapeSet:
         law.box, law.reach = self.distribution.box, REACH
         in_scene = torch.empty(len(shapes), points, 3, dtype=torch.float32, device=self.device)
         own = torch.empty_like(in_scene)
-        chosen = shapes.to(torch.int64).contiguous()
+        chosen = self._in_range(shapes).contiguous()
         with on_current_stream(in_scene, chosen, *self._tables()):
             draw(
                 self._scene,
@@ -131,6 +139,16 @@ class ShapeSet:
             )
         values = self._index.distances_in(self._cube, in_scene.view(-1, 3))
         return Samples(own, values.view(own.shape[:2]))
+
+    def _in_range(self, shapes: Tensor) -> Tensor:
+        """Numbers of shapes, int64, none of which reads other memory; see `sample`."""
+        numbers = shapes.to(torch.int64)
+        if numbers.device.type != "cpu":
+            return numbers.clamp(0, len(self) - 1)
+        wrong = numbers[(numbers < 0) | (numbers >= len(self))]
+        if len(wrong):
+            raise SDMError(f"shape {int(wrong[0])} is not there: the set has {len(self)}, numbered from 0")
+        return numbers
 
     def _tables(self) -> tuple[Tensor, ...]:
         return self._places, self._corners, self._areas, self._area_before, self._area_size, self._last_face
@@ -150,9 +168,10 @@ class ShapeSet:
     def signed_distance(self, shapes: Tensor, points: Tensor) -> Tensor:
         """Exact signed distances (B,N) of points (B,N,3) of [-1.5,1.5]^3 from shapes (B,), in unit-sphere radii.
 
-        A point is first rounded as the vertices are. NaN for points further out or not finite.
+        A point is first rounded as the vertices are. NaN for points further out or not finite. Numbers of shapes are
+        as for `sample`.
         """
-        centre = self._places[shapes, None]
+        centre = self._places[self._in_range(shapes), None]
         values = self._index.signed_distance(points.to(self.device) + centre)
         return values.masked_fill((points.abs().amax(-1) > REACH).to(self.device), math.nan)
 

@@ -79,6 +79,21 @@ def test_files_that_are_cut_off(ending, share, tmp_path):
     refused(path)
 
 
+def test_vertices_of_two_coordinates(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    refused(tmp_path / "a.obj", "fewer than 3 coordinates")
+    (tmp_path / "b.obj").write_text("v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n")
+    refused(tmp_path / "b.obj", "fewer than 3 coordinates")
+    (tmp_path / "c.obj").write_text("v 0 0 0\nv 2 1\nv 0 2 0\nv 1 1 0\nf 1 2 3 4\n")
+    refused(tmp_path / "c.obj", "fewer than 3 coordinates")
+
+
+def test_a_name_that_is_not_utf_8(tmp_path):
+    path = tmp_path / os.fsdecode(b"b\xff.stl")
+    path.write_bytes(STL)
+    refused(path, "its name, or one in it, is not UTF-8")
+
+
 def test_a_cut_off_stl_says_how_much_is_there(tmp_path):
     (tmp_path / "a.stl").write_bytes(STL[:-30])
     refused(tmp_path / "a.stl", "its header promises 12 triangles, and 11 are there")

@@ -82,6 +82,12 @@ def test_a_scan_may_be_lists() -> None:
         Scan(points.tolist(), normals[1:].tolist())
 
 
+@pytest.mark.parametrize("length", [1e-30, 1e30])
+def test_normals_of_a_scan_may_have_any_length(length: float) -> None:
+    points, normals = some(200, 0.7), some(200, 1.0)
+    assert torch.allclose(Scan(points, length * normals)(0).points, Scan(points, normals)(0).points, atol=1e-6)
+
+
 def test_the_decoder_stays_what_it_is() -> None:
     settings = local(width=16, layers=2, global_size=4, grids=())
     from sdm.deepsdf.decoders import make_decoder
@@ -109,5 +115,12 @@ def test_bad_scans_are_said(balls: DeepSDF) -> None:
         encode_scan(balls, broken)
     with pytest.raises(SDMError, match="normals; give one for each"):
         encode_scan(balls, some(200, 0.4), some(100, 1.0))
+    for value in (float("nan"), float("inf"), 0.0):
+        normals = some(200, 1.0)
+        normals[[7, 9]] = value
+        with pytest.raises(
+            SDMError, match="2 normals of the scan are not finite or have no length, the first in row 7"
+        ):
+            encode_scan(balls, some(200, 0.4), normals)
     with pytest.raises(SDMError, match="0 steps were asked for"):
         estimate_codes(balls, Scan(some(200, 0.4)), steps=0)

@@ -163,6 +163,38 @@ def test_bad_input_is_said() -> None:
     assert SampleDistribution(box=1.5).box == 1.5
 
 
+def test_a_mesh_that_is_inside_out_is_turned() -> None:
+    shapes = ShapeSet([ball(2.0).flipped(), ball()], "cpu")
+    centre, outside = shapes.signed_distance(torch.tensor([0, 1]), torch.tensor([[[0.0, 0, 0], [1.2, 0, 0]]] * 2)).T
+    assert (centre < 0).all()
+    assert (outside > 0).all()
+    assert torch.equal(shapes.mesh(1).faces, ball().faces)
+    assert torch.equal(shapes.mesh(0).faces, ball().faces)
+
+
+def test_shapes_that_are_not_there_are_refused_on_a_cpu_and_read_no_other_memory(device: str) -> None:
+    shapes = ShapeSet([ball(), ball(2.0)], device)
+    asked, points = torch.tensor([-1, 5], device=device), torch.zeros(2, 1, 3, device=device)
+    if device == "cpu":
+        for call in (lambda: shapes.sample(asked[1:], 5), lambda: shapes.signed_distance(asked[1:], points[1:])):
+            with pytest.raises(SDMError, match="shape 5 is not there: the set has 2, numbered from 0"):
+                call()
+        with pytest.raises(SDMError, match="shape -1 is not there"):
+            shapes.sample(asked, 5)
+    else:
+        there = torch.tensor([0, 1], device=device)
+        assert torch.equal(shapes.sample(asked, 5).values, shapes.sample(there, 5).values)
+        assert torch.equal(shapes.signed_distance(asked, points), shapes.signed_distance(there, points))
+
+
+def test_vertices_that_no_face_uses_are_no_part_of_a_shape() -> None:
+    stray = torch.tensor([[50.0, 50, 50]])
+    with_stray = TriangleMesh(torch.cat([ball().vertices, stray]), ball().faces, "stray")
+    found, wanted = (ShapeSet([mesh], "cpu").sample(torch.tensor([0]), 200) for mesh in (with_stray, ball()))
+    assert torch.equal(found.points, wanted.points)
+    assert torch.equal(found.values, wanted.values)
+
+
 def test_points_of_a_surface_are_on_it_and_spread_by_area() -> None:
     box = trimesh.creation.box((1, 2, 4))
     mesh = TriangleMesh(box.vertices, box.faces)
