@@ -91,6 +91,15 @@ def test_bad_nifti_files_are_named(tmp_path, breaking):
         read_cases(folder, "train")
 
 
+def test_a_flipped_bit_is_found(tmp_path):
+    path = write_nnunet(tmp_path) / "imagesTr" / "case1_0000.nii.gz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match="case1_0000"):
+        read_cases(tmp_path, "train")
+
+
 def test_bad_hdf5_files_are_named(tmp_path):
     (tmp_path / "a.h5").write_bytes(b"no")
     with pytest.raises(FormatError, match=r"a\.h5 cannot be read"):
