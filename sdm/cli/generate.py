@@ -131,11 +131,13 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     from sdm import dataset
     from sdm.cli.meter import Meter
     from sdm.dataset.layout import part_of, read_manifest, shard_count
-    from sdm.dataset.repair import damaged
+    from sdm.dataset.repair import damaged, mend_arrays
 
     if not out.exists() and part_of(out).exists():
         out = part_of(out)
     manifest = read_manifest(out)
+    if mended := mend_arrays(out):
+        print(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
     with Meter("maps checked") as meter:
         found = damaged(out, meter)
     if not found:
