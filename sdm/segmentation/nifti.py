@@ -17,6 +17,7 @@ from sdm.errors import FormatError
 from sdm.io.packed import is_packed, unpacked
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
+from sdm.segmentation.labels import foreground
 
 ENDINGS = (".nii.gz", ".nii")
 # A label may have been written by another program, which rounds the header its own way.
@@ -37,7 +38,8 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
     """One case.
 
     Raises:
-        FormatError: A file cannot be read, is not of three dimensions, or lies elsewhere than its label.
+        FormatError: A file cannot be read, is not of three dimensions, or lies elsewhere than its label; or the label
+            has values that are not whole numbers.
     """
     image, affine = _volume(path)
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
@@ -52,7 +54,7 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
     return Case(
         name=name or stem_of(path),
         image=torch.from_numpy(image),
-        label=None if mask is None else torch.from_numpy(mask != 0),
+        label=None if mask is None or label is None else torch.from_numpy(foreground(mask, label)),
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=affine,
         source=path,

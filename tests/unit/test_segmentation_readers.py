@@ -109,6 +109,20 @@ def test_bad_hdf5_files_are_named(tmp_path):
         read_cases(tmp_path, "train")
 
 
+def test_hdf5_files_of_words_are_refused(tmp_path):
+    image, label = volume(0)
+    for attributes, words in (
+        ({"spacing": "1 1 1"}, "has the spacing '1 1 1'"),
+        ({"spacing": [1.0, 2.0]}, "2 numbers"),
+    ):
+        with pytest.raises(FormatError, match=words):
+            read_cases(write_hdf5(tmp_path / "a.h5", image, label, **attributes).parent)
+    with pytest.raises(FormatError, match=r"a\.h5 has an image of type object"):
+        read_cases(write_hdf5(tmp_path / "a.h5", np.array([b"a", b"b"], dtype=object)).parent)
+    with pytest.raises(FormatError, match=r"a\.h5 holds values of type object"):
+        read_cases(write_hdf5(tmp_path / "a.h5", image, np.array([b"a", b"b"], dtype=object)).parent)
+
+
 def test_folders_without_cases(tmp_path):
     with pytest.raises(FormatError, match="not a folder"):
         read_cases(tmp_path / "nothing", "train")
