@@ -139,6 +139,15 @@ def test_out_of_memory_on_a_gpu(monkeypatch, capsys):
     assert "not enough memory" in capsys.readouterr().err
 
 
+def test_out_of_memory_on_the_host(monkeypatch, capsys):
+    import torch
+
+    with pytest.raises(RuntimeError) as error:
+        torch.empty(1 << 60, dtype=torch.uint8)
+    assert run_instead(monkeypatch, error.value) == 2
+    assert "not enough memory" in capsys.readouterr().err
+
+
 def test_exit_codes_of_commands(monkeypatch):
     monkeypatch.setattr(app, "_parse", lambda words: lambda: 2)
     assert main(["x"]) == 2
