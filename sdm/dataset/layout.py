@@ -37,7 +37,13 @@ AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
 
 
 def part_of(path: Path) -> Path:
-    """Where an unfinished dataset is."""
+    """Where an unfinished dataset is.
+
+    Raises:
+        FormatError: The path ends without a name.
+    """
+    if not path.name:
+        raise FormatError(f"{path} is no name for a dataset: give one, for example cochlea.zarr")
     return path.with_name(path.name + UNFINISHED)
 
 

@@ -149,6 +149,15 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, capsys, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("out", ["", ".", "/"])
+@pytest.mark.parametrize("words", [["cuboid", *SMALL], ["cuboid", *SMALL, "--resume"], ["--resume"]])
+def test_a_dataset_without_a_name(tmp_path, monkeypatch, capsys, words, out):
+    monkeypatch.chdir(tmp_path)
+    assert run(*words, "-o", out) == 2
+    assert "is no name for a dataset" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_progress_in_a_log(monkeypatch, capsys):
     clock = iter([0.0, 10.0, 40.0, 100.0])
     monkeypatch.setattr("sdm.cli.meter.time.monotonic", lambda: next(clock))
