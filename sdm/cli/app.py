@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr
+from pathlib import Path
 from typing import Any
 
 from sdm.cli.errors import sentence_of
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 if all went well; 2 for what is the user's to mend, said in one sentence on stderr; 130 if interrupted.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
+    _open_streams()
     try:
         code = _parse(words)()
         sys.stdout.flush()
@@ -75,6 +77,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _complain(sentence)
     return DONE if code is None else code
+
+
+def _open_streams() -> None:
+    """Make stdout and stderr take whatever is printed: a result must not be lost with the line that tells of it."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            # Closed by whoever started this. A file that opens next would have the number 1 or 2, and native libraries
+            # would print into it.
+            setattr(sys, name, Path(os.devnull).open("w"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            # Names of files may have letters that the terminal's encoding has not.
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _complain(sentence: str) -> int:

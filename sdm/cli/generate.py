@@ -20,14 +20,20 @@ def generate(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     count: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    resolution: int = 64,
-    margin: float = 0.05,
-    seed: int = 0,
-    sampler: str = "uniform",
-    dtype: Literal["float32", "float16"] = "float32",
+    # None, so that --resume can tell what was asked for.
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 64)")] = None,
+    margin: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: 0.05)")] = None,
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 0)")] = None,
+    sampler: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: uniform)")] = None,
+    dtype: Annotated[
+        Literal["float32", "float16"] | None,
+        tyro.conf.arg(metavar="{float32,float16}", help_behavior_hint="(default: float32)"),
+    ] = None,
     truncate: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: none)")] = None,
     shard: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 256 MiB of them)")] = None,
-    compression: Literal["zstd", "none"] = "zstd",
+    compression: Annotated[
+        Literal["zstd", "none"] | None, tyro.conf.arg(metavar="{zstd,none}", help_behavior_hint="(default: zstd)")
+    ] = None,
     device: str = "auto",
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
     resume: bool = False,
@@ -69,7 +75,7 @@ def generate(
         compression: zstd loses nothing; none reads faster.
         device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none.
         ray: Share the work among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
-        resume: Finish a dataset that was cut off.
+        resume: Finish a dataset that was cut off. Options may be left out; those that are given must be its own.
         verify: Look for damaged shards of a dataset, and make them again.
         skip_bad: Go on without the files of the folder that cannot be used; they are listed either way.
         open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
@@ -100,21 +106,30 @@ def generate(
         "seed": seed,
         "sampler": sampler,
         "truncate": truncate,
-        "dtype": getattr(torch, dtype),
+        "dtype": None if dtype is None else getattr(torch, dtype),
         "shard": shard,
         "compression": compression,
     }
+    asked = {key: value for key, value in asked.items() if value is not None}
+    begun = None
     if source is None and resume:
-        recipe, count, resolution_grid, known = _recipe(out)
-        asked.update(recipe)
+        recipe, there, begun, known = _recipe(out)
+        asked, count = {**recipe, **asked}, there if count is None else count
+        changes = {key: value for key, value in options.items() if value is not None}
+        if changes:
+            known = _describe(known.get("family") or known.get("folder") or "", {**_options(known), **changes})
     elif source is None:
         raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
     else:
-        known, resolution_grid = _describe(source, options), None
+        known = _describe(source, options)
     if count is None:
         raise SDMError("say how many samples: --count")
     family = _family(known, skip_bad or source is None)
-    grid = family.grid(resolution, margin=margin) if resolution_grid is None else resolution_grid
+    if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
+        grid = begun
+    else:
+        voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
+        grid = family.grid(voxels, margin=0.05 if margin is None else margin)
     with Meter("maps") as meter:
         dataset.generate(
             family, grid, count, out, device=device, ray=ray, resume=resume, source=known, progress=meter, **asked
@@ -131,11 +146,13 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     from sdm import dataset
     from sdm.cli.meter import Meter
     from sdm.dataset.layout import part_of, read_manifest, shard_count
-    from sdm.dataset.repair import damaged
+    from sdm.dataset.repair import damaged, mend_arrays
 
     if not out.exists() and part_of(out).exists():
         out = part_of(out)
     manifest = read_manifest(out)
+    if mended := mend_arrays(out):
+        print(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
     with Meter("maps checked") as meter:
         found = damaged(out, meter)
     if not found:
@@ -164,6 +181,10 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     options |= {key: manifest[key] for key in ("shard", "compression")}
     grid = Grid(**recipe["grid"])
     return options, manifest["count"], grid, manifest["source"] or {}
+
+
+def _options(known: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in known.items() if key not in ("family", "folder")}
 
 
 def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,18 @@ UNFINISHED = ".part"
 SHARD_BYTES = 1 << 28
 COMPRESSIONS = ("zstd", "none")
 DIGEST = 32
+# Of each array.
+AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
 
 
 def part_of(path: Path) -> Path:
-    """Where an unfinished dataset is."""
+    """Where an unfinished dataset is.
+
+    Raises:
+        FormatError: The path ends without a name.
+    """
+    if not path.name:
+        raise FormatError(f"{path} is no name for a dataset: give one, for example cochlea.zarr")
     return path.with_name(path.name + UNFINISHED)
 
 
@@ -48,6 +57,11 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
     # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset.
     fresh = folder.with_name(f".{folder.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
+    _empty(fresh, manifest)
+    fresh.rename(folder)
+
+
+def _empty(fresh: Path, manifest: dict[str, Any]) -> None:
     group = zarr.create_group(store=fresh, attributes={KEY: manifest})
     count, shard = manifest["count"], manifest["shard"]
     shape = tuple(manifest["recipe"]["grid"]["shape"])
@@ -58,7 +72,30 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
         _plain(group, "transform", (count, 4, 4), (shard, 4, 4), "float64")
     shards = -(-count // shard)
     _plain(group, "sha256", (shards, DIGEST), (1, DIGEST), "uint8")
-    fresh.rename(folder)
+
+
+def mend_arrays(folder: Path, manifest: dict[str, Any]) -> list[str]:
+    """Write again what the arrays' own `zarr.json` must say, where it says something else; the arrays' names."""
+    mended = []
+    with tempfile.TemporaryDirectory() as place:
+        fresh = Path(place) / "d"
+        _empty(fresh, manifest)
+        for name in sorted(path.parent.name for path in fresh.glob("*/zarr.json")):
+            if _description(folder / name) != _description(fresh / name):
+                put(folder / name / "zarr.json", (fresh / name / "zarr.json").read_bytes())
+                mended.append(name)
+    return mended
+
+
+def _description(array: Path) -> dict[str, Any] | None:
+    """What an array's `zarr.json` says, None if it is gone or cannot be read."""
+    try:
+        # As Zarr understands it, since versions of Zarr write the same in different words.
+        found = zarr.open_array(array, mode="r").metadata.to_dict()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+        return None
+    # Notes of users are no damage.
+    return json.loads(json.dumps({**found, "attributes": {}}, default=str))
 
 
 def _plain(group: zarr.Group, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: str) -> None:
@@ -124,15 +161,18 @@ def rows_of(manifest: dict[str, Any], number: int) -> tuple[int, int]:
 
 def files_of(folder: Path, manifest: dict[str, Any], number: int) -> list[Path]:
     """The files of a shard, the maps last."""
-    files = [folder / "theta" / "c" / str(number) / "0"]
-    if manifest["transforms"]:
-        files.append(folder / "transform" / "c" / str(number) / "0" / "0")
-    return [*files, folder / "sdm" / "c" / str(number) / "0" / "0" / "0"]
+    names = ("theta", "transform", "sdm") if manifest["transforms"] else ("theta", "sdm")
+    return [file_of(folder, name, number) for name in names]
+
+
+def file_of(folder: Path, name: str, number: int) -> Path:
+    """Where a shard's part of an array is."""
+    return (folder / name / "c" / str(number)).joinpath(*["0"] * (AXES[name] - 1))
 
 
 def checksum_file(folder: Path, number: int) -> Path:
     """Where the checksum of a shard is, 32 bytes."""
-    return folder / "sha256" / "c" / str(number) / "0"
+    return file_of(folder, "sha256", number)
 
 
 def is_done(folder: Path, manifest: dict[str, Any], number: int) -> bool:

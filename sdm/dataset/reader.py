@@ -16,6 +16,7 @@ from sdm.dataset import layout
 from sdm.errors import FormatError, SDMError
 from sdm.field import SDM
 from sdm.grid import Grid
+from sdm.io.sentence import one_line
 from sdm.shapes import Parameter
 from sdm.stream import Batch
 
@@ -36,7 +37,7 @@ class SDMDataset(Dataset[Batch]):
     `Batch` that a stream with the same seed yields. Any number of workers and processes may read at a time.
 
     Raises:
-        FormatError: It is no dataset, or an unfinished one.
+        FormatError: It is no dataset, an unfinished one, or one that lost parameters.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -48,7 +49,7 @@ class SDMDataset(Dataset[Batch]):
         self.manifest: dict[str, Any] = layout.read_manifest(self.path)
         self.grid = Grid(**self.manifest["recipe"]["grid"])
         self.parameters = tuple(Parameter(**p) for p in self.manifest["parameters"])
-        self.theta = torch.from_numpy(np.asarray(self._open("theta")[:], dtype=np.float32))
+        self.theta = torch.from_numpy(self._rows("theta", range(layout.shard_count(self.manifest))).astype(np.float32))
         self._maps: zarr.Array | None = None
         self._process = os.getpid()
 
@@ -59,9 +60,11 @@ class SDMDataset(Dataset[Batch]):
         number = self._number(item)
         try:
             values = self._array()[number]
+        except FormatError:
+            raise
         except (OSError, ValueError, RuntimeError, IndexError) as error:
             raise FormatError(
-                f"sample {number} of {self.path} is damaged: sdm generate --verify makes it again ({error})"
+                f"sample {number} of {self.path} is damaged: sdm generate --verify makes it again ({one_line(error)})"
             ) from error
         return Batch(
             self.theta[number], torch.from_numpy(self._whole(values, number))[None], torch.tensor(number, device="cpu")
@@ -80,7 +83,8 @@ class SDMDataset(Dataset[Batch]):
         number = self._number(item)
         if not self.manifest["transforms"]:
             return torch.eye(4, dtype=torch.float64, device="cpu")
-        return torch.linalg.inv(torch.from_numpy(np.asarray(self._open("transform")[number])))
+        shard, row = divmod(number, self.manifest["shard"])
+        return torch.linalg.inv(torch.from_numpy(self._rows("transform", range(shard, shard + 1))[row]))
 
     def _number(self, item: int) -> int:
         number = int(item)
@@ -95,11 +99,29 @@ class SDMDataset(Dataset[Batch]):
             raise SDMError(f"sample {number} of {self.path} is gone: sdm generate --verify makes it again")
         return found
 
+    def _rows(self, name: str, shards: range) -> np.ndarray:
+        """What some shards have of a small array."""
+        mend = "sdm generate --verify makes it again"
+        for number in shards:
+            # A file that is gone reads as zeros, and a pose or a parameter may be zero.
+            if not layout.file_of(self.path, name, number).is_file():
+                raise FormatError(f"{name} of shard {number} of {self.path} is gone: {mend}")
+        begin, end = layout.rows_of(self.manifest, shards[0])[0], layout.rows_of(self.manifest, shards[-1])[1]
+        try:
+            return np.asarray(self._open(name)[begin:end])
+        except FormatError:
+            raise
+        except (OSError, ValueError, RuntimeError, IndexError) as error:
+            raise FormatError(f"{name} of {self.path} is damaged: {mend} ({one_line(error)})") from error
+
     def _open(self, name: str) -> zarr.Array:
         try:
             return zarr.open_array(self.path / name, mode="r")
-        except (OSError, ValueError, KeyError) as error:
-            raise FormatError(f"{self.path} cannot be read: its array {name} is damaged ({error})") from error
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise FormatError(
+                f"{self.path} cannot be read: its array {name} is damaged; sdm generate --verify mends it "
+                f"({one_line(error)})"
+            ) from error
 
     def _array(self) -> zarr.Array:
         # Open files and threads of a parent are not those of its children.

@@ -39,6 +39,25 @@ def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None
     return found
 
 
+def mend_arrays(path: str | Path) -> list[str]:
+    """Write the descriptions of a dataset's arrays (their `zarr.json`) again where they are damaged or gone.
+
+    Args:
+        path: The dataset, finished or not.
+
+    Returns:
+        The names of the arrays.
+
+    Raises:
+        FormatError: It is no dataset, or cannot be written.
+    """
+    folder = Path(path)
+    try:
+        return layout.mend_arrays(folder, layout.read_manifest(folder))
+    except OSError as error:
+        raise FormatError(f"{folder} cannot be written: {error.strerror or error}") from error
+
+
 def verify(
     path: str | Path,
     family: Family,
@@ -49,7 +68,7 @@ def verify(
     shards: list[int] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[int]:
-    """Find the damaged shards of a dataset and make them again.
+    """Find the damaged shards of a dataset and make them again; damaged descriptions of its arrays too.
 
     Args:
         path: The dataset.
@@ -68,6 +87,7 @@ def verify(
     """
     folder = Path(path)
     manifest = layout.read_manifest(folder)
+    mend_arrays(folder)
     found = damaged(folder) if shards is None else shards
     if not found:
         return []

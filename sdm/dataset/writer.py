@@ -98,18 +98,20 @@ def generate(
         "device": None if ray is not None else device_kind(devices[0]),
         "source": source,
     }
+    # How many samples are in one file is the dataset's own affair, unless somebody says.
+    wanted = {**manifest, "shard": shard}
     if resume and target.exists():
-        same(layout.read_manifest(target), manifest, target)
+        same(layout.read_manifest(target), wanted, target)
         return target
-    manifest = begin(target, folder, manifest, resume)
+    manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
     fill(job, devices, ray, progress)
     finish(folder, target)
     return target
 
 
-def begin(target: Path, folder: Path, manifest: dict[str, Any], resume: bool) -> dict[str, Any]:
-    """Make the unfinished dataset, or take the one that is there; its manifest."""
+def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str, Any] | None) -> dict[str, Any]:
+    """Make the unfinished dataset, or take the one that is there if it is as `wanted`; its manifest."""
     if target.exists():
         raise FormatError(f"{target} is there already: choose another name, or remove it")
     if not target.parent.is_dir():
@@ -120,10 +122,10 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], resume: bool) ->
         except OSError as error:
             raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
         return manifest
-    if not resume:
+    if wanted is None:
         raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
     found = layout.read_manifest(folder)
-    same(found, manifest, folder)
+    same(found, wanted, folder)
     return found
 
 
@@ -133,7 +135,8 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
     Raises:
         FormatError: It is not; says in what.
     """
-    for key, value in {**wanted["recipe"], **{k: wanted[k] for k in ("count", "sdm_version", "device")}}.items():
+    others = ("count", "shard", "compression", "sdm_version", "device")
+    for key, value in {**wanted["recipe"], **{k: wanted[k] for k in others}}.items():
         there = found["recipe"].get(key, found.get(key))
         if (there is not None and value is not None and there != value) or (key == "truncate" and there != value):
             raise FormatError(

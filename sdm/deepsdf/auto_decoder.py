@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from sdm.deepsdf.decoders import make_decoder
 from sdm.deepsdf.settings import Settings
+from sdm.seeds import torch_seed
 
 
 class AutoDecoder(nn.Module):
@@ -21,7 +22,7 @@ class AutoDecoder(nn.Module):
         super().__init__()
         self.settings = settings
         self.decoder = make_decoder(settings)
-        generator = torch.Generator().manual_seed(settings.seed)
+        generator = torch.Generator().manual_seed(torch_seed(settings.seed))
         start = settings.code_deviation * torch.randn(count, settings.code_size, generator=generator)
         self.codes = nn.Parameter(start)
 

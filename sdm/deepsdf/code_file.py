@@ -45,11 +45,14 @@ def load_code(path: str | Path) -> ShapeCode:
     """
     try:
         with Path(path).open("rb") as whole, np.load(whole, allow_pickle=False) as file:
-            version, code, sphere = int(file["version"]), file["code"], file["sphere"].tolist()
+            version, code, sphere = int(file["version"]), file["code"], file["sphere"]
     except FileNotFoundError:
         raise FormatError(f"{path} is not there; make it with sdm encode") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise FormatError(f"{path} is no code of a shape; give a file that sdm encode wrote") from error
     if version != VERSION:
         raise FormatError(f"{path} is a code of version {version}, and this program reads version {VERSION}")
-    return ShapeCode(torch.from_numpy(code), UnitSphere((sphere[0], sphere[1], sphere[2]), sphere[3]))
+    if code.dtype.kind != "f" or code.ndim != 1 or sphere.dtype.kind not in "iuf" or sphere.shape != (4,):
+        raise FormatError(f"{path} is no code of a shape: it needs a code of numbers, and a centre with a radius")
+    x, y, z, radius = sphere.tolist()
+    return ShapeCode(torch.from_numpy(code), UnitSphere((x, y, z), radius))

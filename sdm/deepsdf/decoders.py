@@ -11,6 +11,7 @@ from torch.nn.functional import dropout, grid_sample, linear, relu, silu
 from torch.nn.utils.parametrizations import weight_norm
 
 from sdm.deepsdf.settings import Settings
+from sdm.seeds import torch_seed
 
 # Which layer of the published network sees code and point again.
 SKIP = 4
@@ -109,5 +110,5 @@ class LocalDecoder(nn.Module):
 def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
     """The network of these settings, with weights that are a function of the seed."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(settings.seed)
+        torch.manual_seed(torch_seed(settings.seed))
         return PublishedDecoder(settings) if settings.variant == "published" else LocalDecoder(settings)

@@ -25,7 +25,7 @@ def replacing(target: Path) -> Iterator[Path]:
     where the file system cannot do that in one step it is put aside first, as `.NAME.PID-TOKEN-old.part`.
 
     Raises:
-        FormatError: The folder is not there, or cannot be written.
+        FormatError: The folder is not there, or cannot be written, or the path ends without a name.
     """
     part = _temporary(target)
     try:
@@ -43,7 +43,7 @@ def try_to_write(target: Path) -> None:
     """Find out whether `target` can be written, without touching it.
 
     Raises:
-        FormatError: The folder is not there, or cannot be written.
+        FormatError: The folder is not there, or cannot be written, or the path ends without a name.
     """
     try:
         part = _temporary(target)
@@ -55,6 +55,9 @@ def try_to_write(target: Path) -> None:
 
 
 def _temporary(target: Path) -> Path:
+    # An empty path, a dot and the root.
+    if not target.name:
+        raise FormatError(f"{target} cannot be written: it is a folder; give a name in it")
     if not target.parent.exists():
         raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
     if not target.parent.is_dir():

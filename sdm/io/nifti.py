@@ -18,6 +18,7 @@ from nibabel.openers import ImageOpener
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
+from sdm.io.packed import is_packed, unpacked
 from sdm.io.record import KEY, from_record, record
 
 # NIfTI-1 counts voxels with 16 bits.
@@ -40,15 +41,21 @@ def write_compressed(field: SDM, path: Path) -> None:
 
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
-    image = _load(path)
-    grid, count = _geometry(image, path)
-    values = np.asanyarray(image.dataobj).reshape(grid.shape)
-    return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
+    if is_packed(path):
+        with unpacked(path) as file:
+            return _field(_load(path, FileHolder(fileobj=file)), path)
+    return _field(_load(path), path)
 
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
     return _geometry(_load(path), path)[0]
+
+
+def _field(image: Any, path: Path) -> SDM:
+    grid, count = _geometry(image, path)
+    values = np.asanyarray(image.dataobj).reshape(grid.shape)
+    return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
 
 
 def _image(field: SDM) -> Any:
@@ -66,13 +73,13 @@ def _image(field: SDM) -> Any:
     return image
 
 
-def _load(path: Path) -> Any:
+def _load(path: Path, holder: FileHolder | None = None) -> Any:
     # By content, since nibabel's own search for the file is particular about capitals.
     with ImageOpener(str(path)) as file:
         head = file.read(Nifti2Header.template_dtype.itemsize)
     for kind in (nib.Nifti1Image, nib.Nifti2Image):
         if kind.header_class.may_contain_header(head):
-            return kind.from_file_map({"image": FileHolder(str(path))})
+            return kind.from_file_map({"image": holder or FileHolder(str(path))})
     raise FormatError(f"{path} is not a NIfTI image")
 
 

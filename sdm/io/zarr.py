@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 import zarr
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from sdm.errors import FormatError
 from sdm.field import SDM
@@ -49,6 +50,8 @@ def write_slabs(
         shape=grid.shape,
         chunks=(layers, min(CHUNK, grid.shape[1]), min(CHUNK, grid.shape[2])),
         dtype="float32",
+        # A flipped bit is an error when it is read, not a wrong distance.
+        compressors=[ZstdCodec(level=0), Crc32cCodec()],
         # Zero would be a surface: where a chunk is lost, nothing is known.
         fill_value=float("nan"),
         dimension_names=["x", "y", "z"] if grid.is_axis_aligned else ["i", "j", "k"],
@@ -65,6 +68,9 @@ def read(path: Path) -> SDM:
     """Read a whole map. `zarr.open_array` reads parts."""
     array = _open(path)
     grid, count = _geometry(array, path)
+    # Zarr reads a chunk that is gone as the fill value, without a word.
+    if lost := array.nchunks - array.nchunks_initialized:
+        raise FormatError(f"{path} has lost {lost:,} of its {array.nchunks:,} chunks: copy or compute the map again")
     return SDM(torch.from_numpy(np.asarray(array[:], dtype=np.float32)), grid, count)
 
 

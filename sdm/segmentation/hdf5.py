@@ -10,6 +10,7 @@ import torch
 from sdm.errors import FormatError
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
+from sdm.segmentation.labels import foreground
 
 ENDINGS = (".h5", ".hdf5")
 
@@ -26,7 +27,7 @@ def read_hdf5(path: Path) -> Case:
     `spacing` of the file, three lengths in mm, does.
 
     Raises:
-        FormatError: The file cannot be read or has no `image`.
+        FormatError: The file cannot be read, has no `image`, or something there is not of numbers.
     """
     try:
         import h5py
@@ -38,15 +39,22 @@ def read_hdf5(path: Path) -> Case:
                 raise FormatError(f"{path} has no data set called image: found {', '.join(file) or 'nothing'}")
             image = np.asarray(file["image"])
             label = np.asarray(file["label"]) if "label" in file else None
-            spacing = np.asarray(file.attrs.get("spacing", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(-1)
-    except OSError as error:
+            told = file.attrs.get("spacing", (1.0, 1.0, 1.0))
+    # Data sets of other software may be groups, or of types that numpy does not know.
+    except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
         raise FormatError(f"{path} cannot be read: {one_line(error)}") from error
+    if image.dtype.kind not in "buif":
+        raise FormatError(f"{path} has an image of type {image.dtype}: numbers are needed")
+    try:
+        spacing = np.asarray(told, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise FormatError(f"{path} has the spacing {one_line(told)!r}: three lengths in mm are needed") from None
     if spacing.shape != (3,):
         raise FormatError(f"{path} has a spacing of {len(spacing)} numbers: three lengths in mm are needed")
     return Case(
         name=path.stem,
         image=torch.from_numpy(image.astype(np.float32)),
-        label=None if label is None else torch.from_numpy(label != 0),
+        label=None if label is None else torch.from_numpy(foreground(label, path)),
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=np.diag([*spacing, 1.0]),
         source=path,

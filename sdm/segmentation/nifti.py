@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
+from typing import Any
 
 import nibabel as nib
 import numpy as np
 import torch
 from nibabel.filebasedimages import ImageFileError
+from nibabel.fileholders import FileHolder
 from numpy.typing import NDArray
 
 from sdm.errors import FormatError
+from sdm.io.packed import is_packed, unpacked
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
+from sdm.segmentation.labels import foreground
 
 ENDINGS = (".nii.gz", ".nii")
 # A label may have been written by another program, which rounds the header its own way.
@@ -34,7 +38,8 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
     """One case.
 
     Raises:
-        FormatError: A file cannot be read, is not of three dimensions, or lies elsewhere than its label.
+        FormatError: A file cannot be read, is not of three dimensions, or lies elsewhere than its label; or the label
+            has values that are not whole numbers.
     """
     image, affine = _volume(path)
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
@@ -49,7 +54,7 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
     return Case(
         name=name or stem_of(path),
         image=torch.from_numpy(image),
-        label=None if mask is None else torch.from_numpy(mask != 0),
+        label=None if mask is None or label is None else torch.from_numpy(foreground(mask, label)),
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=affine,
         source=path,
@@ -58,19 +63,26 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
 
 def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     try:
-        image = nib.Nifti1Image.from_filename(path)
-        shape = tuple(image.shape)
-        if len(shape) < 3 or any(n != 1 for n in shape[3:]):
-            raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
-        values = np.ascontiguousarray(np.asanyarray(image.dataobj).reshape(shape[:3]), dtype=np.float32)
+        if is_packed(path):
+            with unpacked(path) as file:
+                values, affine = _content(nib.Nifti1Image.from_file_map({"image": FileHolder(fileobj=file)}), path)
+        else:
+            values, affine = _content(nib.Nifti1Image.from_filename(path), path)
     except (OSError, EOFError, ImageFileError, ValueError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{path} cannot be read as NIfTI: {one_line(error)}") from error
-    affine = np.asarray(image.affine, dtype=np.float64)
     if not (np.isfinite(affine).all() and (np.linalg.norm(affine[:3, :3], axis=0) > 0).all()):
         raise FormatError(f"{path} has no usable voxel size in its header")
     return values, affine
+
+
+def _content(image: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    shape = tuple(image.shape)
+    if len(shape) < 3 or any(n != 1 for n in shape[3:]):
+        raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
+    values = np.ascontiguousarray(np.asanyarray(image.dataobj).reshape(shape[:3]), dtype=np.float32)
+    return values, np.asarray(image.affine, dtype=np.float64)
 
 
 def _lengths(sizes: np.ndarray) -> str:

@@ -6,13 +6,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from sdm.errors import FormatError
+from sdm.errors import FormatError, GridError
+from sdm.grid import Grid
 from sdm.segmentation.case import Case
 from sdm.segmentation.folder import read_image
 from sdm.segmentation.hdf5 import ENDINGS as HDF5
 from sdm.segmentation.hdf5 import hdf5_files
+from sdm.segmentation.labels import foreground
 from sdm.segmentation.nifti import ENDINGS as NIFTI
 from sdm.segmentation.nifti import nifti_files, stem_of
 
@@ -24,7 +27,8 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
     """Name, predicted label, true label (x,y,z) bool, and the voxel size in mm of the prediction.
 
     Raises:
-        FormatError: A prediction has no truth, or one of another shape or place.
+        FormatError: A prediction has no truth, or one of another shape or place, or is no label of whole numbers.
+        GridError: The axes of a label are not orthogonal.
     """
     found = labels_of(predictions)
     found = {name: path for name, path in found.items() if not name.endswith(DISTANCES)}
@@ -55,4 +59,10 @@ def labels_of(place: Path) -> dict[str, Path]:
 
 
 def _mask(case: Case) -> Tensor:
-    return case.image != 0 if case.source.suffix.lower() not in HDF5 or case.label is None else case.label
+    try:
+        Grid.from_affine(case.affine, case.image.shape)
+    except GridError as error:
+        raise GridError(f"{case.source} cannot be evaluated: {error}") from None
+    if case.source.suffix.lower() in HDF5 and case.label is not None:
+        return case.label
+    return torch.from_numpy(foreground(case.image.numpy(), case.source))

@@ -14,6 +14,7 @@ from torch import nn
 
 from sdm.errors import FormatError, SDMError
 from sdm.io.torch_file import load_torch, save_torch
+from sdm.seeds import torch_seed
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.average import Average
 from sdm.segmentation.model import SegmentationModel
@@ -95,7 +96,7 @@ def train(
             raise SDMError(f"the settings have {name}={wanted}, the patches {given}: give both the same")
     device = patches.device
     with _own_random_numbers(device):
-        torch.manual_seed(settings.seed)
+        torch.manual_seed(torch_seed(settings.seed))
         model = settings.network().to(device)
         if device.type == "cuda":
             model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from sdm.errors import SDMError
 from sdm.memory import to_device
+from sdm.seeds import torch_seed
 from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
 
@@ -64,6 +65,6 @@ class Replay:
 
     def draw(self, count: int, step: int) -> tuple[Tensor, Tensor]:
         """Parameters (count,4) and maps (count,1,80,64,40) float32, a function of what is stored, seed and step."""
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
+        generator = torch.Generator().manual_seed(torch_seed(self.seed * 1_000_003 + step))
         rows = to_device(torch.randint(self.count, (count,), generator=generator), self.theta.device)
         return self.theta[rows], self.maps[rows].float()

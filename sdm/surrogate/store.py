@@ -61,6 +61,9 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
     from safetensors import SafetensorError
     from safetensors.torch import load
 
+    # An empty path, a dot and the root.
+    if not source.name:
+        raise FormatError(f"{source} cannot be read: it is a folder; give a file that sdm train sdmnn wrote")
     try:
         config = json.loads(source.with_suffix(".json").read_text())
         packed = load(source.read_bytes())

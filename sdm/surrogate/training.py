@@ -15,6 +15,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
 from sdm.io.torch_file import load_torch, save_torch
+from sdm.seeds import torch_seed
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate.box import GRID
@@ -62,7 +63,7 @@ class Trainer:
         self.device = choose_device(device)
         self.family = Cochlea()
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
+            torch.manual_seed(torch_seed(settings.seed))
             self.model = begin(settings).to(self.device)
         self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
@@ -127,7 +128,7 @@ class Trainer:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
             loss = self._fast(theta, exact)
         if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
-            generator = torch.Generator().manual_seed(settings.seed * 999_983 + self.step)
+            generator = torch.Generator().manual_seed(torch_seed(settings.seed * 999_983 + self.step))
             loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from sdm.seeds import torch_seed
 from sdm.surrogate.plus import SDMNNPlus
 from sdm.surrogate.pod import decompose
 from sdm.surrogate.replay import Replay
@@ -43,7 +44,7 @@ def warm_start(
     theta = replay.theta[: replay.count]
     own = [*model.trunk.parameters(), *model.coefficients.parameters()]
     optimizer = torch.optim.Adam(own, RATE, fused=theta.is_cuda)
-    generator = torch.Generator(theta.device).manual_seed(seed)
+    generator = torch.Generator(theta.device).manual_seed(torch_seed(seed))
     start = time.perf_counter()
 
     def guess(part: Tensor) -> Tensor:

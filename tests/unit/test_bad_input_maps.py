@@ -72,12 +72,40 @@ def test_a_zarr_that_lost_its_parts(tmp_path):
     chunk.write_bytes(b"junk")
     with pytest.raises(FormatError, match=r"map\.zarr"):
         load(path)
-    # A chunk that is missing is unknown, never zero.
     chunk.unlink()
-    assert load(path).values.isnan().all()
+    with pytest.raises(FormatError, match=r"map\.zarr has lost 1 of its 1 chunks"):
+        load(path)
     (path / "zarr.json").unlink()
     with pytest.raises(FormatError, match=r"map\.zarr"):
         load(path)
+
+
+@pytest.mark.parametrize("ending", ["nii.gz", "zarr"])
+def test_one_flipped_bit_is_found(ending, tmp_path):
+    path = tmp_path / f"map.{ending}"
+    noise = np.random.default_rng(0).normal(size=(20, 20, 20)).astype(np.float32)
+    save(SDM(torch.from_numpy(noise), Grid((0, 0, 0), (1, 1, 1), noise.shape)), path)
+    (file,) = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file() and f.name != "zarr.json"]
+    whole = file.read_bytes()
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        data = bytearray(whole)
+        data[int(share * len(data))] ^= 1
+        file.write_bytes(data)
+        with pytest.raises(FormatError) as error:
+            load(path)
+        one_sentence(error, path.name)
+
+
+def test_a_zarr_without_checksums_is_still_read(tmp_path):
+    import zarr
+
+    path = tmp_path / "map.zarr"
+    save(FIELD, path)
+    kept = dict(zarr.open_array(path, mode="r").attrs)
+    array = zarr.create_array(store=path, shape=(6, 5, 4), chunks=(6, 5, 4), dtype="float32", overwrite=True)
+    array[:] = FIELD.numpy()
+    array.attrs.update(kept)
+    assert torch.equal(load(path).values, FIELD.values)
 
 
 @pytest.mark.parametrize("ending", ["npz", "zarr"])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import sysconfig
@@ -139,6 +140,15 @@ def test_out_of_memory_on_a_gpu(monkeypatch, capsys):
     assert "not enough memory" in capsys.readouterr().err
 
 
+def test_out_of_memory_on_the_host(monkeypatch, capsys):
+    import torch
+
+    with pytest.raises(RuntimeError) as error:
+        torch.empty(1 << 60, dtype=torch.uint8)
+    assert run_instead(monkeypatch, error.value) == 2
+    assert "not enough memory" in capsys.readouterr().err
+
+
 def test_exit_codes_of_commands(monkeypatch):
     monkeypatch.setattr(app, "_parse", lambda words: lambda: 2)
     assert main(["x"]) == 2
@@ -163,3 +173,26 @@ def test_a_reader_that_leaves_early():
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 141
     assert "Traceback" not in done.stderr
+
+
+def bash(command: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, **variables}
+    return subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, env=environment)
+
+
+def test_a_name_that_the_terminal_cannot_show():
+    code = "import sys; from sdm.cli import app; app._parse = lambda words: talk; sys.exit(app.main())"
+    code = f"talk = lambda: print('b' + chr(228) + 'll.ply'); {code}"
+    done = bash(f'"{sys.executable}" -W ignore -c "{code}"', PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "b\\xe4ll.ply\n", "")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_closed_streams(closed, tmp_path):
+    """As with `sdm ... >&-`: no traceback, and what is printed goes into no file."""
+    code = "import sys; from sdm.cli import app; app._parse = lambda words: talk; sys.exit(app.main())"
+    code = f"talk = lambda: print('x', file=open('{tmp_path}/out', 'w')) or print('y') or 3; {code}"
+    done = bash(f'"{sys.executable}" -W ignore -c "{code}" {closed}')
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "out").read_text() == "x\n"

@@ -149,6 +149,42 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, capsys, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("out", ["", ".", "/"])
+@pytest.mark.parametrize("words", [["cuboid", *SMALL], ["cuboid", *SMALL, "--resume"], ["--resume"]])
+def test_a_dataset_without_a_name(tmp_path, monkeypatch, capsys, words, out):
+    monkeypatch.chdir(tmp_path)
+    assert run(*words, "-o", out) == 2
+    assert "is no name for a dataset" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("family", [["cuboid"], []], ids=["with the family", "from the name"])
+def test_resume_refuses_what_the_dataset_is_not(tmp_path, capsys, family):
+    out = tmp_path / "d.zarr"
+    own = [*SMALL, "--seed", "3", "--compression", "none", "--margin", "0.1", "--truncate", "1"]
+    assert run("cuboid", *own, "-o", out) == 0
+    for words, message in (
+        (["--count", "100"], "has count 5, but 100 was asked for"),
+        (["--resolution", "32"], "has grid "),
+        (["--margin", "0.2"], "has grid "),
+        (["--seed", "0"], "has seed 3, but 0"),
+        (["--sampler", "sobol"], "has sampler uniform, but sobol"),
+        (["--dtype", "float16"], "has dtype float32, but float16"),
+        (["--truncate", "2"], "has truncate 1.0, but 2.0"),
+        (["--shard", "3"], "has shard 2, but 3"),
+        (["--compression", "zstd"], "has compression none, but zstd"),
+        (["--warp", "0.1"], "--warp is for a folder of meshes"),
+    ):
+        capsys.readouterr()
+        given = [*family, *own, *words] if family else words
+        assert run("--resume", *given, "--device", "cpu", "-o", out) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
+    assert run("--resume", *family, *own, "-o", out) == 0
+    assert run("--resume", "--count", "5", "--resolution", "10", *(own if family else []), *family, "-o", out) == 0
+
+
 def test_progress_in_a_log(monkeypatch, capsys):
     clock = iter([0.0, 10.0, 40.0, 100.0])
     monkeypatch.setattr("sdm.cli.meter.time.monotonic", lambda: next(clock))

@@ -129,6 +129,42 @@ def test_labels_that_do_not_fit(trained, tmp_path, capsys):
     assert "no label for nobody" in refused(["evaluate", str(tmp_path / "p"), str(truths)], capsys)
 
 
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(0.3, "has values such as 0.3: threshold probabilities first"), (np.nan, "not finite"), (-np.inf, "not finite")],
+)
+def test_what_is_no_label_is_not_scored(value, words, tmp_path, capsys):
+    label = volume(0)[1].astype(np.float32)
+    soft = np.where(label == 0, value, label).astype(np.float32)
+    nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / "label.nii.gz")
+    nib.save(nib.Nifti1Image(soft, AFFINE), tmp_path / "soft.nii.gz")
+    write_hdf5(tmp_path / "soft.h5", label, soft)
+    for pair in (["soft.nii.gz", "label.nii.gz"], ["label.nii.gz", "soft.nii.gz"], ["label.nii.gz", "soft.h5"]):
+        said = refused(["evaluate", *(str(tmp_path / name) for name in pair)], capsys)
+        assert words in said
+        assert "soft" in said
+
+
+def test_labels_as_scaled_integers_are_scored(tmp_path, capsys):
+    label = volume(0)[1]
+    nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / "label.nii.gz")
+    scaled = nib.Nifti1Image(np.where(label, 255, 0).astype(np.uint8), AFFINE)
+    scaled.header.set_slope_inter(1 / 255, 0)
+    nib.save(scaled, tmp_path / "scaled.nii.gz")
+    assert main(["evaluate", str(tmp_path / "scaled.nii.gz"), str(tmp_path / "label.nii.gz")]) == 0
+    assert "100.00" in capsys.readouterr().out
+
+
+def test_sheared_labels_are_not_scored(tmp_path, capsys):
+    sheared = AFFINE.copy()
+    sheared[0, 1] = 0.4
+    path = tmp_path / "label.nii.gz"
+    nib.save(nib.Nifti1Image(volume(0)[1], sheared), path)
+    said = refused(["evaluate", str(path), str(path)], capsys)
+    assert "label.nii.gz" in said
+    assert "sheared" in said
+
+
 def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     nib.save(nib.Nifti1Image(np.zeros(SHAPE, np.uint8), AFFINE), tmp_path / "case0.nii.gz")
     scores = tmp_path / "scores.json"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import multiprocessing
 import os
 import shutil
@@ -15,11 +16,14 @@ from pathlib import Path
 
 import pytest
 import torch
+import zarr
 
 from sdm.dataset import SDMDataset, damaged, generate, layout, verify
 from sdm.dataset import job as job_module
+from sdm.dataset.repair import mend_arrays
+from sdm.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
-from sdm.shapes import Cochlea
+from sdm.shapes import Cochlea, MeshFolder
 
 FAMILY = Cochlea(600)
 GRID = FAMILY.grid(10)
@@ -148,6 +152,35 @@ def test_damage_is_found_and_mended(whole, copy, harm):
     assert contents(copy) == contents(whole)
 
 
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda file: file.unlink(),
+        lambda file: file.write_bytes(b"{"),
+        lambda file: file.write_text(file.read_text().replace("11", "12")),
+        lambda file: file.write_text(file.read_text().replace('"crc32c"', '"crc"')),
+        lambda file: shutil.rmtree(file.parent / "c"),
+    ],
+    ids=["gone", "cut", "rows", "codec", "shards"],
+)
+@pytest.mark.parametrize("name", ["sdm", "theta", "sha256"])
+def test_damaged_descriptions_of_arrays_are_mended(whole, copy, name, harm):
+    harm(copy / name / "zarr.json")
+    verify(copy, FAMILY, device="cpu")
+    assert contents(copy) == contents(whole)
+    assert len(SDMDataset(copy)) == COUNT
+
+
+def test_a_sound_dataset_is_left_as_it_is(copy):
+    assert mend_arrays(copy) == []
+    zarr.open_array(copy / "theta").attrs["note"] = "mine"
+    assert mend_arrays(copy) == []
+    # As another version of Zarr may write it.
+    file = copy / "sdm/zarr.json"
+    file.write_text(json.dumps({k: v for k, v in json.loads(file.read_text()).items() if k != "storage_transformers"}))
+    assert mend_arrays(copy) == []
+
+
 def test_one_flipped_bit_is_an_error_when_it_is_read(copy):
     path = copy / "sdm/c/1/0/0/0"
     content = bytearray(path.read_bytes())
@@ -160,6 +193,32 @@ def test_one_flipped_bit_is_an_error_when_it_is_read(copy):
     with pytest.raises(SDMError, match="is gone: sdm generate --verify"):
         SDMDataset(copy)[3]
     assert torch.isfinite(data[0].sdm).all()
+
+
+def test_lost_parameters_are_never_zeros(copy):
+    path = copy / "theta/c/1/0"
+    whole = path.read_bytes()
+    for content in (whole[:-4], b""):
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match=r"theta of .* is damaged: sdm generate --verify"):
+            SDMDataset(copy)
+    path.unlink()
+    with pytest.raises(FormatError, match=r"theta of shard 1 of .* is gone: sdm generate --verify"):
+        SDMDataset(copy)
+
+
+def test_lost_poses_are_never_zeros(tmp_path):
+    family = MeshFolder([demo_mesh(rings=41, segments=16, cap_rings=3)])
+    data = SDMDataset(generate(family, family.grid(8), 3, tmp_path / "d.zarr", device="cpu", shard=2))
+    assert torch.isfinite(data.inverse_transform(2)).all()
+    path = data.path / "transform/c/1/0/0"
+    path.write_bytes(path.read_bytes()[:-8])
+    with pytest.raises(FormatError, match=r"transform of .* is damaged"):
+        data.inverse_transform(2)
+    path.unlink()
+    with pytest.raises(FormatError, match=r"transform of shard 1 of .* is gone"):
+        data.inverse_transform(2)
+    assert torch.isfinite(data.inverse_transform(1)).all()
 
 
 def test_another_recipe_is_not_mixed_in(whole, copy):

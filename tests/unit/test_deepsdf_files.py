@@ -79,3 +79,13 @@ def test_bad_code_files_are_said(tmp_path: Path) -> None:
     np.savez(path, version=7, code=np.zeros(3), sphere=np.ones(4))
     with pytest.raises(FormatError, match="is a code of version 7, and this program reads version 1"):
         load_code(path)
+    for code, sphere in (
+        (np.zeros(3), np.ones(2)),
+        (np.zeros(3), np.array(1.0)),
+        (np.zeros(3), np.array(["a", "b", "c", "d"])),
+        (np.array([b"abc"]), np.ones(4)),
+        (np.zeros((3, 3)), np.ones(4)),
+    ):
+        np.savez(path, version=1, code=code, sphere=sphere)
+        with pytest.raises(FormatError, match="it needs a code of numbers, and a centre with a radius"):
+            load_code(path)

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -198,3 +199,11 @@ def test_if_the_new_folder_cannot_be_put_in_place_the_old_one_stays(tmp_path, mo
             atomic._take_place(part, tmp_path / "a")
     assert (tmp_path / "a" / "old").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("path", ["", ".", "/"])
+def test_paths_without_a_name(path):
+    with pytest.raises(FormatError, match="is a folder; give a name in it"), replacing(Path(path)):
+        pass
+    with pytest.raises(FormatError, match="is a folder; give a name in it"):
+        atomic.try_to_write(Path(path))

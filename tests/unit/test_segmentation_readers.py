@@ -91,6 +91,15 @@ def test_bad_nifti_files_are_named(tmp_path, breaking):
         read_cases(folder, "train")
 
 
+def test_a_flipped_bit_is_found(tmp_path):
+    path = write_nnunet(tmp_path) / "imagesTr" / "case1_0000.nii.gz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match="case1_0000"):
+        read_cases(tmp_path, "train")
+
+
 def test_bad_hdf5_files_are_named(tmp_path):
     (tmp_path / "a.h5").write_bytes(b"no")
     with pytest.raises(FormatError, match=r"a\.h5 cannot be read"):
@@ -98,6 +107,20 @@ def test_bad_hdf5_files_are_named(tmp_path):
     write_hdf5(tmp_path / "a.h5", volume(0)[0])
     with pytest.raises(FormatError, match=r"a\.h5 has no data set called label"):
         read_cases(tmp_path, "train")
+
+
+def test_hdf5_files_of_words_are_refused(tmp_path):
+    image, label = volume(0)
+    for attributes, words in (
+        ({"spacing": "1 1 1"}, "has the spacing '1 1 1'"),
+        ({"spacing": [1.0, 2.0]}, "2 numbers"),
+    ):
+        with pytest.raises(FormatError, match=words):
+            read_cases(write_hdf5(tmp_path / "a.h5", image, label, **attributes).parent)
+    with pytest.raises(FormatError, match=r"a\.h5 has an image of type object"):
+        read_cases(write_hdf5(tmp_path / "a.h5", np.array([b"a", b"b"], dtype=object)).parent)
+    with pytest.raises(FormatError, match=r"a\.h5 holds values of type object"):
+        read_cases(write_hdf5(tmp_path / "a.h5", image, np.array([b"a", b"b"], dtype=object)).parent)
 
 
 def test_folders_without_cases(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 import torch
@@ -35,6 +36,12 @@ def test_a_map_survives_the_file_within_its_rounding(tmp_path):
 def test_the_default_plus_is_at_most_8_mb(tmp_path):
     save_weights(SDMNNPlus(), tmp_path / "a.safetensors")
     assert (tmp_path / "a.safetensors").stat().st_size <= 8e6
+
+
+@pytest.mark.parametrize("path", ["", ".", "/"])
+def test_paths_without_a_name(path):
+    with pytest.raises(FormatError, match="is a folder; give a file"):
+        load_weights(Path(path))
 
 
 def test_what_is_not_a_surrogate_is_refused(tmp_path):
