@@ -50,7 +50,7 @@ def place(tmp_path, monkeypatch):
         ("ball.stl -o x.tif", "does not end like a map"),
         ("ball.stl -o x.npz --format nrrd", "does not end with .nrrd"),
         ("ball.stl ball.stl -o x.npz", "several meshes need a folder"),
-        ("ball.stl one/ball.stl -o maps", "several meshes are called ball.stl"),
+        ("ball.stl one/ball.stl -o maps", "several files are called ball.stl"),
         ("ball.stl -o nowhere/x.npz", "nowhere is not there"),
         ("ball.stl -o file/x.npz", "is not a folder"),
         ("ball.stl ball.stl -o file", "the folder file cannot be made"),
