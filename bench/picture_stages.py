@@ -17,7 +17,7 @@ import numpy as np
 from bench import _stages as stages
 from bench._figure import STYLE
 from sdm.io.atomic import replacing
-from sdm.picture import COLOURS
+from sdm.picture import colour_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,8 +224,6 @@ def _proof(axes: Axes, segments: np.ndarray, box: stages.Box) -> None:
 
 def _values(axes: Axes, segments: np.ndarray, octants: list[stages.Box], lists: list[np.ndarray], step: float) -> None:
     """The signed distances of all pixels, each measured from its octant's list alone, with the zero contour."""
-    from matplotlib.colors import LinearSegmentedColormap
-
     across = PIXELS // stages.OCTANT
     values = np.empty((PIXELS, PIXELS))
     for number, (octant, found) in enumerate(zip(octants, lists, strict=True)):
@@ -236,9 +234,14 @@ def _values(axes: Axes, segments: np.ndarray, octants: list[stages.Box], lists: 
     centres = np.stack(np.meshgrid(at, at, indexing="ij"), -1).reshape(-1, 2)
     values = np.where(stages.is_inside(centres, segments).reshape(values.shape), -values, values)
     limit = 2 * float(-values.min())
-    shades = LinearSegmentedColormap.from_list("inside_outside", COLOURS)
     axes.imshow(
-        values.T, origin="lower", extent=(-1, 1, -1, 1), cmap=shades, vmin=-limit, vmax=limit, interpolation="none"
+        values.T,
+        origin="lower",
+        extent=(-1, 1, -1, 1),
+        cmap=colour_map(),
+        vmin=-limit,
+        vmax=limit,
+        interpolation="none",
     )
     axes.contour(at, at, values.T, levels=np.arange(-0.9, 0.91, 0.1), colors="0.2", linewidths=0.4, alpha=0.5)
     axes.contour(at, at, values.T, levels=[0.0], colors="black", linewidths=2.0)

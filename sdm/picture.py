@@ -103,7 +103,8 @@ def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> 
     return figure
 
 
-def _colour_map() -> LinearSegmentedColormap:
+def colour_map() -> LinearSegmentedColormap:
+    """Red inside, blue outside."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("inside_outside", COLOURS)
@@ -143,7 +144,7 @@ def _slice(
     half = [grid.spacing[a] / 2 for a in (right, up)]
     extent = (ticks[0][0] - half[0], ticks[0][-1] + half[0], ticks[1][0] - half[1], ticks[1][-1] + half[1])
     image = axes.imshow(
-        cut, cmap=_colour_map(), vmin=-limit, vmax=limit, origin="lower", extent=extent, interpolation="none"
+        cut, cmap=colour_map(), vmin=-limit, vmax=limit, origin="lower", extent=extent, interpolation="none"
     )
     size = (extent[1] - extent[0], extent[3] - extent[2])
     axes.set_aspect("equal" if max(size) < 8 * min(size) else "auto")

@@ -15,7 +15,7 @@ from sdm.errors import FormatError, SDMError
 from sdm.field import SDM
 from sdm.io.atomic import replacing
 from sdm.mesh import TriangleMesh
-from sdm.picture import COLOURS, colour_limit, line_step
+from sdm.picture import COLOURS, colour_limit, colour_map, line_step
 
 PIXELS = (1600, 1000)
 # Samples of a pixel, along each axis.
@@ -135,10 +135,9 @@ def _middle(field: SDM) -> np.ndarray:
 
 def _palette(polyscope: Any) -> str:
     """The colours of `sdm.picture`, which Polyscope reads from an image."""
-    from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.image import imsave
 
-    row = LinearSegmentedColormap.from_list(PALETTE, COLOURS)(np.linspace(0, 1, 256))
+    row = colour_map()(np.linspace(0, 1, 256))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "palette.png"
         imsave(path, np.repeat(row[None], 4, 0))

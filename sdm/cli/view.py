@@ -32,10 +32,11 @@ def view(
     from sdm.device import choose_device
     from sdm.engine import signed_distance_map
     from sdm.grid import Grid
-    from sdm.io import FORMATS, load, load_mesh
+    from sdm.io import load, load_mesh
+    from sdm.io.formats import is_map_name
     from sdm.viewer import view as show
 
-    if file.name.lower().endswith(tuple(f".{ending}" for ending in FORMATS)):
+    if is_map_name(file):
         show(load(file), level=level, picture=out)
         return
     mesh = load_mesh(file)

@@ -62,10 +62,22 @@ def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:
     Raises:
         FormatError: None of them.
     """
+    found = _named(path, formats)
+    if found is None:
+        raise FormatError(f"{path} does not end like a map: use one of .{', .'.join(formats)}")
+    return found
+
+
+def is_map_name(path: Path) -> bool:
+    """Whether a file's name ends like a map."""
+    return _named(path, FORMATS) is not None
+
+
+def _named(path: Path, formats: dict[str, Format]) -> Format | None:
     for ending, found in formats.items():
         if path.name.lower().endswith(f".{ending}") and len(path.name) > len(ending) + 1:
             return found
-    raise FormatError(f"{path} does not end like a map: use one of .{', .'.join(formats)}")
+    return None
 
 
 def check_target(path: Path) -> Format:
