@@ -18,7 +18,7 @@ from nibabel.openers import ImageOpener
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
-from sdm.io.packed import is_packed, unpacked
+from sdm.io.packed import held
 from sdm.io.record import KEY, from_record, record
 
 # NIfTI-1 counts voxels with 16 bits.
@@ -41,21 +41,16 @@ def write_compressed(field: SDM, path: Path) -> None:
 
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
-    if is_packed(path):
-        with unpacked(path) as file:
-            return _field(_load(path, FileHolder(fileobj=file)), path)
-    return _field(_load(path), path)
+    with held(path) as holder:
+        image = _load(path, holder)
+        grid, count = _geometry(image, path)
+        values = np.asanyarray(image.dataobj).reshape(grid.shape)
+        return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
 
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
     return _geometry(_load(path), path)[0]
-
-
-def _field(image: Any, path: Path) -> SDM:
-    grid, count = _geometry(image, path)
-    values = np.asanyarray(image.dataobj).reshape(grid.shape)
-    return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
 
 
 def _image(field: SDM) -> Any:

@@ -1,4 +1,4 @@
-"""Gzip files, read to the end, where their checksum is."""
+"""Files that nibabel reads; of gzip files to the end, where their checksum is."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from nibabel.fileholders import FileHolder
+
 from sdm.errors import FormatError
 from sdm.io.sentence import one_line
 
 BLOCK = 1 << 20
 
 
-def is_packed(path: Path) -> bool:
-    """Whether a file's name says that it is gzip."""
-    return path.name.lower().endswith(".gz")
-
-
 @contextmanager
-def unpacked(path: Path) -> Iterator[gzip.GzipFile]:
-    """The content of a `.gz`. What the block leaves is read after it: gzip checks its sum at the end alone.
+def held(path: Path) -> Iterator[FileHolder]:
+    """A file as nibabel takes it. What the block leaves of a `.gz` is read after it: gzip checks its sum at the end.
 
     Raises:
-        FormatError: The content is not what was packed, is cut off, or is not gzip.
+        FormatError: The content is not what was packed, is cut off, or is not gzip, though the name says so.
     """
+    if not path.name.lower().endswith(".gz"):
+        yield FileHolder(str(path))
+        return
     try:
         with gzip.open(path, "rb") as file:
-            yield file
+            yield FileHolder(fileobj=file)
             while file.read(BLOCK):
                 pass
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:

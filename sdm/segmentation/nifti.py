@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import zlib
 from pathlib import Path
-from typing import Any
 
 import nibabel as nib
 import numpy as np
 import torch
 from nibabel.filebasedimages import ImageFileError
-from nibabel.fileholders import FileHolder
 from numpy.typing import NDArray
 
 from sdm.errors import FormatError
-from sdm.io.packed import is_packed, unpacked
+from sdm.io.packed import held
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
 from sdm.segmentation.labels import foreground
@@ -63,26 +61,20 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
 
 def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     try:
-        if is_packed(path):
-            with unpacked(path) as file:
-                values, affine = _content(nib.Nifti1Image.from_file_map({"image": FileHolder(fileobj=file)}), path)
-        else:
-            values, affine = _content(nib.Nifti1Image.from_filename(path), path)
+        with held(path) as holder:
+            image = nib.Nifti1Image.from_file_map({"image": holder})
+            shape = tuple(image.shape)
+            if len(shape) < 3 or any(n != 1 for n in shape[3:]):
+                raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
+            values = np.ascontiguousarray(np.asanyarray(image.dataobj).reshape(shape[:3]), dtype=np.float32)
     except (OSError, EOFError, ImageFileError, ValueError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{path} cannot be read as NIfTI: {one_line(error)}") from error
+    affine = np.asarray(image.affine, dtype=np.float64)
     if not (np.isfinite(affine).all() and (np.linalg.norm(affine[:3, :3], axis=0) > 0).all()):
         raise FormatError(f"{path} has no usable voxel size in its header")
     return values, affine
-
-
-def _content(image: Any, path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    shape = tuple(image.shape)
-    if len(shape) < 3 or any(n != 1 for n in shape[3:]):
-        raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
-    values = np.ascontiguousarray(np.asanyarray(image.dataobj).reshape(shape[:3]), dtype=np.float32)
-    return values, np.asarray(image.affine, dtype=np.float64)
 
 
 def _lengths(sizes: np.ndarray) -> str:
