@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import TypeVar
 
 import torch
@@ -18,13 +19,20 @@ def one_by_one(make: Callable[[int], B], steps: Iterator[int]) -> Iterator[tuple
         yield step, make(step)
 
 
-def ahead(make: Callable[[int], B], steps: Iterator[int], device: torch.device, count: int) -> Iterator[tuple[int, B]]:
-    """(step, batch) for each step, `count` batches queued on a side stream before they are asked for.
+def ahead(
+    make: Callable[[list[int]], Sequence[B]],
+    steps: Iterator[int],
+    device: torch.device,
+    count: int,
+    together: int = 1,
+) -> Iterator[tuple[int, B]]:
+    """(step, batch) for each step, at least `count` batches queued on a side stream before they are asked for.
 
-    Each batch is new memory. The consumer's stream, the one that is current when a batch is asked for, waits for that
-    batch on the device; the host waits for nothing. The allocator is told that the consumer's stream reads the batch,
-    so its memory is free for reuse only after what was queued there up to the moment the batch is let go. Tensors of a
-    batch on the host are left alone.
+    `make` gives the batches of several steps at once: of `together`, but for the last. Each batch is new memory. The
+    consumer's stream, the one that is current when a batch is asked for, waits for that batch on the device; the host
+    waits for nothing. The allocator is told that the consumer's stream reads the batch, so its memory is free for reuse
+    only after what was queued there up to the moment the batch is let go. Tensors of a batch on the host are left
+    alone.
     """
     side = torch.cuda.Stream(device)
     # What `make` keeps on the device may still be on its way there.
@@ -32,21 +40,22 @@ def ahead(make: Callable[[int], B], steps: Iterator[int], device: torch.device, 
     ready: deque[tuple[int, B, torch.cuda.Event]] = deque()
 
     def queue() -> None:
-        step = next(steps, None)
-        if step is None:
+        several = list(islice(steps, together))
+        if not several:
             return
         with torch.cuda.device(device), torch.cuda.stream(side):
-            batch = make(step)
+            batches = make(several)
             done = torch.cuda.Event()
             done.record(side)
-        ready.append((step, batch, done))
+        ready.extend((step, batch, done) for step, batch in zip(several, batches, strict=True))
 
-    for _ in range(count):
+    for _ in range(-(-count // together)):
         queue()
     while ready:
         step, batch, done = ready.popleft()
-        # Queued before the consumer's next work, so that the device always has a batch to make.
-        queue()
+        if len(ready) < max(count, together):
+            # Queued before the consumer's next work, so that the device always has a batch to make.
+            queue()
         consumer = torch.cuda.current_stream(device)
         consumer.wait_event(done)
         _is_read(batch, consumer)

@@ -23,9 +23,6 @@ from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
 
-# Bytes and number of the maps that are made at a time.
-BATCH_BYTES, LARGEST_BATCH = 1 << 27, 64
-
 
 @dataclass(frozen=True, eq=False)
 class Job:
@@ -107,13 +104,15 @@ class Job:
         return theta.numpy(), None if transform is None else transform.numpy(), maps.numpy()
 
     def _batches(self, begin: int, end: int, maker: Maker) -> Iterator[tuple[int, Batch]]:
-        size = max(1, min(LARGEST_BATCH, BATCH_BYTES // self.grid.nbytes))
+        size = maker.at_once
 
         def make(first: int) -> Batch:
             return maker.make(_numbers(first, min(first + size, end)))
 
         steps = iter(range(begin, end, size))
-        return ahead(make, steps, maker.device, 1) if maker.device.type == "cuda" else one_by_one(make, steps)
+        if maker.device.type == "cuda":
+            return ahead(lambda several: [make(first) for first in several], steps, maker.device, 1)
+        return one_by_one(make, steps)
 
 
 def _numbers(begin: int, end: int) -> Tensor:

@@ -184,8 +184,10 @@ class Trainer:
     def batches_ahead(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """What `draw` gives for this step and those to come, on a GPU beside the step before, which leaves it room."""
         steps = iter(range(self.step, self.steps))
-        gpu = self.device.type == "cuda"
-        drawn = ahead(self.draw, steps, self.device, 1) if gpu else one_by_one(self.draw, steps)
+        if self.device.type == "cuda":
+            drawn = ahead(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
+        else:
+            drawn = one_by_one(self.draw, steps)
         return (batch for _, batch in drawn)
 
     def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:

@@ -39,7 +39,8 @@ class SDMStream(IterableDataset[Batch]):
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign.
-        ahead: How many batches are queued on a CUDA stream of their own before they are asked for.
+        ahead: How many batches at least are queued on a CUDA stream of their own before they are asked for. Small ones
+            are made several at once, up to 64 samples, as a GPU takes less time for them so.
         start: Global number of the first sample.
         stop: Global number before which the stream ends, a multiple of the global batch after `start`; None: never.
 
@@ -141,7 +142,8 @@ class SDMStream(IterableDataset[Batch]):
         begin, end = self._position, self.stop
         steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
         if self.device.type == "cuda":
-            batches = ahead(self._make, steps, self.device, self._ahead)
+            together = max(1, self._maker.at_once // self.batch_size)
+            batches = ahead(self._make_several, steps, self.device, self._ahead, together)
         else:
             batches = one_by_one(self._make, steps)
         return self._count(batches, stride)
@@ -171,8 +173,11 @@ class SDMStream(IterableDataset[Batch]):
             del batch
 
     def _make(self, step: int) -> Batch:
-        begin = step + self.rank * self.batch_size
-        return self._maker.make(torch.arange(begin, begin + self.batch_size, device="cpu"))
+        return self._make_several([step])[0]
+
+    def _make_several(self, steps: list[int]) -> list[Batch]:
+        first = [step + self.rank * self.batch_size for step in steps]
+        return self._maker.make_several([torch.arange(at, at + self.batch_size, device="cpu") for at in first])
 
     def sample(self, index: int | list[int] | torch.Tensor) -> Batch:
         """The samples with these global numbers, as the stream gives them, whatever its position."""

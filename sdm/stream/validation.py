@@ -15,7 +15,7 @@ from sdm.stream.batch import Batch
 from sdm.stream.maker import Maker
 from sdm.stream.samplers import Uniform, derived_seed
 
-# Samples made at a time.
+# Samples that are looked at a time.
 CHUNK = 16
 
 
@@ -51,7 +51,7 @@ class ValidationSet(Dataset[Batch]):
             dtype=maker.dtype,
             truncate=maker.truncate,
         )
-        made = [own.make(numbers) for numbers in torch.arange(count, device="cpu").split(CHUNK)]
+        made = [own.make(numbers) for numbers in torch.arange(count, device="cpu").split(own.at_once)]
         self.theta, self.sdm, self.index = (torch.cat(parts) for parts in zip(*made, strict=True))
         self.grid: Grid = maker.grid
         recipe = {key: own.recipe[key] for key in ("family", "fingerprint", "grid", "dtype", "truncate")}

@@ -62,6 +62,17 @@ def test_any_batch_size_gives_the_same_bits(family):
         assert all(torch.equal(a, b) for a, b in zip(found, whole, strict=True))
 
 
+def test_batches_that_are_made_several_at_once(family):
+    """At most 64 samples: 21 batches of 3, and the rest. Each is ready, and memory of its own."""
+    assert stream(family).maker.at_once == 64
+    whole = stream(family).sample(list(range(75)))
+    batches = list(stream(family, 3, stop=75))
+    assert len(batches) == 25
+    found = together(batches)
+    assert all(torch.equal(a, b) for a, b in zip(found, whole, strict=True))
+    assert all(b.sdm.untyped_storage().nbytes() == b.sdm.nbytes for b in batches)
+
+
 def test_parameters_are_those_of_the_cpu(family):
     here = SDMStream(family, family.grid(8), 16, seed=2, device="cpu")
     there = SDMStream(family, family.grid(8), 16, seed=2, device="cuda")

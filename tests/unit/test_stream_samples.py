@@ -139,6 +139,31 @@ def test_batches_are_fresh_memory(family):
     assert torch.equal(first.sdm, kept)
 
 
+def test_several_batches_by_one_call_are_the_same_batches(family):
+    maker = stream(family).maker
+    indices = [torch.tensor([0, 1, 2]), torch.tensor([7]), torch.tensor([3, 1])]
+    with torch.inference_mode():
+        found = maker.make_several(indices)
+    for batch, index in zip(found, indices, strict=True):
+        assert same(batch, maker.make(index))
+        assert not batch.sdm.is_inference()
+        # Whoever keeps one does not keep the others.
+        assert batch.sdm.untyped_storage().nbytes() == batch.sdm.nbytes
+
+
+def test_as_many_at_once_as_there_is_room_for():
+    family = Cochlea(600)
+    triangles = len(family.faces)
+
+    def at_once(resolution: int, family=family) -> int:
+        return SDMStream(family, family.grid(resolution), device="cpu").maker.at_once
+
+    assert [at_once(n) for n in (16, 64, 128, 256)] == [64, 64, 16, 2]
+    assert at_once(16, Cochlea(100_000)) == (1 << 21) // len(Cochlea(100_000).faces) < 64
+    meshes = [family.mesh([3, 0.5, 0.1, 0])] * 3
+    assert at_once(16, MeshFolder(meshes)) == 64 < (1 << 21) // triangles
+
+
 def test_what_the_caller_has_turned_on_changes_nothing(family):
     expected = take(stream(family), 1)[0]
     source = stream(family)
