@@ -13,7 +13,7 @@ import warp as wp
 
 from sdm.kernels.atomics import fetch_add, fetch_add_once
 from sdm.kernels.boxes import boxes_of
-from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face
+from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face, tests_of
 from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.least import clear_values, measure_item
@@ -78,9 +78,7 @@ def measure_parts(
                 tag = in_line(rows, _PAIRS, wp.min(first + lane, pairs - 1))
             boxes = int(0)
             if among > 0:
-                # Tests that a box has to pass, and others of which one: see `add_corner` and those after it.
-                kind = kind_of(mix, tag & (_PARTS - 1))
-                boxes = among & boxes_of(rows, tag, level, 5 - kind)
+                boxes = among & boxes_of(rows, tag, level, tests_of(kind_of(mix, tag & (_PARTS - 1))))
             begin = wp.where(level == 0, _PAIRS, _ITEMS)
             bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
@@ -155,7 +153,7 @@ def measure_block(
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
                     add_face(rows, lane, tree, parts, code, block.cell, block.floor)
-                in_steps(rows, lane)
+                in_steps(rows, lane, tests_of(which))
             wait_for_lanes()
             measure_parts(rows, mix, octants, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()

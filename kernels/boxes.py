@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.rows import PARTS, TEST_ROW, TESTS
+from sdm.kernels.rows import PARTS, TEST_ROW
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,9 +19,8 @@ wp.set_module_options({"enable_backward": False})
     const float other = half + 4.0f;
     const float a = octant & 4 ? other : half, b = octant & 2 ? other : half, c = octant & 1 ? other : half;
 #if defined(__CUDA_ARCH__)
-    unsigned dropped = 0, farther = 255;
-    const Row* const end = row + {PARTS * TESTS};
-    const Row* const either = row + {PARTS} * must;
+    unsigned dropped = 0;
+    const Row* const end = row + {PARTS} * tests;
     #pragma unroll 1
     do {{
         const Row u = *row;
@@ -36,35 +35,32 @@ wp.set_module_options({"enable_backward": False})
             below = __funnelshift_l(__float_as_uint(at), below, 1);
             above = __funnelshift_l(__float_as_uint(at - di), above, 1);
         }}
-        const unsigned beyond = (above << 4) + below, those = row < either ? 0 : 255;
-        dropped |= beyond & ~those;
-        farther &= beyond | ~those;
+        dropped |= (above << 4) + below;
         row += {PARTS};
     }} while (row < end);
-    return 255 & ~(dropped | farther);
+    return 255 & ~dropped;
 #else
     // The same, all boxes in one vector.
     typedef float Eight __attribute__((ext_vector_type(8)));
     typedef int Mask __attribute__((ext_vector_type(8)));
     const Eight is = {{0, 0, 0, 0, step, step, step, step}}, js = {{0, 0, step, step, 0, 0, step, step}};
     const Eight ks = {{0, step, 0, step, 0, step, 0, step}};
-    Mask dropped = 0, farther = -1;
-    for (int test = 0; test < {TESTS}; ++test) {{
+    Mask dropped = 0;
+    for (int test = 0; test < tests; ++test) {{
         const Row u = row[{PARTS} * test];
         const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         const Eight at = u.w + reach - (a * u.x + b * u.y + c * u.z) - is * u.x - js * u.y - ks * u.z;
-        if (test < must) dropped |= at < 0.0f;
-        else farther &= at < 0.0f;
+        dropped |= at < 0.0f;
         // Most parts fail one of the first tests.
         if (test == 1 && __builtin_reduce_and(dropped)) return 0;
     }}
     const Mask bits = {{1, 2, 4, 8, 16, 32, 64, 128}};
-    return __builtin_reduce_or(~(dropped | farther) & bits);
+    return __builtin_reduce_or(~dropped & bits);
 #endif
 """
 )
-def boxes_of(rows: wp.uint64, pair: int, level: int, must: int) -> int:
-    """The boxes, as bits, that pass the first `must` tests of a part and at least one of those after.
+def boxes_of(rows: wp.uint64, pair: int, level: int, tests: int) -> int:
+    """The boxes, as bits, that pass all the tests of a part.
 
     On level 0 the octants of the block, on level 1 the eighths of the octant of a pair, see `queues`.
     """

@@ -26,9 +26,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, bulge_of_edge, bulge_of_triangle
+from sdm.kernels.cull import Cell, bulge_of_edge
 from sdm.kernels.lanes import unknown
-from sdm.kernels.octants import room_for, test_corner, test_direction
+from sdm.kernels.octants import room_for, test_direction, test_witness
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts, one_of
 from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
@@ -44,6 +44,12 @@ _INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
 _ROWS = wp.constant(PARTS_FLOATS // 4)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
+
+
+@wp.func
+def tests_of(kind: int):
+    """How many tests a part of a kind has: directions, and the witness."""
+    return 6 - kind
 
 
 @wp.func
@@ -63,7 +69,7 @@ def above_floor(square: wp.float64, floor: float):
 
 @wp.func
 def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
-    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and six tests that a box has to pass."""
+    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and the tests that a box has to pass."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
@@ -90,12 +96,12 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
     test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
     test_direction(rows, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
     test_direction(rows, 4, number, room, q, further)
-    test_corner(rows, 5, number, q, 0.0)
+    test_witness(rows, 5, number, q, 0.0)
 
 
 @wp.func
 def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
-    """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next: four tests, and one of two."""
+    """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
@@ -121,14 +127,12 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     test_direction(rows, 1, number, room_for(cell, q), q, edge)
     test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
     test_direction(rows, 3, number, room, p, inward)
-    bulge = bulge_of_edge(edge)
-    test_corner(rows, 4, number, p, bulge)
-    test_corner(rows, 5, number, q, bulge)
+    test_witness(rows, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
 
 
 @wp.func
 def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
-    """`add_corner` for a face, of triangle code / 4: three tests, and one of three."""
+    """`add_corner` for a face, of triangle code / 4."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
     first_two = load2(parts.inverses, 2 * slot)
@@ -141,7 +145,12 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
     write_row(rows, number, normal[0], normal[1], normal[2], float(h))
     write_number(rows, _NUMBERS + number, above_floor(h * h, floor))
-    bulge = bulge_of_triangle(corner_b - corner_a, corner_c - corner_b, corner_a - corner_c)
+    # Not from a ball that is known: the middle is rounded by its distance from the centre alone.
+    from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) / 3.0
+    from_b = from_a - wp.vec3(ab)
+    from_c = from_b - wp.vec3(bc)
+    radius2 = wp.max(wp.dot(from_a, from_a), wp.max(wp.dot(from_b, from_b), wp.dot(from_c, from_c)))
+    test_witness(rows, 3, number, wp.vec3(a) + from_a, 1.000001 * radius2)
     inverse = first_two[0]
     then = first_two[1]
     last = last_two[0]
@@ -153,7 +162,6 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
         # On the inner side of the plane on this edge.
         test_direction(rows, k, number, room_for(cell, away), away, -u)
-        test_corner(rows, 3 + k, number, wp.vec3(a), bulge)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab

@@ -8,9 +8,12 @@ to a box of which no point fulfils one of these inequalities.
 For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
 o.u - q.u - sum_i h_i |u_i|, so that o.u is compared with q.u and what u and the box's size add to it.
 
-And no part matters to a box for all of whose voxels the block's witness y is nearer than any of the part's points.
-That is asked of its corners, as in `cull`: x at q can be nearer to a voxel around o, for g = y - q, if
-2 o.g - 2 sum_i h_i |g_i| <= |y|^2 - |q|^2, which is of the same form: the row of a test is (u, what o.u may be up to).
+And no part matters to a box for all of whose voxels p the block's witness y is nearer than x. Here x is a corner, or
+lies inside an edge or a face, with p - x at right angles to that. Then |p - x|^2 is |p - g|^2 - |x - g|^2 for any other
+point g of it, and |x - g| is at most the distance r from g to its corners. So with g at q, the part can be nearer only
+if |p - g|^2 - r^2 <= |p - y|^2, which is linear in p, as the square of p cancels: 2 p.(y - q) <= |y|^2 - |q|^2 + r^2.
+That is of the same form: the row of a test is (u, what o.u may be up to). g is the corner, with r = 0, the middle of
+the edge, or the mean of the face's corners.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import warp as wp
 from sdm.kernels.cull import Cell, Witness, doubt, sum_abs
 from sdm.kernels.grid import Slab, way
 from sdm.kernels.parts import ROOM
-from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, TESTS, WITNESS_ROW, read_row, write_row
+from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,14 +96,11 @@ def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.v
 
 
 @wp.func
-def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: float):
-    """Note whether for some voxel the point at q may be nearer than the witness.
-
-    Or if it is a corner of several: what is between them, which may be nearer by `bulge`, see `cull`.
-    """
+def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
+    """Note whether a part's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
     witness = read_row(rows, _WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
-    note_test(rows, test, number, gap, 0.5 * (witness[3] + bulge - wp.dot(q, q)))
+    note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
 
 
 @wp.func_native(
@@ -111,7 +111,7 @@ def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: floa
     Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
     // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
     #pragma unroll 1
-    for (int test = 0; test < {TESTS}; ++test, row += {PARTS}) {{
+    for (; tests > 0; --tests, row += {PARTS}) {{
         const Row u = *row;
         const float wider = o.w * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         *row = {{i.x * u.x + i.y * u.y + i.z * u.z, j.x * u.x + j.y * u.y + j.z * u.z,
@@ -119,8 +119,8 @@ def test_corner(rows: wp.uint64, test: int, number: int, q: wp.vec3, bulge: floa
     }}
 """
 )
-def in_steps(rows: wp.uint64, number: int):
-    """Write the tests of a part in steps of the lattice from its first voxel."""
+def in_steps(rows: wp.uint64, number: int, tests: int):
+    """Write the first `tests` tests of a part in steps of the lattice from its first voxel."""
     ...
 
 
