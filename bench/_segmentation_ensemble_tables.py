@@ -34,16 +34,16 @@ def ensembles_tables(folders: Mapping[str, Path], moved: str | None = None) -> s
 def mixtures_tables(folders: Mapping[str, Path], main: Logs, moved: str | None = None) -> str:
     """What the protocols are that ensembles mix, less those of `main`; then as `ensembles_tables`, of these ensembles.
 
-    The log of a training may be in any of the folders: it is known by its settings and seed. One that was done more
-    than once counts as often.
+    The log of a training may be in any of the folders: it is known by its settings and seed. Of one that was done
+    more than once it is the first.
     """
     logs = [(name, log) for name, folder in folders.items() for log in _ordered(folder) if is_mixed(log)]
     if not logs:
         return ""
-    known: dict[str, Logs] = {}
+    known: dict[str, dict[str, Any]] = {}
     for folder in folders.values():
         for one in read_logs(folder) if folder.is_dir() else []:
-            known.setdefault(_key(settings_of(one)), []).append(one)
+            known.setdefault(_key(settings_of(one)), one)
     told = dict.fromkeys(f"- {name}: {_protocols(log, main)}" for name, log in logs)
     return "\n".join([*told, "", _tables([(name, log, _of_networks(log, known)) for name, log in logs], moved)])
 
@@ -56,14 +56,14 @@ def _protocols(log: Mapping[str, Any], main: Logs) -> str:
     return " + ".join(differs(group, main[0]) for group in groups)
 
 
-def _of_networks(log: Mapping[str, Any], known: Mapping[str, Logs]) -> Logs:
+def _of_networks(log: Mapping[str, Any], known: Mapping[str, dict[str, Any]]) -> Logs:
     """The trainings with the settings and seeds of an ensemble's networks; none unless all are known."""
     wanted = [
         _key(settings_of({"job": {"settings": {**group["settings"], "seed": seed}}}))
         for group in groups_of(log["job"])
         for seed in group["seeds"]
     ]
-    return [one for key in wanted for one in known[key]] if set(wanted) <= set(known) else []
+    return [known[key] for key in wanted] if set(wanted) <= set(known) else []
 
 
 def _key(settings: Mapping[str, Any]) -> str:

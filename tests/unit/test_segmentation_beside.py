@@ -185,6 +185,8 @@ def test_the_report_has_mixtures_apart(tmp_path):
         for seed, distance in enumerate((10.0, 20.0)):
             log(main, f"{method}-{seed}", 0.8, distance, {})
             log(trials / "coarse", f"{method}-{seed}", 0.7, distance, coarse)
+    # Once more: the first counts.
+    log(trials / "later", "baseline-0", 0.1, 50.0, coarse)
     log(main, "baseline-ensemble", 0.9, 8.0, {}, seeds=[0, 1])
     before = segmentation_report.page(main, tmp_path / "none", trials)
     assert "several protocols" not in before
