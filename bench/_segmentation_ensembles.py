@@ -5,17 +5,15 @@ A training keeps its network as METHOD-SEED.pt; the scores of their mean are MET
 
 from __future__ import annotations
 
-import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from bench._machine import describe
-from bench._segmentation_jobs import Job, read_ensembles, read_logs
-from bench._segmentation_trials import Logs, by_case, means
+from bench._segmentation_jobs import Job, groups_of, read_ensembles
 from sdm.segmentation import METHODS, Case, Settings, cell, check_cases, load_model, load_settings, read_cases
 from sdm.segmentation import validate_ensemble as validate
 
@@ -76,25 +74,35 @@ def ensemble_jobs(listed: Sequence[Job], keep: Path, logs: Path, *, complete: bo
 
     Those whose log has these seeds, or some that are not kept any more, are left out: they are done.
     """
-    known = {log["job"]["name"]: set(log["job"]["seeds"]) for log in read_ensembles(logs)} if logs.is_dir() else {}
     found = []
-    for own in _by_method(listed).values():
+    for own in by_method(listed).values():
         kept = [job for job in own if kept_file(keep, job).is_file()]
         if len(kept) < (max(2, len(own)) if complete else 2):
             continue
-        job = as_ensemble(kept, keep)
-        if set(job["seeds"]) > known.get(job["name"], set()):
-            found.append(job)
-    return found
+        found.append(as_ensemble(kept, keep))
+    return not_done(found, logs)
+
+
+def not_done(jobs: Sequence[Job], logs: Path) -> list[Job]:
+    """Ensembles without those whose log has their seeds, or some that are not kept any more."""
+    found = read_ensembles(logs) if logs.is_dir() else []
+    known = {log["job"]["name"]: _seeds(log["job"]) for log in found}
+    return [job for job in jobs if _seeds(job) > known.get(job["name"], set())]
+
+
+def _seeds(job: Job) -> set[tuple[int, int]]:
+    """Each with the number of its protocol."""
+    return {(at, seed) for at, group in enumerate(groups_of(job)) for seed in group["seeds"]}
 
 
 def too_few(listed: Sequence[Job], keep: Path) -> list[str]:
     """Methods of which fewer than two networks are kept."""
-    methods = _by_method(listed).items()
+    methods = by_method(listed).items()
     return [name for name, own in methods if sum(kept_file(keep, job).is_file() for job in own) < 2]
 
 
-def _by_method(listed: Sequence[Job]) -> dict[str, list[Job]]:
+def by_method(listed: Sequence[Job]) -> dict[str, list[Job]]:
+    """In the order in which they come."""
     found: dict[str, list[Job]] = {}
     for job in listed:
         found.setdefault(job["settings"]["method"], []).append(job)
@@ -105,6 +113,11 @@ def ensemble_after(job: Job, *, listed: Sequence[Job], keep: Path, logs: Path) -
     """The ensemble of a method, once its last training is done."""
     own = [other for other in listed if other["settings"]["method"] == job["settings"]["method"]]
     return next(iter(ensemble_jobs(own, keep, logs, complete=True)), None)
+
+
+def seeds_of(job: Job) -> str:
+    """Those of an ensemble's networks, with a plus between protocols: 0, 1, 2 + 0, 1."""
+    return " + ".join(", ".join(map(str, group["seeds"])) for group in groups_of(job))
 
 
 def cases_of(job: Job, part: str, kept: dict[str, Any]) -> list[Case]:
@@ -129,7 +142,7 @@ def ensemble(job: Job, device: str, kept: dict[str, Any]) -> dict[str, Any]:
     )
     largest = {name: score for name, _, score in scores}
     values = list(largest.values())
-    seeds = ", ".join(map(str, job["seeds"]))
+    seeds = seeds_of(job)
     return {
         "summary": f"Dice {cell(values, 'dice')}, 95HD {cell(values, 'hausdorff95_mm')}, seeds {seeds}",
         "prediction_s": time.monotonic() - begin,
@@ -137,57 +150,3 @@ def ensemble(job: Job, device: str, kept: dict[str, Any]) -> dict[str, Any]:
         "plain": {name: score for name, score, _ in scores},
         "largest": largest,
     }
-
-
-def ensembles_tables(folders: Mapping[str, Path], moved: str | None = None) -> str:
-    """A row for each ensemble beside the mean over its seeds' trainings, then its cases; empty if there are none.
-
-    An empty prediction counts as a distance of `FAILED`. A mean is missing where the log of one of its trainings is. If
-    there is a case `moved`, the means without it follow.
-    """
-    lines = ["| logs | method (seeds) | Dice [%] | mean of seeds | 95HD [voxels] | mean of seeds |"]
-    lines.append("|---|---|---|---|---|---|")
-    if moved is not None:
-        lines = [lines[0] + f" Dice, 95HD without {moved[:4]} | mean of seeds |", lines[1] + "---|---|"]
-    found = [(name, log, _trainings(log, folder)) for name, folder in folders.items() for log in _ordered(folder)]
-    for name, log, own in found:
-        both = zip(means([log]), means(own) if own else (None, None), strict=True)
-        cells = [text for pair in both for text in ("-" if value is None else f"{value:.2f}" for value in pair)]
-        if moved is not None:
-            cells += ["{:.2f}, {:.2f}".format(*means(logs, moved)) if logs else "-" for logs in ([log], own)]
-        lines.append(f"| {name} | {_called(log)} | {' | '.join(cells)} |")
-    if not found:
-        return ""
-    cases = list(by_case([found[0][1]]))
-    lines += ["", "95HD of an ensemble by case, in brackets the mean of its seeds:", ""]
-    lines += [
-        f"| logs | method (seeds) | {' | '.join(case[:4] for case in cases)} |",
-        "|---|---|" + "---|" * len(cases),
-    ]
-    for name, log, own in found:
-        one, several = by_case([log]), by_case(own)
-        cells = [_distances(one.get(case, [])) + f" ({_distances(several.get(case, []))})" for case in cases]
-        lines.append(f"| {name} | {_called(log)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
-def _ordered(folder: Path) -> Logs:
-    order = list(METHODS)
-    found = read_ensembles(folder) if folder.is_dir() else []
-    return sorted(found, key=lambda log: order.index(log["job"]["settings"]["method"]))
-
-
-def _trainings(log: Mapping[str, Any], folder: Path) -> Logs:
-    """Those of an ensemble's seeds; none unless all are there."""
-    method, seeds = log["job"]["settings"]["method"], log["job"]["seeds"]
-    names = {f"{method}-{seed}" for seed in seeds}
-    own = [one for one in read_logs(folder) if one["job"]["name"] in names]
-    return own if len(own) == len(seeds) else []
-
-
-def _called(log: Mapping[str, Any]) -> str:
-    return f"{log['job']['settings']['method']} ({', '.join(map(str, log['job']['seeds']))})"
-
-
-def _distances(values: Sequence[tuple[float, float]]) -> str:
-    return f"{statistics.fmean(distance for _, distance in values):.1f}" if values else "-"

@@ -151,6 +151,19 @@ def read_ensembles(folder: Path) -> list[dict[str, Any]]:
     return [log for log in _logs(folder) if _of_several(log)]
 
 
+def groups_of(job: Job) -> list[Job]:
+    """What an ensemble averages: its own networks, then those of other protocols beside them; each `settings`, `seeds`.
+
+    A training is one such group.
+    """
+    return [job, *job.get("beside", [])]
+
+
+def is_mixed(log: dict[str, Any]) -> bool:
+    """Whether a log is of an ensemble over networks of more than one protocol."""
+    return len(groups_of(log["job"])) > 1
+
+
 def _logs(folder: Path) -> list[dict[str, Any]]:
     return [_long(json.loads(path.read_text())) for path in sorted(folder.glob("*.json"))]
 

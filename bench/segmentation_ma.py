@@ -4,6 +4,7 @@
     python -m bench.segmentation_ma table                                # the table from the logs
     python -m bench.segmentation_ma run --data DIR/la --keep FOLDER --ensemble    # and the mean over each row's seeds
     python -m bench.segmentation_ma ensemble --data DIR/la --keep FOLDER          # that alone, of networks kept before
+    python -m bench.segmentation_ma ensemble --data DIR/la --keep FINE --beside COARSE --logs MIXED    # and of others
 
 J. Ma et al., "How distance transform maps boost segmentation CNNs: an empirical study", MIDL 2020. DIR/la has `train`
 and `val` with HDF5 files (data sets image, label). Every row has the same network, patches, optimiser, schedule and
@@ -11,7 +12,8 @@ number of steps; nothing is chosen by the validation cases but what is said in t
 voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
 An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble.json. Its
 networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say. What is
-not said is as in the table that is kept in bench/results.
+not said is as in the table that is kept in bench/results. With --beside the networks of a row in other folders, whose
+settings may be others (voxels four times as large), are averaged with those in --keep; the logs need their own folder.
 
 What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
 whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff
@@ -32,6 +34,8 @@ from typing import Any
 import torch
 
 from bench._machine import describe
+from bench._segmentation_beside import mixtures, refuse_folders
+from bench._segmentation_ensemble_tables import ensembles_tables, mixtures_tables
 from bench._segmentation_ensembles import (
     ENSEMBLE_S,
     as_ensemble,
@@ -39,14 +43,14 @@ from bench._segmentation_ensembles import (
     ensemble,
     ensemble_after,
     ensemble_jobs,
-    ensembles_tables,
     kept_file,
     kept_trainings,
+    not_done,
     refuse_other_networks,
     too_few,
 )
 from bench._segmentation_fit import fitted_steps, known_steps, shared
-from bench._segmentation_jobs import Job, devices, read_ensembles, read_logs, run_jobs, short
+from bench._segmentation_jobs import Job, devices, groups_of, read_ensembles, read_logs, run_jobs, short
 from bench._segmentation_trials import settings_of
 from sdm.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
@@ -80,12 +84,16 @@ def main() -> None:
         return
     if not options.keep and (options.ensemble or options.what == "ensemble"):
         raise SystemExit("ensembles are made of networks that were kept: give a folder with --keep")
+    if options.beside and options.what != "ensemble":
+        raise SystemExit(f"--beside is for networks that were kept: say ensemble in place of {options.what}")
     on = devices(options.gpus) * options.per_gpu
     end = time.monotonic() + options.budget_s
     # Once, before several processes want it at the same time.
     for device in on[:1]:
         euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
-    if options.what == "ensemble":
+    if options.beside:
+        make_mixtures(options, end, on)
+    elif options.what == "ensemble":
         make_ensembles(kept_trainings(options.keep, job_of(options), options.methods, options.seeds), options, end, on)
     else:
         make_trainings(options, end, on)
@@ -117,9 +125,22 @@ def make_ensembles(listed: list[Job], options: argparse.Namespace, end: float, o
     """Those of the trainings' networks that are kept and not done yet."""
     refuse_others(listed, options.logs)
     todo = ensemble_jobs(listed, options.keep, options.logs)
-    refuse_others(todo, options.logs)
+    refuse_others([as_ensemble([job], options.keep) for job in listed], options.logs)
     if few := too_few(listed, options.keep):
         print(f"fewer than two networks are kept of {', '.join(few)}: no ensemble", flush=True)
+    average(todo, options, end, on)
+
+
+def make_mixtures(options: argparse.Namespace, end: float, on: list[str]) -> None:
+    """The ensembles over networks of several folders that are not done yet."""
+    refuse_folders(options.keep, options.beside, options.logs, LOGS)
+    listed = mixtures(job_of(options), options.keep, options.beside, options.methods, options.seeds)
+    refuse_others(listed, options.logs)
+    average(not_done(listed, options.logs), options, end, on)
+
+
+def average(todo: list[Job], options: argparse.Namespace, end: float, on: list[str]) -> None:
+    """Do ensembles, in the time that is left."""
     if todo and time.monotonic() >= end:
         print(f"no time is left for {', '.join(job['name'] for job in todo)}", flush=True)
         return
@@ -137,6 +158,9 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--logs", type=Path, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
     parser.add_argument("--keep", type=Path, default=None, help="folder for the networks, METHOD-SEED.pt")
+    parser.add_argument(
+        "--beside", type=Path, nargs="+", default=[], help="ensemble: folders of networks to average with those too"
+    )
     parser.add_argument(
         "--ensemble", action="store_true", help="run: the mean over seeds too; some of the budget is left for it"
     )
@@ -212,13 +236,18 @@ def job_of(options: argparse.Namespace) -> Job:
 def refuse_others(listed: list[Job], logs: Path) -> None:
     """A log of another protocol must not pass for a training, or an ensemble, of this one."""
     found = [*read_logs(logs), *read_ensembles(logs)] if logs.is_dir() else []
-    known = {log["job"]["name"]: settings_of(log) for log in found}
+    known = {log["job"]["name"]: protocols(log["job"]) for log in found}
     for job in listed:
-        own = short(settings_of({"job": job}))
+        own = short(protocols(job))
         if known.get(job["name"], own) != own:
             raise SystemExit(
                 f"{logs / job['name']}.json is of a training with other settings: choose another folder with --logs"
             )
+
+
+def protocols(job: Job) -> list[dict[str, Any]]:
+    """The settings of a training, or of all networks of an ensemble."""
+    return [settings_of({"job": group}) for group in groups_of(job)]
 
 
 def fit(options: argparse.Namespace, on: list[str]) -> int:
@@ -291,8 +320,12 @@ def _summary(cases: list[dict[str, Any]], training: Training) -> str:
 
 def tables(options: argparse.Namespace) -> str:
     """Of the trainings and, if there are any, of the ensembles."""
-    found = [table_of(options.logs, options.parts), ensembles_tables({options.logs.name: options.logs})]
-    return "\n\n".join(text for text in found if text)
+    folders = {options.logs.name: options.logs}
+    main = read_logs(LOGS) if LOGS.is_dir() else []
+    found = [text for text in (ensembles_tables(folders), mixtures_tables(folders, main)) if text]
+    if not found or read_logs(options.logs):
+        found.insert(0, table_of(options.logs, options.parts))
+    return "\n\n".join(found)
 
 
 def table_of(logs: Path, parts: str) -> str:

@@ -22,7 +22,7 @@ from scipy import stats
 
 from bench import segmentation_juhl, segmentation_ma
 from bench._record import put
-from bench._segmentation_ensembles import ensembles_tables
+from bench._segmentation_ensemble_tables import ensembles_tables, mixtures_tables
 from bench._segmentation_jobs import read_logs
 from bench._segmentation_seeds import repeats_table, seeds_table
 from bench._segmentation_trials import Logs, designs_and_others, effects_table, most_moved, trials_table
@@ -59,7 +59,7 @@ def page(ma: Path, juhl: Path, trials: Path) -> str:
         parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
         parts += by_seed(logs)
         parts += other_protocols(logs, trials)
-        parts += ensembles(ma, trials, most_moved(logs))
+        parts += ensembles(ma, trials, logs)
     parts += ["## Simple shapes (Juhl et al.)", ""]
     if shape_logs:
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
@@ -105,12 +105,19 @@ def other_protocols(logs: Logs, trials: Path) -> list[str]:
     return parts
 
 
-def ensembles(ma: Path, trials: Path, moved: str) -> list[str]:
-    """Those of the table's trainings and of other protocols."""
+def ensembles(ma: Path, trials: Path, logs: Logs) -> list[str]:
+    """Those of the table's trainings and of other protocols, then those over networks of several protocols."""
     folders = sorted(path for path in trials.iterdir() if path.is_dir()) if trials.is_dir() else []
-    found = ensembles_tables({"the table": ma, **{path.name: path for path in folders}}, moved)
-    title = "### Ensembles: the mean of what networks say that differ in their seed (largest component)"
-    return [title, "", found, ""] if found else []
+    places, moved = {"the table": ma, **{path.name: path for path in folders}}, most_moved(logs)
+    parts = {
+        "### Ensembles: the mean of what networks say that differ in their seed (largest component)": (
+            ensembles_tables(places, moved)
+        ),
+        "### Ensembles of several protocols, those of the first + those of the next (largest component)": (
+            mixtures_tables(places, logs, moved)
+        ),
+    }
+    return [line for title, found in parts.items() if found for line in (title, "", found, "")]
 
 
 def protocol(logs: Logs) -> str:

@@ -48,7 +48,8 @@ def compute(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
         orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
-        resume: Skip meshes whose map is there already, on the same grid.
+        resume: Skip meshes whose map is there already: on the same grid, and of the same triangles facing the same
+            way, as the map says. Other files under its name are replaced.
     """
     from sdm.cli.inputs import refuse_inputs
     from sdm.cli.jobs import Settings, run
@@ -67,13 +68,14 @@ def compute(
         resolution=resolution,
         spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
         like=None if grid_like is None else read_grid(grid_like),
+        like_image=grid_like,
         margin=margin,
         device=choose_device(device),
         orient=orient,
         resume=resume,
     )
     jobs = plan(meshes, out, format)
-    # A map that is there on its own grid is skipped by --resume, and so may give the grid of the others.
+    # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like
     refuse_inputs((target for _, target in jobs), [*(source for source, _ in jobs), like])
     return run(jobs, settings)

@@ -34,12 +34,15 @@ def evaluate(
     from sdm.cli.inputs import refuse_inputs
     from sdm.device import choose_device
     from sdm.io.atomic import replacing
+    from sdm.io.formats import check_file
     from sdm.segmentation import scores_of, table
     from sdm.segmentation.pairs import label_pairs, labels_of
     from sdm.segmentation.scores import COLUMNS
 
     # Not only those that have a partner: what lies with labels may well be one.
     refuse_inputs([json], [*labels_of(predictions).values(), *labels_of(truths).values()])
+    if json is not None:
+        check_file(json)
     where = choose_device(device)
     scores = {
         name: scores_of(prediction.to(where), truth.to(where), spacing)

@@ -79,8 +79,7 @@ def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
     """Find out before the fit, which takes minutes, what could not be written after it."""
     from sdm.errors import FormatError
     from sdm.fit.drawing import FORMATS
-    from sdm.io.atomic import try_to_write
-    from sdm.io.formats import is_folder
+    from sdm.io.formats import check_file
 
     if mesh is not None and mesh.suffix.lower() != ".ply":
         raise FormatError(f"{mesh} does not end like the surface that is written there: use .ply")
@@ -88,11 +87,9 @@ def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
         raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
     targets = [target for target in (out, mesh, picture) if target is not None]
     for number, target in enumerate(targets):
-        if is_folder(target):
-            raise FormatError(f"{target} cannot be written: a folder of that name is there; choose another name")
+        check_file(target)
         if target.resolve() in [other.resolve() for other in targets[:number]]:
             raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
-        try_to_write(target)
 
 
 def _print(result: FitResult) -> None:

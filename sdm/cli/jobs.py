@@ -11,12 +11,15 @@ from typing import Literal
 import torch
 
 from sdm.cli.errors import sentence_of
+from sdm.cli.inputs import refuse_inputs
 from sdm.cli.progress import Bar
 from sdm.engine import MeshIndex
 from sdm.errors import SDMError
 from sdm.grid import Grid
 from sdm.inspect import orient_outward
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
+from sdm.io.maps import made_from
+from sdm.io.record import digest_of
 from sdm.mesh import TriangleMesh
 
 
@@ -28,15 +31,17 @@ class Settings:
         resolution: Voxels along each axis; None for the default.
         spacing: Voxel size in place of it: one length or three.
         like: The grid itself in place of it.
+        like_image: The file that it is of, which is not written over.
         margin: Room around the mesh, as a share of its box.
         device: Where to compute.
         orient: Whether closed meshes that are inside out are turned.
-        resume: Whether maps that are there on the same grid are left.
+        resume: Whether maps of the same triangles that are there on the same grid are left.
     """
 
     resolution: int | None
     spacing: float | tuple[float, ...] | None
     like: Grid | None
+    like_image: Path | None
     margin: float
     device: torch.device
     orient: Literal["keep", "auto"]
@@ -87,14 +92,17 @@ def _compute(source: Path, target: Path, settings: Settings, bar: Bar) -> None:
     check_target(target)
     mesh = load_mesh(source)
     grid = settings.grid(mesh)
-    if settings.resume and _finished(target, grid):
-        bar.print(f"{mesh.name}: {target} is there already")
-        return
     mesh = mesh.to(settings.device)
     outward = orient_outward(mesh)
     turned = outward is not mesh
-    index = MeshIndex(outward if settings.orient == "auto" else mesh, settings.device)
-    ambiguous = write_streamed(index, grid, target, progress=bar.share)
+    measured = outward if settings.orient == "auto" else mesh
+    digest = digest_of(measured)
+    if settings.resume and _finished(target, grid, digest):
+        bar.print(f"{mesh.name}: {target} is there already")
+        return
+    refuse_inputs([target], [settings.like_image])
+    index = MeshIndex(measured, settings.device)
+    ambiguous = write_streamed(index, grid, target, progress=bar.share, made_from=digest)
     seconds = time.perf_counter() - start
 
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
@@ -106,9 +114,10 @@ def _compute(source: Path, target: Path, settings: Settings, bar: Bar) -> None:
         bar.print(f"sdm: warning: {mesh.name} {warning}", warn=True)
 
 
-def _finished(target: Path, grid: Grid) -> bool:
+def _finished(target: Path, grid: Grid, digest: str) -> bool:
+    """Whether a file is a map on this grid of the mesh with this digest; no other image is."""
     try:
-        return grid_like(target) == grid
+        return grid_like(target) == grid and made_from(target) == digest
     except SDMError:
         return False
 

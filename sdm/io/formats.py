@@ -97,6 +97,17 @@ def check_target(path: Path) -> Format:
     return found
 
 
+def check_file(path: Path) -> None:
+    """Find out whether a file of any kind can be written somewhere, before the work whose result it is to hold.
+
+    Raises:
+        FormatError: Its folder is not there or cannot be written, or a folder has its name.
+    """
+    if is_folder(path):
+        raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
+    try_to_write(path)
+
+
 def _is_map(path: Path) -> bool:
     """Whether a Zarr folder is a map that `sdm.io.zarr` wrote: data sets and others' arrays are not to be replaced."""
     try:

@@ -14,6 +14,7 @@ from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.io.atomic import replacing
 from sdm.io.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
+from sdm.io.record import MADE_FROM
 from sdm.io.sentence import one_line
 
 if TYPE_CHECKING:
@@ -35,10 +36,13 @@ def save(field: SDM, path: str | Path) -> None:
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
     """
-    target = Path(path)
+    _save(field, Path(path), None)
+
+
+def _save(field: SDM, target: Path, made_from: str | None) -> None:
     chosen = check_target(target)
     with replacing(target) as part:
-        getattr(chosen.module, chosen.writer)(field, part)
+        getattr(chosen.module, chosen.writer)(field, part, made_from)
 
 
 def load(path: str | Path) -> SDM:
@@ -69,8 +73,26 @@ def grid_like(path: str | Path) -> Grid:
         return chosen.module.read_grid(source)
 
 
+def made_from(path: str | Path) -> str | None:
+    """What `write_streamed` was told that a map is made from; None where it was not, and of other images.
+
+    Raises:
+        FormatError: As `load`.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS)
+    with _reading(source):
+        found = chosen.module.read_record(source)
+    return found.get(MADE_FROM) if isinstance(found, dict) else None
+
+
 def write_streamed(
-    index: MeshIndex, grid: Grid, path: str | Path, *, progress: Callable[[float], Any] | None = None
+    index: MeshIndex,
+    grid: Grid,
+    path: str | Path,
+    *,
+    progress: Callable[[float], Any] | None = None,
+    made_from: str | None = None,
 ) -> int:
     """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
 
@@ -79,6 +101,7 @@ def write_streamed(
         grid: Where to measure.
         path: Where to write, as for `save`.
         progress: Called with the share that is done, 0 to 1; for formats other than `.zarr` at the end alone.
+        made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
 
     Returns:
         How many voxels are ambiguous, as in `SDM`: 0 for closed meshes.
@@ -92,7 +115,7 @@ def write_streamed(
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:
         field = index.signed_distance_map(grid)
-        save(field, target)
+        _save(field, target, made_from)
         if progress is not None:
             progress(1.0)
         return field.ambiguous_voxels or 0
@@ -100,7 +123,8 @@ def write_streamed(
     with replacing(target) as part:
         layer_bytes = 4 * grid.shape[1] * grid.shape[2]
         slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes, ambiguous=unclear)
-        chosen.module.write_slabs(_told(slabs, grid.shape[0], progress), grid, part, lambda: int(unclear))
+        told = _told(slabs, grid.shape[0], progress)
+        chosen.module.write_slabs(told, grid, part, lambda: int(unclear), made_from)
     return int(unclear)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.io.atomic import replacing
+from sdm.io.mixed_ply import read_mixed
 from sdm.io.polygons import cut_ply, cut_text
 from sdm.io.sentence import one_line
 from sdm.io.whole import check_whole
@@ -100,6 +101,10 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         # A scene is odd only once it is gone through: trimesh keeps rows of any length, and makes hashes of names.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            mixed = read_mixed(path.read_bytes()) if path.suffix.lower() == ".ply" else None
+            if mixed is not None:
+                _check_indices(mixed[1], len(mixed[0]), path)
+                return mixed
             return _flatten(_parse(path), path)
     except (MeshError, MemoryError):
         raise
@@ -142,9 +147,7 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise MeshError(f"a vertex of {path} has fewer than 3 coordinates; each needs x, y and z")
         # Here, since the next part's vertices would hide it.
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            bad = int(faces.min() if faces.min() < 0 else faces.max())
-            raise MeshError(f"a face of {path} uses vertex {bad}, but it has {len(vertices)} vertices counted from 0")
+        _check_indices(faces, len(vertices), path)
         if not np.array_equal(transform, np.eye(4)):
             vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
             faces = faces[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else faces
@@ -152,6 +155,12 @@ def _flatten(scene: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:
         all_faces.append(faces + count)
         count += len(vertices)
     return np.concatenate(all_vertices), np.concatenate(all_faces)
+
+
+def _check_indices(faces: np.ndarray, count: int, path: Path) -> None:
+    if len(faces) and (faces.min() < 0 or faces.max() >= count):
+        bad = int(faces.min() if faces.min() < 0 else faces.max())
+        raise MeshError(f"a face of {path} uses vertex {bad}, but it has {count} vertices counted from 0")
 
 
 def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

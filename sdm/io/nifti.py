@@ -27,16 +27,16 @@ COMMENT = 6
 SCANNER = 1
 
 
-def write(field: SDM, path: Path) -> None:
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        _image(field).to_stream(file)
+        _image(field, made_from).to_stream(file)
 
 
-def write_compressed(field: SDM, path: Path) -> None:
+def write_compressed(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii.gz`. The same map gives the same bytes: no name, no time."""
     with path.open("wb") as file, gzip.GzipFile("", "wb", compresslevel=1, fileobj=file, mtime=0) as packed:
-        _image(field).to_stream(packed)
+        _image(field, made_from).to_stream(packed)
 
 
 def read(path: Path) -> SDM:
@@ -53,7 +53,13 @@ def read_grid(path: Path) -> Grid:
     return _geometry(_load(path), path)[0]
 
 
-def _image(field: SDM) -> Any:
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values; None where that is nothing."""
+    kept = (_said(extension.get_content()) for extension in _load(path).header.extensions)
+    return next((found for found in kept if found is not None), None)
+
+
+def _image(field: SDM, made_from: str | None) -> Any:
     affine = field.grid.affine
     large = max(field.grid.shape) > LARGEST_NIFTI_1
     values = field.numpy().astype(np.float32, copy=False)
@@ -63,7 +69,7 @@ def _image(field: SDM) -> Any:
     image.header.set_intent("estimate", name="distance")
     image.set_sform(affine, SCANNER)
     image.set_qform(affine, SCANNER)
-    text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels)}, separators=(",", ":"))
+    text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels, made_from)}, separators=(",", ":"))
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image
 
@@ -83,19 +89,20 @@ def _geometry(image: Any, path: Path) -> tuple[Grid, int | None]:
     if len(shape) < 3 or any(n != 1 for n in shape[3:]):
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
     for extension in image.header.extensions:
-        exact = _kept(extension.get_content(), path)
+        kept = _said(extension.get_content())
+        exact = None if kept is None else from_record(kept, str(path))
         if exact is not None and exact[0].shape == shape[:3] and _close(exact[0].affine, image.affine):
             return exact
     return Grid.from_affine(image.affine, shape[:3]), None
 
 
-def _kept(content: Any, path: Path) -> tuple[Grid, int | None] | None:
+def _said(content: Any) -> Any:
     try:
         found = json.loads(content)
     except (TypeError, ValueError):
         return None
     # Other software keeps its comments here too.
-    return from_record(found[KEY], str(path)) if isinstance(found, dict) and KEY in found else None
+    return found.get(KEY) if isinstance(found, dict) else None
 
 
 def _close(exact: np.ndarray, rounded: np.ndarray) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ FLIPPED = {
 WITH_TIME = "-time"
 
 
-def write(field: SDM, path: Path) -> None:
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map, not compressed: distances hardly shrink."""
     affine = field.grid.affine
     header = {
@@ -36,7 +37,7 @@ def write(field: SDM, path: Path) -> None:
         "kinds": ["domain"] * 3,
         "endian": "little",
         "encoding": "raw",
-        KEY: to_text(field.grid, field.ambiguous_voxels),
+        KEY: to_text(field.grid, field.ambiguous_voxels, made_from),
     }
     values = field.numpy().astype("<f4", copy=False)
     with path.open("wb") as file:
@@ -53,6 +54,12 @@ def read(path: Path) -> SDM:
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone, also from a detached header (`.nhdr`). Left and posterior axes are turned to RAS+."""
     return _geometry(nrrd.read_header(str(path)), path)[0]
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values; None where that is nothing."""
+    header = nrrd.read_header(str(path))
+    return json.loads(header[KEY]) if KEY in header else None
 
 
 def _geometry(header: Any, path: Path) -> tuple[Grid, int | None]:

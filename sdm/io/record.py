@@ -1,21 +1,36 @@
-"""What every format keeps beside the values: the exact geometry, in float64."""
+"""What every format keeps beside the values: the exact geometry, in float64, and which mesh the map is of."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from typing import Any
 
 from sdm.errors import FormatError
 from sdm.grid import Grid
+from sdm.mesh import TriangleMesh
 
 VERSION = 1
 # Under this name, where a format has names.
 KEY = "sdm"
+# In it, the digest of the mesh, where it is known.
+MADE_FROM = "made_from"
+# Hexadecimal digits.
+DIGEST = 32
 
 
-def record(grid: Grid, ambiguous_voxels: int | None) -> dict[str, Any]:
-    """Geometry and counts of a map, ready for JSON, which keeps every digit of a float64."""
-    return {
+def digest_of(mesh: TriangleMesh) -> str:
+    """What meshes of the same triangles, in the same order and facing the same way, have in common."""
+    vertices, faces = mesh.numpy()
+    digest = hashlib.sha256(f"{vertices.shape} {faces.shape}".encode())
+    digest.update(vertices.astype("<f4", copy=False).tobytes())
+    digest.update(faces.astype("<i4", copy=False).tobytes())
+    return digest.hexdigest()[:DIGEST]
+
+
+def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = None) -> dict[str, Any]:
+    """Geometry, counts and `digest_of` the mesh of a map, ready for JSON, which keeps every digit of a float64."""
+    found = {
         "version": VERSION,
         "origin": list(grid.origin),
         "spacing": list(grid.spacing),
@@ -24,11 +39,12 @@ def record(grid: Grid, ambiguous_voxels: int | None) -> dict[str, Any]:
         "ambiguous_voxels": ambiguous_voxels,
         "sign": "negative inside",
     }
+    return found if made_from is None else {**found, MADE_FROM: made_from}
 
 
-def to_text(grid: Grid, ambiguous_voxels: int | None) -> str:
+def to_text(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = None) -> str:
     """`record` as one line of JSON."""
-    return json.dumps(record(grid, ambiguous_voxels), separators=(",", ":"))
+    return json.dumps(record(grid, ambiguous_voxels, made_from), separators=(",", ":"))
 
 
 def from_record(found: Any, name: str) -> tuple[Grid, int | None]:

@@ -23,12 +23,12 @@ LAYERS = 32
 SLAB_BYTES = 1 << 28
 
 
-def write(field: SDM, path: Path) -> None:
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a whole map."""
     values = field.numpy()
     layers = slab_layers(field.grid)
     slabs = ((i, min(i + layers, len(values)), values[i : i + layers]) for i in range(0, len(values), layers))
-    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels)
+    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels, made_from)
 
 
 def slab_layers(grid: Grid) -> int:
@@ -38,7 +38,11 @@ def slab_layers(grid: Grid) -> int:
 
 
 def write_slabs(
-    slabs: Iterable[tuple[int, int, Any]], grid: Grid, path: Path, ambiguous_voxels: Callable[[], int | None]
+    slabs: Iterable[tuple[int, int, Any]],
+    grid: Grid,
+    path: Path,
+    ambiguous_voxels: Callable[[], int | None],
+    made_from: str | None = None,
 ) -> None:
     """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come.
 
@@ -61,7 +65,7 @@ def write_slabs(
         array[begin:end] = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
         # Let go of this slab before the next one is computed.
         del values
-    array.attrs[KEY] = record(grid, ambiguous_voxels())
+    array.attrs[KEY] = record(grid, ambiguous_voxels(), made_from)
 
 
 def read(path: Path) -> SDM:
@@ -77,6 +81,11 @@ def read(path: Path) -> SDM:
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
     return _geometry(_open(path), path)[0]
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values."""
+    return _open(path).attrs.get(KEY)
 
 
 def _open(path: Path) -> zarr.Array:

@@ -157,6 +157,31 @@ def test_resume_with_every_format(ending, ball, tmp_path, capsys):
     assert "is there already" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("ending", FORMATS)
+def test_resume_makes_a_map_again_that_is_of_something_else(ending, folder, tmp_path, capsys):
+    out = tmp_path / f"map.{ending}"
+    # Of another mesh in the same place, of the mesh facing the other way, and of nothing that the file tells.
+    words = ["-o", out, "--grid-like", tmp_path / "like.npz", "--device", "cpu", "--resume"]
+    assert run(folder / "a.stl", "-o", tmp_path / "like.npz", *SMALL) == 0
+    expected = {}
+    for name, more in (("a.stl", []), ("turned.obj", []), ("turned.obj", ["--orient", "auto"]), ("open.ply", [])):
+        for again in (False, True):
+            capsys.readouterr()
+            assert run(folder / name, *words, *more) == 0
+            assert ("is there already" in capsys.readouterr().out) == again
+        expected[name, *more] = load(out).numpy()
+    assert (expected["turned.obj",] > 0).all()
+    assert (expected["turned.obj", "--orient", "auto"] < 0).any()
+    save(load(tmp_path / "like.npz"), out)
+    assert run(folder / "open.ply", *words) == 0
+    np.testing.assert_array_equal(load(out).numpy(), expected["open.ply",])
+    # What is not inside out is not turned, and so is the same.
+    assert run(folder / "a.stl", *words) == 0
+    capsys.readouterr()
+    assert run(folder / "a.stl", *words, "--orient", "auto") == 0
+    assert "is there already" in capsys.readouterr().out
+
+
 # A shell that runs these tests in the background makes its children ignore interrupts.
 CHILD = """
 import signal, sys

@@ -59,6 +59,7 @@ def test_a_file_under_another_name_is_the_same(place: Path) -> None:
         "fit ct.nii.gz -o fit.json --mesh ct.nii.gz",
         "compute ball.ply --grid-like ct.nii.gz -o ct.nii.gz",
         "compute ball.ply --grid-like ct.nii.gz -o ./ct.nii.gz",
+        "compute ball.ply --grid-like ct.nii.gz -o ct.nii.gz --resume",
         "evaluate a.nii.gz t.nii.gz --json t.nii.gz",
         "evaluate a.nii.gz t.nii.gz --json a.nii.gz",
         "evaluate . . --json t.nii.gz",

@@ -178,6 +178,16 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert "failed, for one of the two labels is empty: case0" in said
 
 
+@pytest.mark.parametrize("name", ["", "nowhere/scores.json", "folder"])
+def test_a_place_for_scores_that_cannot_be_is_refused_before_they_are_made(name, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    nib.save(nib.Nifti1Image(volume(0)[1], AFFINE), tmp_path / "label.nii.gz")
+    said = refused(["evaluate", "label.nii.gz", "label.nii.gz", "--json", name], capsys)
+    assert "cannot be written" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "label.nii.gz"]
+
+
 def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_path):
     import torch
 

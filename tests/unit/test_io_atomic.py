@@ -27,7 +27,7 @@ from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.io import formats, maps
 
-def half(field, path):
+def half(field, path, made_from):
     if path.name.startswith(".map.zarr"):
         path.mkdir()
         path = path / "zarr.json"

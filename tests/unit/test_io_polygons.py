@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import sdm
+from sdm.errors import MeshError
 from sdm.inspect import inspect_mesh
 from sdm.io import load_mesh
 from sdm.io.ear_clipping import cut
@@ -67,6 +68,73 @@ def test_a_concave_polygon_of_a_binary_ply_file(tmp_path):
     data = np.asarray(vertices, "<f4").tobytes() + struct.pack("<B8i", 8, *faces[0])
     (tmp_path / "u.ply").write_bytes(ply_header("binary_little_endian", vertices, faces).encode() + data)
     assert inspect_mesh(load_mesh(tmp_path / "u.ply")).area == pytest.approx(7)
+
+
+@pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("more", [False, True])
+def test_a_binary_ply_file_with_faces_of_several_kinds(more, encoding, tmp_path):
+    """As the same file in text, also with what else such files hold."""
+    vertices, faces = prism(U)
+    # Octagons and quads, triangles, and a line, which is no face.
+    faces = [*faces, [8, 9, 10], [10, 9, 8], [0, 1]]
+    header, order = ply_header(encoding, vertices, faces), "<" if "little" in encoding else ">"
+    if more:
+        header = header.replace("property float z\n", "property float z\nproperty uchar red\n")
+        header = header.replace(
+            "element face", "comment of \u00e9 face\nelement other 2\nproperty double w\nelement face"
+        )
+        lists = "property list uchar int vertex_indices\n"
+        header = header.replace(
+            lists, "property short kind\nproperty list uint16 int32 vertex_index\nproperty int8 flag\n"
+        )
+        header = header.replace("end_header", "element last 1\nproperty list uchar int vertex_indices\nend_header")
+    data = header.encode() + b"".join(struct.pack(f"{order}3f{more:d}x", *vertex) for vertex in vertices)
+    if more:
+        data += bytes(16)
+    for face in faces:
+        row = f"{order}hH{len(face)}ib" if more else f"{order}B{len(face)}i"
+        data += struct.pack(row, *((7, len(face), *face, 5) if more else (len(face), *face)))
+    (tmp_path / "u.ply").write_bytes(data + (b"\1\0\0\0\0" if more else b""))
+    found, same = load_mesh(tmp_path / "u.ply"), load_mesh(write(tmp_path / "text.ply", vertices, faces))
+    assert found.vertices.tolist() == same.vertices.tolist()
+    assert found.faces.tolist() == same.faces.tolist()
+    assert len(found) == 30
+
+
+def test_a_binary_ply_file_that_is_as_long_as_if_all_faces_were_quads(tmp_path):
+    vertices, faces = prism(U)
+    faces = [[0, 1, 9, 8], [1, 2, 10], [8, 9, 10, 11, 12]]
+    data = np.asarray(vertices, "<f4").tobytes()
+    data += b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
+    (tmp_path / "u.ply").write_bytes(ply_header("binary_little_endian", vertices, faces).encode() + data)
+    assert len(load_mesh(tmp_path / "u.ply")) == 6
+
+
+def test_damaged_binary_ply_files_with_faces_of_several_kinds(tmp_path):
+    vertices, faces = prism(U)
+    header = ply_header("binary_little_endian", vertices, faces).encode()
+    data = header + np.asarray(vertices, "<f4").tobytes()
+    rows = b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
+    count = f"element face {len(faces)}".encode()
+    for number, content in enumerate(
+        [
+            data + rows[:-1],
+            data,
+            data + rows[:-4] + struct.pack("<i", 99),
+            data + rows[:-4] + struct.pack("<i", -1),
+            data + b"\xff" + rows[1:],
+            data.replace(count, b"element face 999999999999999999999999") + rows,
+            data.replace(count, b"element face 99999999999999") + rows,
+            data.replace(count, b"element face -3") + rows,
+            data.replace(b"uchar int", b"uchar object") + rows,
+            data.replace(b"uchar int", b"uchar nothing") + rows,
+            data.replace(b"list uchar", b"list float") + rows,
+        ]
+    ):
+        path = tmp_path / f"{number}.ply"
+        path.write_bytes(content)
+        with pytest.raises(MeshError, match=rf"{number}\.ply"):
+            load_mesh(path)
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "off"])

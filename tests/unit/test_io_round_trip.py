@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from sdm.engine import MeshIndex
 from sdm.field import SDM
 from sdm.grid import Grid
-from sdm.io import FORMATS, grid_like, load, save
+from sdm.io import FORMATS, grid_like, load, save, write_streamed
+from sdm.io.maps import made_from
+from sdm.io.record import digest_of
+from sdm.mesh import TriangleMesh
 
 ENDINGS = list(FORMATS)
 TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
@@ -52,6 +56,22 @@ def test_values_and_geometry_come_back_to_the_last_bit(ending, grid, tmp_path):
 def test_the_number_of_ambiguous_voxels_is_kept(ending, count, tmp_path):
     save(noise(GRIDS["plain"], count), tmp_path / f"map.{ending}")
     assert load(tmp_path / f"map.{ending}").ambiguous_voxels == count
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_the_mesh_of_a_map_is_kept(ending, tmp_path):
+    ball = TriangleMesh(np.eye(4, 3, dtype=np.float32), [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    index, path = MeshIndex(ball, "cpu"), tmp_path / f"map.{ending}"
+    write_streamed(index, GRIDS["turned"], path)
+    assert made_from(path) is None
+    plain = load(path)
+    write_streamed(index, GRIDS["turned"], path, made_from=digest_of(ball))
+    assert made_from(path) == digest_of(ball)
+    again = load(path)
+    np.testing.assert_array_equal(bits(again), bits(plain))
+    assert (again.grid, again.ambiguous_voxels) == (plain.grid, plain.ambiguous_voxels)
+    others = ball.flipped(), TriangleMesh(ball.vertices + 1, ball.faces), TriangleMesh(ball.vertices, ball.faces[:3])
+    assert len({digest_of(mesh) for mesh in (ball, *others)}) == 4
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
