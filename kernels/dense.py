@@ -23,7 +23,7 @@ from sdm.kernels.regions import REGION_BLOCKS, list_regions
 from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
-from sdm.kernels.selection import select_parts
+from sdm.kernels.selection import SELECT_BLOCKS, select_parts
 from sdm.kernels.stacks import stack_room
 from sdm.kernels.tree import Tree
 from sdm.kernels.winding import Winding
@@ -122,7 +122,7 @@ def query_slab(
     lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
-    stacks = empty(stack_room(workers(max(REGION_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
+    stacks = empty(stack_room(workers(max(REGION_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
     rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
@@ -139,7 +139,7 @@ def query_slab(
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
             begin_sliced(slab, lists, out, workers(GPU_BLOCKS) * lanes, launch)
-        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(GPU_BLOCKS), lanes, launch)
+        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes, launch)
         if first == 0:
             # From here on winding numbers are looked at.
             join()

@@ -17,7 +17,7 @@ from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.cones import Cones
 from sdm.kernels.cull import LARGEST_SQUARE, Witness, box_is_farther
 from sdm.kernels.grid import Slab, index_of
-from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
+from sdm.kernels.lanes import wait_for_lanes
 from sdm.kernels.leaves import PARTS, RIPE, WAITING, push, push_parts, push_triangles, triangle_matters
 from sdm.kernels.lists import (
     COARSE,
@@ -52,6 +52,9 @@ from sdm.kernels.voxels import Block
 from sdm.kernels.witness import read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks.
+SELECT_BLOCKS = 4
 
 _WAITING, _RIPE, _PARTS = wp.constant(WAITING), wp.constant(RIPE), wp.constant(PARTS)
 _COARSE = wp.constant(COARSE)
@@ -205,7 +208,7 @@ def select_for(
     return chain
 
 
-@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+@wp.kernel(launch_bounds=(128, SELECT_BLOCKS))
 def _select_parts(
     begin: int,
     lanes: int,
