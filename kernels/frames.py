@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.geometry import unit_normal
+from sdm.kernels.rough import inverse_root
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load4, write4
 
@@ -129,9 +130,9 @@ def exact_axes(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     normal = unit_normal(a, b, c)
     solid = wp.dot(normal, normal) > wp.float64(0.5)
     x_axis = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
-    base = wp.length(b - a)
-    if base > wp.float64(0.0):
-        x_axis = (b - a) / base
+    base2 = wp.dot(b - a, b - a)
+    if base2 > wp.float64(0.0):
+        x_axis = inverse_root(base2) * (b - a)
     if not solid:
         normal = some_perpendicular(x_axis)
     return x_axis, wp.cross(normal, x_axis), normal, solid
@@ -161,7 +162,7 @@ def _make_frames(
         b = wp.vec3d(third)
         c = wp.vec3d(first)
     x_axis, y_axis, normal, solid = exact_axes(a, b, c)
-    base = wp.length(b - a)
+    base = wp.dot(b - a, x_axis)
     tip_x = wp.dot(c - a, x_axis)
     tip_y = wp.dot(c - a, y_axis)
     if not solid:

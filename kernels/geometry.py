@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.rough import inverse_root
+
 wp.set_module_options({"enable_backward": False})
 
 # Below this height over longest edge a triangle is as thin as float32 rounding of its own corners: its edges tell all.
@@ -69,11 +71,11 @@ def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     bc = c - b
     ca = a - c
     n = wp.cross(ab, -ca)
-    area2 = wp.length(n)
-    longest2 = wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
-    if area2 <= FLATTEST * longest2:
+    n2 = wp.dot(n, n)
+    least = FLATTEST * wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
+    if n2 <= least * least:
         return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
-    return n / area2
+    return inverse_root(n2) * n
 
 
 @wp.struct

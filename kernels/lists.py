@@ -29,8 +29,8 @@ ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
 NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK = range(6)
 NEXT_CHUNK, COARSE, SLICED, WHOLE = range(6, 10)
-# Blocks are counted by the length of their lists: of 2^i leaves and more, the last one of all that are longer.
-LENGTHS = 8
+# Blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of slices.
+LENGTHS = 10
 COUNTS = WHOLE + LENGTHS
 
 _FRAME_SIZE, _SCALE, _DIAGONAL = wp.constant(FRAME_SIZE), wp.constant(SCALE), wp.constant(DIAGONAL)

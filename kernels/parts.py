@@ -25,7 +25,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, bulge_of_edge, bulge_of_triangle, doubt, least_lead, reach, sum_abs
-from sdm.kernels.geometry import unit_normal
+from sdm.kernels.rough import about_inverse_root, about_root, inverse_root
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
 from sdm.kernels.wide import load4, load_row, write4
 
@@ -45,6 +45,9 @@ _SCALE = wp.constant(SCALE)
 CORNER, EDGE, FACE = wp.constant(1), wp.constant(8), wp.constant(64)
 # Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
 ROOM = wp.constant(2.0e-6)
+
+# Squares of lengths below this one may vanish, but not if the lengths are so many times as large.
+SMALL_SQUARE, ENLARGED = wp.constant(2.0**-100), wp.constant(2.0**66)
 
 
 @wp.struct
@@ -179,36 +182,53 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot
 
 
 @wp.func
+def length2(v: wp.vec3):
+    return wp.dot(v, v)
+
+
+@wp.func
 def inverse_length(v: wp.vec3d):
-    length = wp.length(v)
-    if length > wp.float64(0.0):
-        return wp.float64(1.0) / length
+    square = wp.dot(v, v)
+    if square > wp.float64(0.0):
+        return inverse_root(square)
     return wp.float64(0.0)
 
 
 @wp.func
 def across_edge(
     vertices: wp.array2d(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     mesh: int,
-    scale: wp.float64,
+    scale: float,
+    begin: wp.vec3,
+    end: wp.vec3,
+    last: int,
     other: int,
     beyond: wp.vec3,
 ):
     """The unit vector from an edge into its neighbour `other` (3 * face + edge), and the neighbour's far corner.
 
-    Without a neighbour no direction, and `beyond`: the triangle's own far corner, which says nothing new.
+    The edge ends at the vertex `last`. Without a neighbour no direction, and `beyond`: the triangle's own far corner,
+    which says nothing new.
     """
     inward = wp.vec3(0.0, 0.0, 0.0)
     if other >= 0:
         side = other % 3
         there = other / 3
-        p = scale * wp.vec3d(vertices[mesh, faces[there, side]])
-        q = scale * wp.vec3d(vertices[mesh, faces[there, (side + 1) % 3]])
-        r = scale * wp.vec3d(vertices[mesh, faces[there, (side + 2) % 3]])
-        beyond = wp.vec3(r)
-        across = wp.cross(unit_normal(p, q, r), q - p)
-        inward = wp.vec3(inverse_length(across) * across)
+        # All loads before their use.
+        first = faces[there, side]
+        beyond = scale * vertices[mesh, faces[there, (side + 2) % 3]]
+        normal = load4(normals, mesh * faces.shape[0] + there)
+        # Most neighbours go along the edge the other way.
+        along = wp.where(first == last, begin - end, end - begin)
+        across = wp.cross(wp.vec3(normal[0], normal[1], normal[2]), along)
+        square = length2(across)
+        if square < SMALL_SQUARE:
+            across = ENLARGED * across
+            square = length2(across)
+        if square > 0.0:
+            inward = about_inverse_root(square) * across
     return inward, beyond
 
 
@@ -241,18 +261,23 @@ def _make_parts(
     begin: int,
     tree: Tree,
     vertices: wp.array2d(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
     parts: Parts,
 ):
     slot = begin + wp.tid()
     mesh = slot / tree.count
-    scale = wp.float64(tree.frame[mesh * _FRAME_SIZE + _SCALE])
-    around = load_row(neighbours, tree.face[slot])
-    corner_a, corner_b, corner_c, _normal = load_corners(tree, slot)
-    inward_ab, beyond_ab = across_edge(vertices, faces, mesh, scale, around[0], corner_c)
-    inward_bc, beyond_bc = across_edge(vertices, faces, mesh, scale, around[1], corner_a)
-    inward_ca, beyond_ca = across_edge(vertices, faces, mesh, scale, around[2], corner_b)
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    face = tree.face[slot]
+    around = load_row(neighbours, face)
+    at_a = faces[face, 0]
+    at_b = faces[face, 1]
+    at_c = faces[face, 2]
+    a, b, c, _normal = load_corners(tree, slot)
+    inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, scale, a, b, at_b, around[0], c)
+    inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, scale, b, c, at_c, around[1], a)
+    inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, scale, c, a, at_a, around[2], b)
     row = _ROWS * slot
     write4(parts.rows, row, inward_ab[0], inward_ab[1], inward_ab[2], inward_bc[0])
     write4(parts.rows, row + 1, inward_bc[1], inward_bc[2], inward_ca[0], inward_ca[1])
@@ -265,28 +290,37 @@ def _make_parts(
             first = k
     further = wp.vec3()
     if first >= 0:
-        end = end_of_further_edge(faces, neighbours, faces[tree.face[slot], first], around[first])
+        vertex = wp.where(first == 0, at_a, wp.where(first == 1, at_b, at_c))
+        crossed = wp.where(first == 0, around[0], wp.where(first == 1, around[1], around[2]))
+        end = end_of_further_edge(faces, neighbours, vertex, crossed)
         if end < 0:
             first = -1
         else:
-            further = wp.vec3(scale * wp.vec3d(vertices[mesh, end]))
+            further = scale * vertices[mesh, end]
     write4(parts.rows, row + 5, further[0], further[1], further[2], float(first))
-    middle = (corner_a + corner_b + corner_c) / 3.0
-    radius = wp.max(wp.length(corner_a - middle), wp.max(wp.length(corner_b - middle), wp.length(corner_c - middle)))
+    middle = (a + b + c) * (1.0 / 3.0)
+    radius = about_root(wp.max(length2(a - middle), wp.max(length2(b - middle), length2(c - middle))))
     # A little more than rounding can take from it.
     write4(parts.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
-    a = wp.vec3d(corner_a)
-    b = wp.vec3d(corner_b)
-    c = wp.vec3d(corner_c)
+    ab = wp.vec3d(b) - wp.vec3d(a)
+    bc = wp.vec3d(c) - wp.vec3d(b)
+    ca = wp.vec3d(a) - wp.vec3d(c)
     at = _INVERSES * slot
-    parts.inverses[at] = inverse_length(b - a)
-    parts.inverses[at + 1] = inverse_length(c - b)
-    parts.inverses[at + 2] = inverse_length(a - c)
-    parts.inverses[at + 3] = inverse_length(wp.cross(b - a, c - a))
+    parts.inverses[at] = inverse_length(ab)
+    parts.inverses[at + 1] = inverse_length(bc)
+    parts.inverses[at + 2] = inverse_length(ca)
+    parts.inverses[at + 3] = inverse_length(wp.cross(ab, -ca))
 
 
 def make_parts(
-    tree: Tree, vertices: wp.array, faces: wp.array, neighbours: wp.array, parts: Parts, launch: Any
+    tree: Tree,
+    vertices: wp.array,
+    normals: wp.array,
+    faces: wp.array,
+    neighbours: wp.array,
+    parts: Parts,
+    launch: Any,
 ) -> None:
-    """Fill `parts` from a built tree, its meshes, and `sdm.topology.neighbours` of their faces (F,4)."""
-    launch(_make_parts, vertices.shape[0] * faces.shape[0], [tree, vertices, faces, neighbours, parts], vertices.device)
+    """Fill `parts` from a built tree, its meshes, their normals, and `sdm.topology.neighbours` of their faces (F,4)."""
+    inputs = [tree, vertices, normals, faces, neighbours, parts]
+    launch(_make_parts, vertices.shape[0] * faces.shape[0], inputs, vertices.device)

@@ -109,7 +109,7 @@ def build_known(
         around_faces = as_warp(faces, wp.int32), as_warp(shared, wp.int32)
         # None of these fills a GPU by itself.
         with kernels_beside(vertices) as join_parts:
-            parts.make_parts(hierarchy, corners, *around_faces, pieces, launch)
+            parts.make_parts(hierarchy, corners, normals, *around_faces, pieces, launch)
         frames.make_frames(hierarchy, local, launch)
         cones.make_cones(hierarchy, normals, *around_faces, facing, launch)
         join_parts()
