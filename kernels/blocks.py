@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.atomics import fetch_add, fetch_add_once
-from sdm.kernels.boxes import boxes_of
+from sdm.kernels.boxes import eighths_of, octants_of
 from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face, tests_of
 from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
@@ -31,7 +31,7 @@ from sdm.kernels.lists import (
     start_reading,
 )
 from sdm.kernels.mix import Mix, kind_of, taken_now
-from sdm.kernels.octants import in_steps, octants_there
+from sdm.kernels.octants import octants_there
 from sdm.kernels.parts import Parts
 from sdm.kernels.places import noted_start
 from sdm.kernels.plan import whole_blocks
@@ -59,11 +59,10 @@ _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 def measure_parts(
     rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
 ):
-    """Measure the lanes' parts, whose rows are noted, where they matter in the `octants` (bits) of the block.
+    """Measure the lanes' parts, whose rows are noted, where they matter in the block's `octants` (bits) for each.
 
     Each step puts work in line for the next, so that all lanes have some.
     """
-    there = wp.where(lane < mix.parts, octants, 0)
     pairs = int(0)
     items = int(0)
     # The next of the pairs; before all of them, the parts themselves.
@@ -72,13 +71,12 @@ def measure_parts(
         if first < pairs and items + 8 * lanes <= _MOST_ITEMS:
             level = wp.where(first < 0, 0, 1)
             tag = int(lane)
-            among = int(there)
+            boxes = int(octants)
             if level == 1:
-                among = wp.where(first + lane < pairs, 255, 0)
-                tag = in_line(rows, _PAIRS, wp.min(first + lane, pairs - 1))
-            boxes = int(0)
-            if among > 0:
-                boxes = among & boxes_of(rows, tag, level, tests_of(kind_of(mix, tag & (_PARTS - 1))))
+                boxes = int(0)
+                if first + lane < pairs:
+                    tag = in_line(rows, _PAIRS, first + lane)
+                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (_PARTS - 1))))
             begin = wp.where(level == 0, _PAIRS, _ITEMS)
             bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
@@ -143,6 +141,7 @@ def measure_block(
             edges = edges - mix.edges
             faces = faces - (mix.parts - mix.corners - mix.edges)
             which = kind_of(mix, lane)
+            there = int(0)
             if lane < mix.parts:
                 if which == CORNER_KIND:
                     code = stack[_CORNERS + corners + lane]
@@ -153,9 +152,9 @@ def measure_block(
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
                     add_face(rows, lane, tree, parts, code, block.cell, block.floor)
-                in_steps(rows, lane, tests_of(which))
+                there = octants & octants_of(rows, lane, tests_of(which))
             wait_for_lanes()
-            measure_parts(rows, mix, octants, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
+            measure_parts(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()
     unclear = settle_voxels(slab, out, rows, block, lane, lanes)
     if unclear > 0:

@@ -1,32 +1,26 @@
-"""Which octants of a block can a part be nearest to, or which eighths of an octant: by the tests that are noted."""
+"""Which octants of a block can a part be nearest to, and which eighths of an octant: by the tests that are noted."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.rows import PARTS, TEST_ROW
+from sdm.kernels.rows import LATTICE_ROW, PARTS, TEST_ROW
 
 wp.set_module_options({"enable_backward": False})
 
+_ROW = "struct alignas(16) Row { float x, y, z, w; };"
 
-@wp.func_native(
-    snippet=f"""
-    struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {PARTS - 1});
-    const unsigned octant = (unsigned)pair / {PARTS};
-    // In voxels: half of a box, from box to box, and the middle of the first one.
-    const float half = level == 0 ? 1.5f : 0.5f, step = level == 0 ? 4.0f : 2.0f;
-    const float other = half + 4.0f;
-    const float a = octant & 4 ? other : half, b = octant & 2 ? other : half, c = octant & 1 ? other : half;
-#if defined(__CUDA_ARCH__)
-    unsigned dropped = 0;
-    const Row* const end = row + {PARTS} * tests;
-    #pragma unroll 1
-    do {{
-        const Row u = *row;
-        const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
+
+def _eight(half: float, step: float) -> str:
+    """Native text: which of eight boxes fail the test `u`, in steps of the lattice, into `dropped`.
+
+    In voxels: half of a box, and from box to box. The middle of the first is at (a, b, c).
+    """
+    return f"""
+        const float reach = {half}f * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
         const float left = u.w + reach - (a * u.x + b * u.y + c * u.z);
-        const float di = step * u.x, dj = step * u.y, dk = step * u.z;
+#if defined(__CUDA_ARCH__)
+        const float di = {step}f * u.x, dj = {step}f * u.y, dk = {step}f * u.z;
         // Their signs, in two chains: each step waits for the one before.
         unsigned below = 0, above = 0;
         #pragma unroll
@@ -36,32 +30,65 @@ wp.set_module_options({"enable_backward": False})
             above = __funnelshift_l(__float_as_uint(at - di), above, 1);
         }}
         dropped |= (above << 4) + below;
+#else
+        // The same, all boxes in one vector.
+        typedef float Eight __attribute__((ext_vector_type(8)));
+        typedef int Mask __attribute__((ext_vector_type(8)));
+        const float s = {step}f;
+        const Eight is = {{0, 0, 0, 0, s, s, s, s}}, js = {{0, 0, s, s, 0, 0, s, s}}, ks = {{0, s, 0, s, 0, s, 0, s}};
+        const Mask bits = {{1, 2, 4, 8, 16, 32, 64, 128}};
+        dropped |= __builtin_reduce_or((left - is * u.x - js * u.y - ks * u.z < 0.0f) & bits);
+        if (dropped == 255) return 0;
+#endif
+"""
+
+
+@wp.func_native(
+    snippet=f"""
+    {_ROW}
+    const Row* lattice = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
+    const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
+    Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
+    const float a = 1.5f, b = 1.5f, c = 1.5f;
+    unsigned dropped = 0;
+    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
+    #pragma unroll 1
+    for (; tests > 0; --tests, row += {PARTS}) {{
+        const Row v = *row;
+        const float wider = o.w * (fabsf(v.x) + fabsf(v.y) + fabsf(v.z));
+        const Row u = {{i.x * v.x + i.y * v.y + i.z * v.z, j.x * v.x + j.y * v.y + j.z * v.z,
+                       k.x * v.x + k.y * v.y + k.z * v.z, v.w + wider - (o.x * v.x + o.y * v.y + o.z * v.z)}};
+        *row = u;
+        {_eight(1.5, 4.0)}
+    }}
+    return 255 & ~dropped;
+"""
+)
+def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
+    """The octants of the block, as bits, that pass all the tests of a part.
+
+    These are written anew, in steps of the lattice from its first voxel, as `eighths_of` wants them.
+    """
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    {_ROW}
+    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {PARTS - 1});
+    const Row* const end = row + {PARTS} * tests;
+    const unsigned octant = (unsigned)pair / {PARTS};
+    const float a = octant & 4 ? 4.5f : 0.5f, b = octant & 2 ? 4.5f : 0.5f, c = octant & 1 ? 4.5f : 0.5f;
+    unsigned dropped = 0;
+    #pragma unroll 1
+    do {{
+        const Row u = *row;
+        {_eight(0.5, 2.0)}
         row += {PARTS};
     }} while (row < end);
     return 255 & ~dropped;
-#else
-    // The same, all boxes in one vector.
-    typedef float Eight __attribute__((ext_vector_type(8)));
-    typedef int Mask __attribute__((ext_vector_type(8)));
-    const Eight is = {{0, 0, 0, 0, step, step, step, step}}, js = {{0, 0, step, step, 0, 0, step, step}};
-    const Eight ks = {{0, step, 0, step, 0, step, 0, step}};
-    Mask dropped = 0;
-    for (int test = 0; test < tests; ++test) {{
-        const Row u = row[{PARTS} * test];
-        const float reach = half * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
-        const Eight at = u.w + reach - (a * u.x + b * u.y + c * u.z) - is * u.x - js * u.y - ks * u.z;
-        dropped |= at < 0.0f;
-        // Most parts fail one of the first tests.
-        if (test == 1 && __builtin_reduce_and(dropped)) return 0;
-    }}
-    const Mask bits = {{1, 2, 4, 8, 16, 32, 64, 128}};
-    return __builtin_reduce_or(~dropped & bits);
-#endif
 """
 )
-def boxes_of(rows: wp.uint64, pair: int, level: int, tests: int) -> int:
-    """The boxes, as bits, that pass all the tests of a part.
-
-    On level 0 the octants of the block, on level 1 the eighths of the octant of a pair, see `queues`.
-    """
+def eighths_of(rows: wp.uint64, pair: int, tests: int) -> int:
+    """The eighths of the octant of a pair (see `queues`), as bits, that pass all the tests of its part."""
     ...

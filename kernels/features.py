@@ -30,6 +30,7 @@ from sdm.kernels.cull import Cell, bulge_of_edge
 from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import room_for, test_direction, test_witness
 from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts, one_of
+from sdm.kernels.rough import about_root
 from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
 from sdm.kernels.wide import load2, load4
@@ -117,7 +118,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     e = wp.vec3(inverse * ab)
     write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
     write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
-    write_number(rows, _NUMBERS + number, float(wp.length(ab) - along))
+    write_number(rows, _NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
     p = begin - cell.centre
@@ -146,7 +147,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     write_row(rows, number, normal[0], normal[1], normal[2], float(h))
     write_number(rows, _NUMBERS + number, above_floor(h * h, floor))
     # Not from a ball that is known: the middle is rounded by its distance from the centre alone.
-    from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) / 3.0
+    from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) * (1.0 / 3.0)
     from_b = from_a - wp.vec3(ab)
     from_c = from_b - wp.vec3(bc)
     radius2 = wp.max(wp.dot(from_a, from_a), wp.max(wp.dot(from_b, from_b), wp.dot(from_c, from_c)))
@@ -159,7 +160,8 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         # The point of the edge's line that is closest to the centre: rounding is in units of its distance.
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
-        write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - WITHIN * wp.length(away))
+        rounding = WITHIN * about_root(wp.dot(away, away))
+        write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
         # On the inner side of the plane on this edge.
         test_direction(rows, k, number, room_for(cell, away), away, -u)
         # The next edge, turning the triangle.

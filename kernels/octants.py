@@ -84,7 +84,7 @@ def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
 def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
     """Note test `test` of part `number`: whether some point p of a box, from the block's centre, may have p.u <= most.
 
-    `in_steps` then writes it so that boxes are found by adding.
+    `octants_of` then writes it so that boxes are found by adding.
     """
     write_row(rows, _TEST_ROW + _PARTS * test + number, u[0], u[1], u[2], most)
 
@@ -101,27 +101,6 @@ def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: f
     witness = read_row(rows, _WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
     note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
-
-
-@wp.func_native(
-    snippet=f"""
-    struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* lattice = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
-    const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
-    Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
-    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
-    #pragma unroll 1
-    for (; tests > 0; --tests, row += {PARTS}) {{
-        const Row u = *row;
-        const float wider = o.w * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
-        *row = {{i.x * u.x + i.y * u.y + i.z * u.z, j.x * u.x + j.y * u.y + j.z * u.z,
-                k.x * u.x + k.y * u.y + k.z * u.z, u.w + wider - (o.x * u.x + o.y * u.y + o.z * u.z)}};
-    }}
-"""
-)
-def in_steps(rows: wp.uint64, number: int, tests: int):
-    """Write the first `tests` tests of a part in steps of the lattice from its first voxel."""
-    ...
 
 
 @wp.func

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sdm.kernels.boxes import boxes_of
+from sdm.kernels.boxes import eighths_of, octants_of
 from sdm.kernels.least import two_at, values_of
 from sdm.kernels.mix import kind_of, taken_now
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
-from sdm.kernels.rows import ITEMS, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
+from sdm.kernels.rows import ITEMS, LATTICE_ROW, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
 
 wp.set_module_options({"enable_backward": False})
 
-_TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
+_TEST_ROW, _PARTS, _LATTICE_ROW = wp.constant(TEST_ROW), wp.constant(PARTS), wp.constant(LATTICE_ROW)
 _LEAST_ROW, _LEAST_ROWS = wp.constant(LEAST // 4), wp.constant(128)
 _ITEMS, _PART_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(PART_BITS), wp.constant(PAIR_BITS)
 
@@ -23,51 +23,76 @@ _ITEMS, _PART_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(PART_BITS), wp.
 @wp.kernel
 def _boxes(
     memory: wp.array(dtype=float),
+    lattice: wp.array(dtype=wp.vec3),
     tests: wp.array2d(dtype=wp.vec4),
     pairs: wp.array(dtype=int),
-    level: int,
-    must: int,
-    out: wp.array(dtype=int),
+    octants: wp.array(dtype=int),
+    eighths: wp.array(dtype=int),
 ):
     rows = rows_of(memory, 0)
+    for row in range(4):
+        at = lattice[row]
+        write_row(rows, _LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
     for i in range(pairs.shape[0]):
+        part = pairs[i] % _PARTS
         for t in range(tests.shape[1]):
             u = tests[i, t]
-            write_row(rows, _TEST_ROW + _PARTS * t + pairs[i] % _PARTS, u[0], u[1], u[2], u[3])
-        out[i] = boxes_of(rows, pairs[i], level, must)
+            write_row(rows, _TEST_ROW + _PARTS * t + part, u[0], u[1], u[2], u[3])
+        octants[i] = octants_of(rows, part, tests.shape[1])
+        eighths[i] = 0
+        if octants[i] != 0:
+            eighths[i] = eighths_of(rows, pairs[i], tests.shape[1])
 
 
-def boxes(tests: np.ndarray, pairs: np.ndarray, level: int, must: int) -> np.ndarray:
+def boxes(lattice: np.ndarray, tests: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
-    out = wp.zeros(len(pairs), dtype=int, device="cpu")
+    octants, eighths = (wp.zeros(len(pairs), dtype=int, device="cpu") for _ in range(2))
     given = wp.array(tests.astype(np.float32), dtype=wp.vec4, ndim=2, device="cpu")
-    wp.launch(_boxes, 1, [memory, given, wp.array(pairs, dtype=int, device="cpu"), level, must, out], device="cpu")
-    return out.numpy()
+    rows = wp.array(lattice.astype(np.float32), dtype=wp.vec3, device="cpu")
+    inputs = [memory, rows, given, wp.array(pairs, dtype=int, device="cpu"), octants, eighths]
+    wp.launch(_boxes, 1, inputs, device="cpu")
+    return octants.numpy(), eighths.numpy()
 
 
-@pytest.mark.parametrize(("level", "must", "some"), [(0, 5, 1), (1, 5, 1), (0, 4, 2), (1, 4, 2), (0, 3, 3), (1, 3, 3)])
-def test_a_box_is_kept_where_a_point_of_it_passes(level, must, some):
-    """Compared with the corners of each box of voxels, where a linear function is least."""
-    rng = np.random.default_rng(level + 10 * must)
-    count = 400
-    tests = np.concatenate([rng.normal(size=(count, must + some, 3)), rng.uniform(-6, 30, (count, must + some, 1))], 2)
-    tests = tests.astype(np.float32)
-    pairs = (rng.integers(0, PARTS, count) + (0 if level == 0 else 1) * PARTS * rng.integers(0, 8, count)).astype(int)
-    found = boxes(tests, pairs.astype(np.int32), level, must)
-    size = 4 if level == 0 else 2
-    for i in range(count):
-        octant = pairs[i] // PARTS
-        first = 4 * np.array([octant >> 2 & 1, octant >> 1 & 1, octant & 1])
-        for box in range(8):
-            low = first + size * np.array([box >> 2 & 1, box >> 1 & 1, box & 1])
-            ends = np.stack([low, low + size - 1]).astype(np.float64)
-            least = np.minimum(ends[0] * tests[i, :, :3], ends[1] * tests[i, :, :3]).sum(1)
-            gap = tests[i, :, 3] - least
-            if np.abs(gap).min() < 1e-4:
-                continue
-            passed = gap > 0
-            kept = passed[:must].all() and (some == 0 or passed[must:].any())
-            assert (found[i] >> box & 1) == kept
+def kept_boxes(lattice: np.ndarray, tests: np.ndarray, first: np.ndarray, size: int) -> tuple[int, int]:
+    """Which of eight boxes of size^3 voxels pass all tests, and which are not near a limit, as bits.
+
+    A linear function is least at one of a box's corners.
+    """
+    kept = clear = 0
+    for box in range(8):
+        low = first + size * np.array([box >> 2 & 1, box >> 1 & 1, box & 1])
+        corners = np.array([low + (size - 1) * np.array(c) for c in np.ndindex(2, 2, 2)])
+        at = lattice[0] + corners @ lattice[1:]
+        gap = tests[:, 3] - (at @ tests[:, :3].T).min(0)
+        kept |= int((gap > 0).all()) << box
+        clear |= int(np.abs(gap).min() > 1e-4) << box
+    return kept, clear
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("count", [6, 5, 4])
+def test_a_box_is_kept_where_a_point_of_it_passes_all_tests(count, turned):
+    rng = np.random.default_rng(10 * count + turned)
+    trials = 300
+    steps = np.linalg.qr(rng.normal(size=(3, 3)))[0] if turned else np.diag([1.0, 0.8, 1.3])
+    lattice = np.concatenate([-3.5 * steps.sum(0)[None], steps]).astype(np.float32).astype(np.float64)
+    tests = np.concatenate([rng.normal(size=(trials, count, 3)), rng.uniform(-6, 8, (trials, count, 1))], 2)
+    tests = tests.astype(np.float32).astype(np.float64)
+    octant = rng.integers(0, 8, trials)
+    pairs = (rng.integers(0, PARTS, trials) + PARTS * octant).astype(np.int32)
+    octants, eighths = boxes(lattice, tests, pairs)
+    some = 0
+    for i in range(trials):
+        kept, clear = kept_boxes(lattice, tests[i], np.zeros(3), 4)
+        assert octants[i] & clear == kept & clear
+        if octants[i] == 0:
+            continue
+        first = 4 * np.array([octant[i] >> 2 & 1, octant[i] >> 1 & 1, octant[i] & 1])
+        kept, clear = kept_boxes(lattice, tests[i], first, 2)
+        assert eighths[i] & clear == kept & clear
+        some += 0 < kept < 255
+    assert some > 10
 
 
 @wp.kernel
