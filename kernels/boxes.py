@@ -11,14 +11,12 @@ wp.set_module_options({"enable_backward": False})
 _ROW = "struct alignas(16) Row { float x, y, z, w; };"
 
 
-def _eight(half: float, step: float) -> str:
+def _eight(step: float) -> str:
     """Native text: which of eight boxes fail the test `u`, in steps of the lattice, into `dropped`.
 
-    In voxels: half of a box, and from box to box. The middle of the first is at (a, b, c).
+    They are `step` voxels apart; in the first, the least value is `left` below the test's limit.
     """
     return f"""
-        const float reach = {half}f * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z));
-        const float left = u.w + reach - (a * u.x + b * u.y + c * u.z);
 #if defined(__CUDA_ARCH__)
         const float di = {step}f * u.x, dj = {step}f * u.y, dk = {step}f * u.z;
         // Their signs, in two chains: each step waits for the one before.
@@ -49,17 +47,20 @@ def _eight(half: float, step: float) -> str:
     const Row* lattice = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
     const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
     Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
-    const float a = 1.5f, b = 1.5f, c = 1.5f;
     unsigned dropped = 0;
     // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
     #pragma unroll 1
     for (; tests > 0; --tests, row += {PARTS}) {{
         const Row v = *row;
         const float wider = o.w * (fabsf(v.x) + fabsf(v.y) + fabsf(v.z));
-        const Row u = {{i.x * v.x + i.y * v.y + i.z * v.z, j.x * v.x + j.y * v.y + j.z * v.z,
-                       k.x * v.x + k.y * v.y + k.z * v.z, v.w + wider - (o.x * v.x + o.y * v.y + o.z * v.z)}};
+        Row u = {{i.x * v.x + i.y * v.y + i.z * v.z, j.x * v.x + j.y * v.y + j.z * v.z,
+                 k.x * v.x + k.y * v.y + k.z * v.z, v.w + wider - (o.x * v.x + o.y * v.y + o.z * v.z)}};
+        // The least value of two voxels along each axis is so much less than that of the first; of four, three times.
+        const float less = 0.5f * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z) - (u.x + u.y + u.z));
+        u.w += less;
+        const float left = u.w + 2.0f * less;
         *row = u;
-        {_eight(1.5, 4.0)}
+        {_eight(4.0)}
     }}
     return 255 & ~dropped;
 """
@@ -78,12 +79,13 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
     const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {PARTS - 1});
     const Row* const end = row + {PARTS} * tests;
     const unsigned octant = (unsigned)pair / {PARTS};
-    const float a = octant & 4 ? 4.5f : 0.5f, b = octant & 2 ? 4.5f : 0.5f, c = octant & 1 ? 4.5f : 0.5f;
+    const float a = octant & 4 ? 4.0f : 0.0f, b = octant & 2 ? 4.0f : 0.0f, c = octant & 1 ? 4.0f : 0.0f;
     unsigned dropped = 0;
     #pragma unroll 1
     do {{
         const Row u = *row;
-        {_eight(0.5, 2.0)}
+        const float left = u.w - a * u.x - b * u.y - c * u.z;
+        {_eight(2.0)}
         row += {PARTS};
     }} while (row < end);
     return 255 & ~dropped;
