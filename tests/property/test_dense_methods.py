@@ -71,6 +71,25 @@ def test_when_the_pool_of_lists_runs_out(monkeypatch):
         assert torch.equal(plenty < 0, scarce < 0)
 
 
+@pytest.mark.parametrize("name", ["open hemisphere", "nested shells", "needle fan"])
+def test_it_does_not_matter_how_many_cells_are_listed_side_by_side(monkeypatch, name):
+    """Bit for bit; also where cells at the border have no voxels, and where lists find no room."""
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    monkeypatch.setattr(effort, "ROUNDS", 0)
+    case = load_case(name)
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    index, grid = sdm.MeshIndex(mesh, "cpu"), sdm.Grid.around(mesh, resolution=41)
+    for room in (effort.CPU_POOL, 1 << 14):
+        monkeypatch.setattr(effort, "CPU_POOL", room)
+        maps = []
+        for abreast in (1, 2, 4, 8):
+            monkeypatch.setattr(effort, "MOST_ABREAST", abreast)
+            maps.append(index.signed_distance_map(grid).values)
+        assert room < 1 << 15 or all(torch.equal(maps[0], other) for other in maps[1:])
+        assert all((maps[0].abs() - other.abs()).abs().max() <= 8 * ROUNDING for other in maps[1:])
+        assert all(torch.equal(maps[0] < 0, other < 0) for other in maps[1:])
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("step", [1e-8, 1e-5, 1e-2])
 def test_every_triangle_in_every_list(monkeypatch, method, step):
