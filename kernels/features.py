@@ -29,7 +29,7 @@ import warp as wp
 from sdm.kernels.cull import Cell, bulge_of_edge
 from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import room_for, test_direction, test_witness
-from sdm.kernels.parts import INVERSES, PARTS_FLOATS, Parts, one_of
+from sdm.kernels.parts import INVERSES, Parts, last_of_row, one_of, row_of
 from sdm.kernels.rough import about_root
 from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
@@ -41,8 +41,7 @@ wp.set_module_options({"enable_backward": False})
 CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
 
 _PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
-_INVERSES, _PARTS_FLOATS = wp.constant(INVERSES), wp.constant(PARTS_FLOATS)
-_ROWS = wp.constant(PARTS_FLOATS // 4)
+_INVERSES = wp.constant(INVERSES)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
 WITHIN = wp.constant(4.0e-7)
 
@@ -54,13 +53,6 @@ def tests_of(kind: int):
 
 
 @wp.func
-def row_vector(parts: Parts, slot: int, first: int):
-    """Three of the numbers that `parts` keeps of a triangle."""
-    at = _PARTS_FLOATS * slot + first
-    return wp.vec3(parts.rows[at], parts.rows[at + 1], parts.rows[at + 2])
-
-
-@wp.func
 def above_floor(square: wp.float64, floor: float):
     """How much more a squared length is than that of the floor, and 0 near the surface, where that is 0."""
     if floor == 0.0:
@@ -69,28 +61,28 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, mesh: int, code: int, cell: Cell, floor: float):
     """Work out part `number`, corner code % 4 of triangle code / 4: its row, and the tests that a box has to pass."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
     # All rows at once, four numbers at a time.
     first, second, third, _normal = load_corners(tree, slot)
-    r2 = load4(parts.rows, _ROWS * slot + 2)
-    r3 = load4(parts.rows, _ROWS * slot + 3)
-    r4 = load4(parts.rows, _ROWS * slot + 4)
-    r5 = load4(parts.rows, _ROWS * slot + 5)
-    over_ab = wp.vec3(r2[1], r2[2], r2[3])
-    over_bc = wp.vec3(r3[0], r3[1], r3[2])
-    over_ca = wp.vec3(r3[3], r4[0], r4[1])
+    one_more = last_of_row(parts, tree, mesh, slot, 1)
+    r3 = load4(parts.rows, row_of(tree, mesh, slot, 3))
+    r4 = load4(parts.rows, row_of(tree, mesh, slot, 4))
+    r5 = load4(parts.rows, row_of(tree, mesh, slot, 5))
+    over_ab = wp.vec3(r3[0], r3[1], r3[2])
+    over_bc = wp.vec3(r4[0], r4[1], r4[2])
+    over_ca = wp.vec3(r5[0], r5[1], r5[2])
     corner = one_of(k, first, second, third)
     q = corner - cell.centre
     m = wp.vec3d(corner) - wp.vec3d(cell.centre)
     write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
     # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
     further = wp.vec3()
-    if r5[3] == float(k):
-        further = wp.vec3(r5[0], r5[1], r5[2]) - corner
+    if one_more == float(k):
+        further = wp.vec3(r3[3], r4[3], r5[3]) - corner
     room = room_for(cell, q)
     test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
     test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
@@ -101,12 +93,12 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, mesh: int, code: int, cell: Cell, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
-    inward = row_vector(parts, slot, 3 * k)
+    inward = load4(parts.rows, row_of(tree, mesh, slot, k))
     first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
     end = one_of(k, second, third, first)
@@ -127,7 +119,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     test_direction(rows, 0, number, room, p, -edge)
     test_direction(rows, 1, number, room_for(cell, q), q, edge)
     test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
-    test_direction(rows, 3, number, room, p, inward)
+    test_direction(rows, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
     test_witness(rows, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
 
 

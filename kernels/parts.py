@@ -31,10 +31,13 @@ from sdm.kernels.wide import load4, load_row, write4
 
 wp.set_module_options({"enable_backward": False})
 
-# Per triangle: the neighbours' unit vectors from ab, bc and ca inwards, their far corners, the owned parts, 0; the end
-# of one more edge from the first corner that it owns, and which that is, or -1.
-PARTS_FLOATS = 24
-_ROWS = wp.constant(PARTS_FLOATS // 4)
+# Per triangle six rows of four floats: of each edge ab, bc and ca the neighbour's unit vector inwards, and the owned
+# parts, `first`, 0; then of each the neighbour's far corner, and x, y, z of the end of one more edge from the first
+# corner that the triangle owns and that has one, which is `first`, or -1. A row of all triangles of a mesh lies side by
+# side, as neighbouring lanes read neighbouring triangles.
+PARTS_ROWS = 6
+PARTS_FLOATS = 4 * PARTS_ROWS
+_ROWS = wp.constant(PARTS_ROWS)
 # Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
 INVERSES = 4
 _INVERSES = wp.constant(INVERSES)
@@ -54,7 +57,7 @@ SMALL_SQUARE, ENLARGED = wp.constant(2.0**-100), wp.constant(2.0**66)
 class Parts:
     """What is known of the triangles' parts and neighbours."""
 
-    rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
+    rows: wp.array(dtype=wp.float32)  # (meshes * PARTS_ROWS * triangles * 4)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
     balls: wp.array(dtype=wp.float32)  # (slots * 4) a ball around each triangle: its centre and its radius
 
@@ -77,21 +80,42 @@ def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
 
 
 @wp.func
-def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot: int):
+def row_of(tree: Tree, mesh: int, slot: int, row: int):
+    """The number, among all rows of four floats, of row `row` of the triangle in a slot of a mesh."""
+    return slot + ((_ROWS - 1) * mesh + row) * tree.count
+
+
+@wp.func
+def last_of_row(parts: Parts, tree: Tree, mesh: int, slot: int, row: int):
+    """The last of a row's four floats."""
+    return parts.rows[4 * row_of(tree, mesh, slot, row) + 3]
+
+
+@wp.func
+def further_end(parts: Parts, tree: Tree, mesh: int, slot: int):
+    """The end of the one more edge, if a triangle has it."""
+    x = last_of_row(parts, tree, mesh, slot, 3)
+    y = last_of_row(parts, tree, mesh, slot, 4)
+    return wp.vec3(x, y, last_of_row(parts, tree, mesh, slot, 5))
+
+
+@wp.func
+def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, mesh: int, slot: int):
     """The owned parts of a triangle that can be nearest to some voxel of the cell, as bits."""
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
-    r0 = load4(parts.rows, _ROWS * slot)
-    r1 = load4(parts.rows, _ROWS * slot + 1)
-    r2 = load4(parts.rows, _ROWS * slot + 2)
-    r3 = load4(parts.rows, _ROWS * slot + 3)
-    r4 = load4(parts.rows, _ROWS * slot + 4)
+    in_ab = load4(parts.rows, row_of(tree, mesh, slot, 0))
+    in_bc = load4(parts.rows, row_of(tree, mesh, slot, 1))
+    in_ca = load4(parts.rows, row_of(tree, mesh, slot, 2))
+    over_ab = load4(parts.rows, row_of(tree, mesh, slot, 3))
+    over_bc = load4(parts.rows, row_of(tree, mesh, slot, 4))
+    over_ca = load4(parts.rows, row_of(tree, mesh, slot, 5))
     a = corner_a - cell.centre
     b = corner_b - cell.centre
     c = corner_c - cell.centre
-    beyond_ab = wp.vec3(r2[1], r2[2], r2[3])
-    beyond_bc = wp.vec3(r3[0], r3[1], r3[2])
-    beyond_ca = wp.vec3(r3[3], r4[0], r4[1])
-    owned = int(r4[2])
+    beyond_ab = wp.vec3(over_ab[0], over_ab[1], over_ab[2])
+    beyond_bc = wp.vec3(over_bc[0], over_bc[1], over_bc[2])
+    beyond_ca = wp.vec3(over_ca[0], over_ca[1], over_ca[2])
+    owned = int(in_ab[3])
     half = cell.half
     far = wp.max(sum_abs(a), wp.max(sum_abs(b), sum_abs(c)))
     room = ROOM * (far + half[0] + half[1] + half[2])
@@ -149,15 +173,15 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot
     spread_ca = reach(half, ca) + room * sum_abs(ca)
     if (owned & EDGE) != 0 and height_ab - reach_ab <= 0.0 and sum_abs(ab) > 0.0:
         if along_ab + spread_ab >= 0.0 and along_ab - spread_ab <= length_ab:
-            if may_be_below(half, a, wp.vec3(r0[0], r0[1], r0[2]), room):
+            if may_be_below(half, a, wp.vec3(in_ab[0], in_ab[1], in_ab[2]), room):
                 result = result | EDGE
     if (owned & (2 * EDGE)) != 0 and height_bc - reach_bc <= 0.0 and sum_abs(bc) > 0.0:
         if along_bc + spread_bc >= 0.0 and along_bc - spread_bc <= length_bc:
-            if may_be_below(half, b, wp.vec3(r0[3], r1[0], r1[1]), room):
+            if may_be_below(half, b, wp.vec3(in_bc[0], in_bc[1], in_bc[2]), room):
                 result = result | (2 * EDGE)
     if (owned & (4 * EDGE)) != 0 and height_ca - reach_ca <= 0.0 and sum_abs(ca) > 0.0:
         if along_ca + spread_ca >= 0.0 and along_ca - spread_ca <= length_ca:
-            if may_be_below(half, c, wp.vec3(r1[2], r1[3], r2[0]), room):
+            if may_be_below(half, c, wp.vec3(in_ca[0], in_ca[1], in_ca[2]), room):
                 result = result | (4 * EDGE)
 
     # Each corner: behind its two edges, and behind the neighbours' edges there.
@@ -172,10 +196,9 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot
             result = result | (4 * CORNER)
     if (result & (7 * CORNER)) != 0:
         # And one more edge from the first of them. This is read now as there are too few registers for all at once.
-        r5 = load4(parts.rows, _ROWS * slot + 5)
-        k = int(r5[3])
+        k = int(last_of_row(parts, tree, mesh, slot, 1))
         if k >= 0:
-            further = wp.vec3(r5[0], r5[1], r5[2]) - one_of(k, corner_a, corner_b, corner_c)
+            further = further_end(parts, tree, mesh, slot) - one_of(k, corner_a, corner_b, corner_c)
             if not may_be_below(half, one_of(k, a, b, c), further, room):
                 result = result & ~(CORNER << k)
     return result
@@ -278,12 +301,6 @@ def _make_parts(
     inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, scale, a, b, at_b, around[0], c)
     inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, scale, b, c, at_c, around[1], a)
     inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, scale, c, a, at_a, around[2], b)
-    row = _ROWS * slot
-    write4(parts.rows, row, inward_ab[0], inward_ab[1], inward_ab[2], inward_bc[0])
-    write4(parts.rows, row + 1, inward_bc[1], inward_bc[2], inward_ca[0], inward_ca[1])
-    write4(parts.rows, row + 2, inward_ca[2], beyond_ab[0], beyond_ab[1], beyond_ab[2])
-    write4(parts.rows, row + 3, beyond_bc[0], beyond_bc[1], beyond_bc[2], beyond_ca[0])
-    write4(parts.rows, row + 4, beyond_ca[1], beyond_ca[2], float(around[3]), 0.0)
     first = int(-1)
     for k in range(3):
         if first < 0 and (around[3] & (CORNER << k)) != 0:
@@ -297,7 +314,18 @@ def _make_parts(
             first = -1
         else:
             further = scale * vertices[mesh, end]
-    write4(parts.rows, row + 5, further[0], further[1], further[2], float(first))
+    row = row_of(tree, mesh, slot, 0)
+    write4(parts.rows, row, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
+    row = row + tree.count
+    write4(parts.rows, row, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
+    row = row + tree.count
+    write4(parts.rows, row, inward_ca[0], inward_ca[1], inward_ca[2], 0.0)
+    row = row + tree.count
+    write4(parts.rows, row, beyond_ab[0], beyond_ab[1], beyond_ab[2], further[0])
+    row = row + tree.count
+    write4(parts.rows, row, beyond_bc[0], beyond_bc[1], beyond_bc[2], further[1])
+    row = row + tree.count
+    write4(parts.rows, row, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
     middle = (a + b + c) * (1.0 / 3.0)
     radius = about_root(wp.max(length2(a - middle), wp.max(length2(b - middle), length2(c - middle))))
     # A little more than rounding can take from it.

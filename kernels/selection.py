@@ -46,6 +46,7 @@ from sdm.kernels.plan import (
     whole_blocks,
 )
 from sdm.kernels.regions import node_matters
+from sdm.kernels.rough import about_root
 from sdm.kernels.stacks import stack_of
 from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree, node_box
 from sdm.kernels.voxels import Block
@@ -155,8 +156,6 @@ def select_for(
 ):
     """Add the parts that matter to a block of the cell `number` to a chain, which is returned."""
     leaves = 1 << tree.depth
-    base = block.mesh * 2 * leaves
-    radius = wp.sqrt(block.cell.half2)
     reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
     # Each batch is read while the one before is tested.
     upcoming = read_entry(lists, reader, lane)
@@ -179,7 +178,7 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[_RIPE + ripe + lane]
-                which = parts_that_matter(block.cell, block.known, tree, parts, slot)
+                which = parts_that_matter(block.cell, block.known, tree, parts, block.mesh, slot)
             found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
         elif waiting >= lanes or reader.left == 0:
             taken = wp.min(lanes, waiting)
@@ -188,6 +187,7 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[_WAITING + waiting + lane]
+                radius = about_root(block.cell.half2)
                 keep = triangle_matters(block.cell, radius, block.known, tree, parts.balls, cones, slot)
             ripe = ripe + push(stack, _RIPE + ripe, keep, slot, lane)
         else:
@@ -196,7 +196,9 @@ def select_for(
             upcoming = read_entry(lists, reader, lane)
             keep = leaf >= 0 and batch % block.slices == block.slice
             if keep:
+                base = block.mesh * 2 * leaves
                 if (1 << block.bits) < lists.cell:
+                    radius = about_root(block.cell.half2)
                     keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
                 else:
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
