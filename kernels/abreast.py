@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cull import Cell, Witness
+from sdm.kernels.cull import Cell, Witness, cell_of_rows, witness_of_row
 from sdm.kernels.lanes import GPU_GROUPS
 from sdm.kernels.lists import Chain
 from sdm.kernels.rows import read_row, write_row
@@ -16,16 +16,16 @@ from sdm.kernels.stacks import STACK
 
 wp.set_module_options({"enable_backward": False})
 
-# Cells at most, and rows of each.
-MOST_ABREAST, CELL_ROWS = 8, 4
+# Cells at most, those of a region, and rows of each.
+CELLS, CELL_ROWS = 8, 4
 _CELL_ROWS = wp.constant(CELL_ROWS)
 
 
 @wp.func_native(
     snippet=f"""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 shared[{GPU_GROUPS} * {MOST_ABREAST * CELL_ROWS}];
-    return (wp::uint64)(shared + threadIdx.x / 32 * {MOST_ABREAST * CELL_ROWS});
+    __shared__ float4 shared[{GPU_GROUPS} * {CELLS * CELL_ROWS}];
+    return (wp::uint64)(shared + threadIdx.x / 32 * {CELLS * CELL_ROWS});
 #else
     return (wp::uint64)(stacks.data + (size_t)worker * {STACK});
 #endif
@@ -57,22 +57,12 @@ def note_state(notes: wp.uint64, i: int, known: Witness, chain: Chain):
 
 @wp.func
 def noted_box(notes: wp.uint64, i: int):
-    r0 = read_row(notes, _CELL_ROWS * i)
-    r1 = read_row(notes, _CELL_ROWS * i + 1)
-    cell = Cell()
-    cell.centre = wp.vec3(r0[0], r0[1], r0[2])
-    cell.half2 = r0[3]
-    cell.half = wp.vec3(r1[0], r1[1], r1[2])
-    cell.diagonal = r1[3]
-    return cell
+    return cell_of_rows(read_row(notes, _CELL_ROWS * i), read_row(notes, _CELL_ROWS * i + 1))
 
 
 @wp.func
 def noted_state(notes: wp.uint64, i: int):
-    row = read_row(notes, _CELL_ROWS * i + 2)
-    known = Witness()
-    known.to_surface = wp.vec3(row[0], row[1], row[2])
-    known.distance2 = row[3]
+    known = witness_of_row(read_row(notes, _CELL_ROWS * i + 2))
     row = read_row(notes, _CELL_ROWS * i + 3)
     chain = Chain()
     chain.chunk = wp.cast(row[0], wp.int32)

@@ -60,6 +60,26 @@ class Cell:
 
 
 @wp.func
+def cell_of_rows(first: wp.vec4, second: wp.vec4):
+    """A cell as it is noted in two rows: centre and half2, then half-widths and diagonal."""
+    cell = Cell()
+    cell.centre = wp.vec3(first[0], first[1], first[2])
+    cell.half2 = first[3]
+    cell.half = wp.vec3(second[0], second[1], second[2])
+    cell.diagonal = second[3]
+    return cell
+
+
+@wp.func
+def witness_of_row(row: wp.vec4):
+    """A witness as it is noted in a row."""
+    w = Witness()
+    w.to_surface = wp.vec3(row[0], row[1], row[2])
+    w.distance2 = row[3]
+    return w
+
+
+@wp.func
 def no_witness():
     """Nothing known yet."""
     w = Witness()

@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add_once
 from sdm.kernels.caps import is_far, may_cover, view_caps
 from sdm.kernels.closest import exact_hit
-from sdm.kernels.cull import Cell, no_witness
+from sdm.kernels.cull import Cell, cell_of_rows, no_witness
 from sdm.kernels.descent import SCRATCH
 from sdm.kernels.lanes import least_of_lanes
 from sdm.kernels.together import nearest_together
@@ -48,7 +48,7 @@ _CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
 class Groups:
     """What is known of each of `count` groups."""
 
-    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `Cell`: centre (3), diagonal, half (3), half2
+    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `Cell`: centre (3), half2, half (3), diagonal
     witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
@@ -121,14 +121,7 @@ def box_around(
 @wp.func
 def read_box(groups: Groups, group: int):
     """A group's box; `half2` is infinite if there is none."""
-    centre = load4(groups.boxes, 2 * group)
-    half = load4(groups.boxes, 2 * group + 1)
-    cell = Cell()
-    cell.centre = wp.vec3(centre[0], centre[1], centre[2])
-    cell.diagonal = centre[3]
-    cell.half = wp.vec3(half[0], half[1], half[2])
-    cell.half2 = half[3]
-    return cell
+    return cell_of_rows(load4(groups.boxes, 2 * group), load4(groups.boxes, 2 * group + 1))
 
 
 @wp.kernel
@@ -163,8 +156,8 @@ def _look_around(
                 hint = hint + APART
         if lane == 0:
             half = cell.half
-            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], cell.diagonal)
-            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.half2)
+            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], cell.half2)
+            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.diagonal)
             write_witness(groups.witnesses, group, known)
             groups.nearest[group] = slot
             groups.hints[group] = hint

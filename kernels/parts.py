@@ -205,11 +205,6 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, mesh
 
 
 @wp.func
-def length2(v: wp.vec3):
-    return wp.dot(v, v)
-
-
-@wp.func
 def inverse_length(v: wp.vec3d):
     square = wp.dot(v, v)
     if square > wp.float64(0.0):
@@ -246,10 +241,10 @@ def across_edge(
         # Most neighbours go along the edge the other way.
         along = wp.where(first == last, begin - end, end - begin)
         across = wp.cross(wp.vec3(normal[0], normal[1], normal[2]), along)
-        square = length2(across)
+        square = wp.length_sq(across)
         if square < SMALL_SQUARE:
             across = ENLARGED * across
-            square = length2(across)
+            square = wp.length_sq(across)
         if square > 0.0:
             inward = about_inverse_root(square) * across
     return inward, beyond
@@ -327,7 +322,7 @@ def _make_parts(
     row = row + tree.count
     write4(parts.rows, row, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
     middle = (a + b + c) * (1.0 / 3.0)
-    radius = about_root(wp.max(length2(a - middle), wp.max(length2(b - middle), length2(c - middle))))
+    radius = about_root(wp.max(wp.length_sq(a - middle), wp.max(wp.length_sq(b - middle), wp.length_sq(c - middle))))
     # A little more than rounding can take from it.
     write4(parts.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
     ab = wp.vec3d(b) - wp.vec3d(a)

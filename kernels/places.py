@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.cull import Cell
+from sdm.kernels.cull import Cell, cell_of_rows
 from sdm.kernels.lists import Lists
 from sdm.kernels.wide import load4, write4
 
@@ -72,8 +72,5 @@ def noted_place(lists: Lists, number: int):
     place = Place()
     place.mesh = mesh
     place.start = start
-    place.cell.centre = wp.vec3(r0[0], r0[1], r0[2])
-    place.cell.half2 = r0[3]
-    place.cell.half = wp.vec3(r1[0], r1[1], r1[2])
-    place.cell.diagonal = r1[3]
+    place.cell = cell_of_rows(r0, r1)
     return place

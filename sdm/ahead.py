@@ -13,12 +13,6 @@ from torch import Tensor
 B = TypeVar("B", bound=tuple[Tensor, ...])
 
 
-def one_by_one(make: Callable[[int], B], steps: Iterator[int]) -> Iterator[tuple[int, B]]:
-    """(step, batch) for each step, made when it is asked for."""
-    for step in steps:
-        yield step, make(step)
-
-
 def ahead(
     make: Callable[[list[int]], Sequence[B]],
     steps: Iterator[int],
@@ -26,7 +20,9 @@ def ahead(
     count: int,
     together: int = 1,
 ) -> Iterator[tuple[int, B]]:
-    """(step, batch) for each step, at least `count` batches queued on a side stream before they are asked for.
+    """(step, batch) for each step: on a GPU at least `count` batches queued on a side stream before they are asked for.
+
+    Elsewhere each is made when it is asked for.
 
     `make` gives the batches of several steps at once: of `together`, but for the last. Each batch is new memory. The
     consumer's stream, the one that is current when a batch is asked for, waits for that batch on the device; the host
@@ -34,6 +30,10 @@ def ahead(
     only after what was queued there up to the moment the batch is let go. Tensors of a batch on the host are left
     alone.
     """
+    if device.type != "cuda":
+        for step in steps:
+            yield step, make([step])[0]
+        return
     side = torch.cuda.Stream(device)
     # What `make` keeps on the device may still be on its way there.
     side.wait_stream(torch.cuda.current_stream(device))

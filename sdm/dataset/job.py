@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sdm.ahead import ahead, one_by_one
+from sdm.ahead import ahead
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.dataset.pose import transforms_of
 from sdm.errors import FormatError
@@ -106,13 +106,10 @@ class Job:
     def _batches(self, begin: int, end: int, maker: Maker) -> Iterator[tuple[int, Batch]]:
         size = maker.at_once
 
-        def make(first: int) -> Batch:
-            return maker.make(_numbers(first, min(first + size, end)))
+        def make(several: list[int]) -> list[Batch]:
+            return [maker.make(_numbers(first, min(first + size, end))) for first in several]
 
-        steps = iter(range(begin, end, size))
-        if maker.device.type == "cuda":
-            return ahead(lambda several: [make(first) for first in several], steps, maker.device, 1)
-        return one_by_one(make, steps)
+        return ahead(make, iter(range(begin, end, size)), maker.device, 1)
 
 
 def _numbers(begin: int, end: int) -> Tensor:

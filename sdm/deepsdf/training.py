@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from sdm.ahead import ahead, one_by_one
+from sdm.ahead import ahead
 from sdm.budget import share_done
 from sdm.deepsdf import checkpoint
 from sdm.deepsdf.auto_decoder import AutoDecoder
@@ -184,10 +184,7 @@ class Trainer:
     def batches_ahead(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """What `draw` gives for this step and those to come, on a GPU beside the step before, which leaves it room."""
         steps = iter(range(self.step, self.steps))
-        if self.device.type == "cuda":
-            drawn = ahead(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
-        else:
-            drawn = one_by_one(self.draw, steps)
+        drawn = ahead(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
         return (batch for _, batch in drawn)
 
     def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:

@@ -73,7 +73,7 @@ def _parsed(data: bytes) -> tuple[np.ndarray, list[np.ndarray]] | None:
         at += rows.nbytes
         vertices = rows if element.name == "vertex" else vertices
     # A number of faces that the file has no room for would be memory first.
-    if vertices is None or not 0 < face.count <= len(data) or _all_alike(data, at, face, order):
+    if vertices is None or not 0 < face.count <= len(data) or _all_alike(data, at, face):
         return None
     starts, counts = _rows(data, at, face, order)
     points = np.column_stack([vertices[axis] for axis in "xyz"]).astype(np.float64)
@@ -96,7 +96,7 @@ def _type(name: str, order: str) -> str:
     return order + np.dtype(C_TYPES.get(name, name)).str[1:]
 
 
-def _all_alike(data: bytes, begin: int, face: Element, order: str) -> bool:
+def _all_alike(data: bytes, begin: int, face: Element) -> bool:
     """Whether all faces have as many corners as the first, so that there is nothing to do here."""
     _, size, entry, values_before = face.lists[0]
     first = begin + np.dtype(face.values[:values_before]).itemsize

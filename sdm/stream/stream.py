@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
-from sdm.ahead import ahead, one_by_one
+from sdm.ahead import ahead
 from sdm.errors import SDMError
 from sdm.grid import Grid
 from sdm.shapes import Family
@@ -141,11 +141,8 @@ class SDMStream(IterableDataset[Batch]):
             self._own = True
         begin, end = self._position, self.stop
         steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
-        if self.device.type == "cuda":
-            together = max(1, self._maker.at_once // self.batch_size)
-            batches = ahead(self._make_several, steps, self.device, self._ahead, together)
-        else:
-            batches = one_by_one(self._make, steps)
+        together = max(1, self._maker.at_once // self.batch_size)
+        batches = ahead(self._make, steps, self.device, self._ahead, together)
         return self._count(batches, stride)
 
     def _take_rank(self, rank: int | None, world_size: int | None) -> None:
@@ -172,10 +169,7 @@ class SDMStream(IterableDataset[Batch]):
             yield batch
             del batch
 
-    def _make(self, step: int) -> Batch:
-        return self._make_several([step])[0]
-
-    def _make_several(self, steps: list[int]) -> list[Batch]:
+    def _make(self, steps: list[int]) -> list[Batch]:
         first = [step + self.rank * self.batch_size for step in steps]
         return self._maker.make_several([torch.arange(at, at + self.batch_size, device="cpu") for at in first])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from sdm.kernels.abreast import CELLS
 from sdm.kernels.effort import (
     LARGEST_POOL,
     MOST_ABREAST,
@@ -59,7 +60,7 @@ def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
 def test_cells_are_listed_side_by_side_where_that_leaves_enough_groups():
     assert [cells_abreast(items, 1000) for items in (1, 4_000, 7_999, 8_000, 16_000, 10**6)] == [1, 1, 1, 2, 4, 4]
     # No more than a region has.
-    assert MOST_ABREAST <= 8
+    assert MOST_ABREAST <= CELLS == 8
 
 
 class Device:
