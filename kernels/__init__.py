@@ -6,7 +6,7 @@ current stream. Read in this order: `lanes`, `atomics` and `wide` (what CPU and 
 (which faces meet), `seams` (which edges bound a mesh), `closest` (the nearest triangle), `crossings` (integer winding
 numbers), `boundary`, `caps` and `holes` (what open meshes add), `solid_angle` (any soup), `winding` (the choice),
 `scan` and `search` (the plain dense query), `frames`, `rough`, `cull`, `cones` and `parts` (what can be dropped),
-`lists`, `places`, `stacks`, `witness`, `regions`, `abreast`, `cells`, `plan`, `queues`, `leaves`, `selection`, `rows`,
+`lists`, `places`, `stacks`, `witness`, `regions`, `cells`, `plan`, `queues`, `leaves`, `selection`, `rows`,
 `octants`, `features`, `mix`, `boxes`, `least`, `voxels` and `blocks` (the fast one), `effort` and `dense` (the choice
 between them), `descent`, `together`, `gather`, `board`, `shortlist`, `groups`, `nearest_points`, `point_signs` and
 `points` (scattered points, both ways), `samples` (where DeepSDF has its), `edt_near`, `edt_rows`, `edt_lines`,

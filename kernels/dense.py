@@ -11,15 +11,7 @@ import warp as wp
 from sdm.kernels.blocks import begin_sliced, measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
-from sdm.kernels.effort import (
-    cell_for,
-    cells_abreast,
-    expected_entries,
-    passes_for,
-    pool_for,
-    search_is_faster,
-    shares_of,
-)
+from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for, search_is_faster, shares_of
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
@@ -130,7 +122,7 @@ def query_slab(
     lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
-    stacks = empty(stack_room(workers(max(REGION_BLOCKS, CELL_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
+    stacks = empty(stack_room(workers(max(REGION_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
     rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
@@ -139,11 +131,10 @@ def query_slab(
         lists.first = first
         lists.count = -(-(total - first) // passes)
         lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
-        lists.abreast = cells_abreast(8 * lists.count * lists.shares, workers(CELL_BLOCKS))
         lists.counts.zero_()
         find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes, launch)
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes, launch)
-        list_cells(tree, frames, cones, slab, lists, stacks, workers(CELL_BLOCKS), lanes, launch)
+        list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes, launch)
         plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes, launch)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.

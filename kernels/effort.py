@@ -24,9 +24,6 @@ MOST_REGIONS = 1 << (CELL_BITS - 3)
 FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 32, 8
 # But maps of so few regions (64^3 voxels) mostly come in batches, where fewer, longer chains are faster.
 FEW_REGIONS, FEW_FOR_REGION, FEW_FOR_CELL = 64, 16, 2
-# Cells whose lists one group makes, and how many such groups there have to be for each that is at work, as they take
-# very different times.
-MOST_ABREAST, ROUNDS = 4, 4
 # Triangles of a cell's list, on average, up to which all lists are about as short.
 SHORT = 64
 # Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
@@ -92,14 +89,6 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
     ):
         of_cell *= 2
     return of_region, min(of_cell, of_region)
-
-
-def cells_abreast(items: int, workers: int) -> int:
-    """How many of so many lists of cells one group of lanes makes side by side; what is in them is the same."""
-    abreast = 1
-    while abreast < MOST_ABREAST and items >= 2 * abreast * ROUNDS * workers:
-        abreast *= 2
-    return abreast
 
 
 def largest_pool(device: Any) -> int:

@@ -50,7 +50,6 @@ class Lists:
     count: wp.int32  # regions of this pass
     region_shares: wp.int32  # chains of each region's list
     shares: wp.int32  # and of each cell's: as many, or a power of two less
-    abreast: wp.int32  # cells whose lists are made by one group: 1, 2, 4 or 8
     # Of each chain its first chunk, or -1 where the pool ran out, and its number of entries.
     region_heads: wp.array(dtype=wp.int32)  # (count * region_shares) leaves of the tree
     region_lengths: wp.array(dtype=wp.int32)

@@ -34,29 +34,30 @@ _NEXT_REGION = wp.constant(NEXT_REGION)
 
 
 @wp.func
-def ball_misses(cell: Cell, radius: float, low: wp.vec3, high: wp.vec3, cone: wp.vec4):
-    """Whether nothing in the ball around a box, with this cone, is nearest to a point of the cell of this radius."""
-    across = high - low
-    extent = 0.5 * about_root(wp.dot(across, across))
-    return cone_misses(cell, radius, 0.5 * (low + high), extent, cone)
-
-
-@wp.func
 def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
     """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
     low, high = node_box(tree, base + node)
-    if box_is_farther(cell, known, low, high):
-        return False
-    # Few are left, so that this need not be read for all.
-    return not ball_misses(cell, radius, low, high, node_cone(tree, cones, base, node))
+    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
 
 
 @wp.func
-def box_matters(cell: Cell, radius: float, known: Witness, low: wp.vec3, high: wp.vec3, cone: wp.vec4):
-    """`node_matters` of a node whose box and cone are known."""
+def box_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    cones: Cones,
+    base: int,
+    node: int,
+    low: wp.vec3,
+    high: wp.vec3,
+):
+    """`node_matters` of a node whose box is known."""
     if box_is_farther(cell, known, low, high):
         return False
-    return not ball_misses(cell, radius, low, high, cone)
+    across = high - low
+    extent = 0.5 * about_root(wp.dot(across, across))
+    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
 
 
 @wp.kernel(launch_bounds=(128, REGION_BLOCKS))

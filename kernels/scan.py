@@ -17,23 +17,43 @@ from sdm.kernels.caps import cap_lattice
 from sdm.kernels.crossings import count_crossings, covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
 from sdm.kernels.holes import open_caps
-from sdm.kernels.lanes import GPU_LANES
+from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
+from sdm.kernels.launch import threads
 from sdm.kernels.solid_angle import soup_winding
 from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
 from sdm.kernels.winding import CLOSED, MANY, OPEN, SOUP, Winding
 
 wp.set_module_options({"enable_backward": False})
 
-# Lanes for each triangle of a mesh that is finer than the grid.
-FEWEST_LANES = 4
+# Columns for each lane from which on a triangle is shared out to many groups of lanes, into so many pieces: where most
+# triangles are small, the others would wait for one that lies under half of the grid.
+MOST_COLUMNS = {"cuda": 64, "cpu": 1 << 30}
+PIECES = 64
 # Voxels of a column that are loaded at a time.
 AHEAD = 8
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _OPEN = wp.constant(OPEN)
 _AHEAD = wp.constant(AHEAD)
+_PIECES = wp.constant(PIECES)
 
 Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
+
+
+@wp.func
+def columns_under(tree: Tree, slab: Slab, mesh: int, pa: wp.vec3, pb: wp.vec3, pc: wp.vec3):
+    """The columns (j,k) that a triangle may cover: the first j and k, how many k, and how many columns."""
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    low = wp.min(pa, wp.min(pb, pc))
+    high = wp.max(pa, wp.max(pb, pc))
+    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
+        return wp.vec4i(0, 0, 0, 0)
+    # Columns are snapped before they are tested, hence the slack.
+    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
+    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
+    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
+    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
+    return wp.vec4i(j_begin, k_begin, k_end - k_begin, (j_end - j_begin) * (k_end - k_begin))
 
 
 @wp.func
@@ -48,26 +68,16 @@ def mark_columns(
     a: wp.vec2i,
     b: wp.vec2i,
     c: wp.vec2i,
+    columns: wp.vec4i,
     lane: int,
     lanes: int,
 ):
-    """Add a triangle's crossing to the last voxel before it, in every column (j,k) that it covers."""
+    """Add a triangle's crossing to the last voxel before it, in every lanes-th of these columns that it covers."""
     scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    low = wp.min(pa, wp.min(pb, pc))
-    high = wp.max(pa, wp.max(pb, pc))
-    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
-        return
-    # Columns are snapped before they are tested, hence the slack.
-    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
-    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
-    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
-    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
-    width = k_end - k_begin
-    cell = lane
-    columns = (j_end - j_begin) * width
-    while cell < columns:
-        j = j_begin + cell / width
-        k = k_begin + cell % width
+    column = lane
+    while column < columns[3]:
+        j = columns[0] + column / columns[2]
+        k = columns[1] + column % columns[2]
         q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
         sign = covers(a, b, c, q)
         if sign != 0:
@@ -75,13 +85,14 @@ def mark_columns(
             if below > 0:
                 at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
                 fetch_add(counts, at, sign)
-        cell = cell + lanes
+        column = column + lanes
 
 
-@wp.kernel
-def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
-    thread = begin + wp.tid()
-    slot = thread / lanes
+@wp.func
+def mark_triangle(
+    tree: Tree, slab: Slab, counts: wp.array(dtype=wp.int32), slot: int, columns: wp.vec4i, lane: int, lanes: int
+):
+    """`mark_columns` of the triangle in a slot."""
     mark_columns(
         tree,
         slab,
@@ -93,9 +104,62 @@ def _scan_convert(begin: int, tree: Tree, slab: Slab, lanes: int, counts: wp.arr
         tree.lattice[3 * slot],
         tree.lattice[3 * slot + 1],
         tree.lattice[3 * slot + 2],
-        thread % lanes,
+        columns,
+        lane,
         lanes,
     )
+
+
+@wp.func
+def columns_of(tree: Tree, slab: Slab, slot: int):
+    """`columns_under` of the triangle in a slot."""
+    corner = 4 * slot
+    return columns_under(
+        tree, slab, slot / tree.count, tree.corners[corner], tree.corners[corner + 1], tree.corners[corner + 2]
+    )
+
+
+@wp.kernel
+def _scan_convert(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    lanes: int,
+    most: int,
+    counts: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.int32),
+    larges: wp.array(dtype=wp.int32),
+):
+    """Mark the columns of triangles that have few; note those that may have more than `most` for each lane."""
+    thread = begin + wp.tid()
+    slot = thread / lanes
+    lane = thread % lanes
+    columns = columns_of(tree, slab, slot)
+    if columns[3] / lanes < most:
+        mark_triangle(tree, slab, counts, slot, columns, lane, lanes)
+    elif lane == 0:
+        large[fetch_add(larges, 0, 1)] = slot
+
+
+@wp.kernel
+def _scan_large(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    lanes: int,
+    groups: int,
+    counts: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.int32),
+    larges: wp.array(dtype=wp.int32),
+):
+    """Mark the columns of those: each triangle is the work of many groups of lanes."""
+    thread = begin + wp.tid()
+    piece = thread / lanes
+    while piece < larges[0] * _PIECES:
+        slot = large[piece / _PIECES]
+        lane = piece % _PIECES * lanes + thread % lanes
+        mark_triangle(tree, slab, counts, slot, columns_of(tree, slab, slot), lane, _PIECES * lanes)
+        piece = piece + groups
 
 
 @wp.kernel
@@ -104,20 +168,11 @@ def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: in
     edge = thread / lanes
     mesh = edge / boundary.count
     a, b, c = cap_lattice(boundary, tree, edge, mesh)
-    mark_columns(
-        tree,
-        slab,
-        counts,
-        mesh,
-        boundary.ends[2 * edge + 1],
-        boundary.ends[2 * edge],
-        boundary.apexes[edge],
-        a,
-        b,
-        c,
-        thread % lanes,
-        lanes,
-    )
+    begins = boundary.ends[2 * edge]
+    ends = boundary.ends[2 * edge + 1]
+    apex = boundary.apexes[edge]
+    columns = columns_under(tree, slab, mesh, ends, begins, apex)
+    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, columns, thread % lanes, lanes)
 
 
 @wp.kernel
@@ -173,10 +228,28 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
 
 def lanes_per_triangle(triangles: int, columns: int) -> int:
     """Lanes of a GPU for each triangle: enough for some times the columns that one covers, as some cover more."""
-    lanes = FEWEST_LANES
+    lanes = 1
     while lanes < GPU_LANES and lanes * triangles < 4 * columns:
         lanes *= 2
     return lanes
+
+
+def _scan_triangles(
+    tree: Tree, slab: Slab, counts: wp.array, slots: int, launch: Any, empty: Callable[[int, Any], wp.array]
+) -> None:
+    """Mark where all triangles cross the columns of a slab."""
+    device = counts.device
+    columns = slab.shape[1] * slab.shape[2]
+    lanes = lanes_per_triangle(tree.count, columns) if device.is_cuda else 1
+    most = MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
+    some_large = columns >= most * lanes
+    large, larges = empty(slots if some_large else 1, wp.int32), empty(1, wp.int32)
+    larges.zero_()
+    launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
+    if some_large:
+        lanes, groups = (GPU_LANES, gpu_workers(GPU_BLOCKS)) if device.is_cuda else (1, threads())
+        inputs = [tree, slab, lanes, groups, counts, large, larges]
+        launch(_scan_large, groups * lanes, inputs, device, smallest=1)
 
 
 def slab_winding(
@@ -199,8 +272,7 @@ def slab_winding(
         values.zero_()
         counts = values.view(wp.int32)
         boundary = winding.boundary
-        lanes = lanes_per_triangle(tree.count, ny * nz) if device.is_cuda else 1
-        launch(_scan_convert, meshes * tree.count * lanes, [tree, slab, lanes, counts.flatten()], device)
+        _scan_triangles(tree, slab, counts.flatten(), meshes * tree.count, launch, empty)
         if winding.kind != CLOSED:
             lanes = GPU_LANES if device.is_cuda else 1
             edges = meshes * boundary.count * lanes

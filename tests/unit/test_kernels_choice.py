@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from sdm.kernels.abreast import CELLS
 from sdm.kernels.effort import (
     LARGEST_POOL,
-    MOST_ABREAST,
     SMALLEST_POOL,
     cell_for,
-    cells_abreast,
     expected_entries,
     passes_for,
     pool_for,
@@ -55,12 +52,6 @@ def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
     of_region, of_cell = shares_of(triangles, [n] * 3, cell_for(triangles, [n] * 3, gpu=True))
     assert of_region % of_cell == 0
     assert of_region & (of_region - 1) == of_cell & (of_cell - 1) == 0
-
-
-def test_cells_are_listed_side_by_side_where_that_leaves_enough_groups():
-    assert [cells_abreast(items, 1000) for items in (1, 4_000, 7_999, 8_000, 16_000, 10**6)] == [1, 1, 1, 2, 4, 4]
-    # No more than a region has.
-    assert MOST_ABREAST <= CELLS == 8
 
 
 class Device:
