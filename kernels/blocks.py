@@ -145,10 +145,10 @@ def measure_block(
             if lane < mix.parts:
                 if which == CORNER_KIND:
                     code = stack[_CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, parts, block.mesh, code, block.cell, block.floor)
+                    add_corner(rows, lane, tree, parts, code, block.cell, block.floor)
                 elif which == EDGE_KIND:
                     code = stack[_EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, parts, block.mesh, code, block.cell, block.floor)
+                    add_edge(rows, lane, tree, parts, code, block.cell, block.floor)
                 else:
                     code = stack[_FACES + faces + lane - mix.corners - mix.edges]
                     add_face(rows, lane, tree, parts, code, block.cell, block.floor)

@@ -29,11 +29,11 @@ import warp as wp
 from sdm.kernels.cull import Cell, bulge_of_edge
 from sdm.kernels.lanes import unknown
 from sdm.kernels.octants import room_for, test_direction, test_witness
-from sdm.kernels.parts import INVERSES, Parts, last_of_row, one_of, row_of
+from sdm.kernels.parts import INVERSES, Parts, last_of_row, load_part_row, one_of
 from sdm.kernels.rough import about_root
 from sdm.kernels.rows import NUMBERS, PARTS, write_number, write_row
 from sdm.kernels.tree import Tree, load_corners
-from sdm.kernels.wide import load2, load4
+from sdm.kernels.wide import load2
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,17 +61,17 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, mesh: int, code: int, cell: Cell, floor: float):
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
     """Work out part `number`, corner code % 4 of triangle code / 4: its row, and the tests that a box has to pass."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
     # All rows at once, four numbers at a time.
     first, second, third, _normal = load_corners(tree, slot)
-    one_more = last_of_row(parts, tree, mesh, slot, 1)
-    r3 = load4(parts.rows, row_of(tree, mesh, slot, 3))
-    r4 = load4(parts.rows, row_of(tree, mesh, slot, 4))
-    r5 = load4(parts.rows, row_of(tree, mesh, slot, 5))
+    one_more = last_of_row(parts, slot, 1)
+    r3 = load_part_row(parts, slot, 3)
+    r4 = load_part_row(parts, slot, 4)
+    r5 = load_part_row(parts, slot, 5)
     over_ab = wp.vec3(r3[0], r3[1], r3[2])
     over_bc = wp.vec3(r4[0], r4[1], r4[2])
     over_ca = wp.vec3(r5[0], r5[1], r5[2])
@@ -93,12 +93,12 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, mesh: int
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, mesh: int, code: int, cell: Cell, floor: float):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
     inverse = parts.inverses[_INVERSES * slot + k]
-    inward = load4(parts.rows, row_of(tree, mesh, slot, k))
+    inward = load_part_row(parts, slot, k)
     first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
     end = one_of(k, second, third, first)

@@ -11,9 +11,10 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.geometry import unit_normal
+from sdm.kernels.records import begin_record, end_record, floats_at, put4
 from sdm.kernels.rough import inverse_root
 from sdm.kernels.tree import Tree, load_corners
-from sdm.kernels.wide import load4, write4
+from sdm.kernels.wide import load4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -175,12 +176,14 @@ def _make_frames(
     n = wp.vec3(normal)
     inverse_bc = wp.where(bc2 > wp.float64(0.0), float(wp.float64(1.0) / bc2), 0.0)
     inverse_ca = wp.where(ca2 > wp.float64(0.0), float(wp.float64(1.0) / ca2), 0.0)
-    row = _ROWS * slot
-    write4(frames, row, float(a[0]), float(a[1]), float(a[2]), float(base))
-    write4(frames, row + 1, x[0], x[1], x[2], float(tip_x))
-    write4(frames, row + 2, y[0], y[1], y[2], float(tip_y))
-    write4(frames, row + 3, n[0], n[1], n[2], inverse_bc)
-    write4(frames, row + 4, inverse_ca, wp.where(solid, 1.0, 0.0), 0.0, 0.0)
+    rows = floats_at(frames)
+    record = begin_record(rows, 16 * _ROWS, slot)
+    put4(record, 0, float(a[0]), float(a[1]), float(a[2]), float(base))
+    put4(record, 1, x[0], x[1], x[2], float(tip_x))
+    put4(record, 2, y[0], y[1], y[2], float(tip_y))
+    put4(record, 3, n[0], n[1], n[2], inverse_bc)
+    put4(record, 4, inverse_ca, wp.where(solid, 1.0, 0.0), 0.0, 0.0)
+    end_record(rows, record, 16 * _ROWS, slot, tree.face.shape[0])
 
 
 def make_frames(tree: Tree, frames: wp.array, launch: Any) -> None:

@@ -25,6 +25,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.cull import Cell, Witness, bulge_of_edge, bulge_of_triangle, doubt, least_lead, reach, sum_abs
+from sdm.kernels.records import begin_record, doubles_at, end_record, floats_at, put4, put_double
 from sdm.kernels.rough import about_inverse_root, about_root, inverse_root
 from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree, load_corners
 from sdm.kernels.wide import load4, load_row, write4
@@ -33,11 +34,10 @@ wp.set_module_options({"enable_backward": False})
 
 # Per triangle six rows of four floats: of each edge ab, bc and ca the neighbour's unit vector inwards, and the owned
 # parts, `first`, 0; then of each the neighbour's far corner, and x, y, z of the end of one more edge from the first
-# corner that the triangle owns and that has one, which is `first`, or -1. A row of all triangles of a mesh lies side by
-# side, as neighbouring lanes read neighbouring triangles.
+# corner that the triangle owns and that has one, which is `first`, or -1.
 PARTS_ROWS = 6
 PARTS_FLOATS = 4 * PARTS_ROWS
-_ROWS = wp.constant(PARTS_ROWS)
+_ROWS, _FLOATS = wp.constant(PARTS_ROWS), wp.constant(PARTS_FLOATS)
 # Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
 INVERSES = 4
 _INVERSES = wp.constant(INVERSES)
@@ -57,7 +57,7 @@ SMALL_SQUARE, ENLARGED = wp.constant(2.0**-100), wp.constant(2.0**66)
 class Parts:
     """What is known of the triangles' parts and neighbours."""
 
-    rows: wp.array(dtype=wp.float32)  # (meshes * PARTS_ROWS * triangles * 4)
+    rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
     balls: wp.array(dtype=wp.float32)  # (slots * 4) a ball around each triangle: its centre and its radius
 
@@ -80,35 +80,33 @@ def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
 
 
 @wp.func
-def row_of(tree: Tree, mesh: int, slot: int, row: int):
-    """The number, among all rows of four floats, of row `row` of the triangle in a slot of a mesh."""
-    return slot + ((_ROWS - 1) * mesh + row) * tree.count
+def load_part_row(parts: Parts, slot: int, row: int):
+    """A row of the triangle in a slot."""
+    return load4(parts.rows, _ROWS * slot + row)
 
 
 @wp.func
-def last_of_row(parts: Parts, tree: Tree, mesh: int, slot: int, row: int):
+def last_of_row(parts: Parts, slot: int, row: int):
     """The last of a row's four floats."""
-    return parts.rows[4 * row_of(tree, mesh, slot, row) + 3]
+    return parts.rows[4 * (_ROWS * slot + row) + 3]
 
 
 @wp.func
-def further_end(parts: Parts, tree: Tree, mesh: int, slot: int):
+def further_end(parts: Parts, slot: int):
     """The end of the one more edge, if a triangle has it."""
-    x = last_of_row(parts, tree, mesh, slot, 3)
-    y = last_of_row(parts, tree, mesh, slot, 4)
-    return wp.vec3(x, y, last_of_row(parts, tree, mesh, slot, 5))
+    return wp.vec3(last_of_row(parts, slot, 3), last_of_row(parts, slot, 4), last_of_row(parts, slot, 5))
 
 
 @wp.func
-def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, mesh: int, slot: int):
+def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot: int):
     """The owned parts of a triangle that can be nearest to some voxel of the cell, as bits."""
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
-    in_ab = load4(parts.rows, row_of(tree, mesh, slot, 0))
-    in_bc = load4(parts.rows, row_of(tree, mesh, slot, 1))
-    in_ca = load4(parts.rows, row_of(tree, mesh, slot, 2))
-    over_ab = load4(parts.rows, row_of(tree, mesh, slot, 3))
-    over_bc = load4(parts.rows, row_of(tree, mesh, slot, 4))
-    over_ca = load4(parts.rows, row_of(tree, mesh, slot, 5))
+    in_ab = load_part_row(parts, slot, 0)
+    in_bc = load_part_row(parts, slot, 1)
+    in_ca = load_part_row(parts, slot, 2)
+    over_ab = load_part_row(parts, slot, 3)
+    over_bc = load_part_row(parts, slot, 4)
+    over_ca = load_part_row(parts, slot, 5)
     a = corner_a - cell.centre
     b = corner_b - cell.centre
     c = corner_c - cell.centre
@@ -196,9 +194,9 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, mesh
             result = result | (4 * CORNER)
     if (result & (7 * CORNER)) != 0:
         # And one more edge from the first of them. This is read now as there are too few registers for all at once.
-        k = int(last_of_row(parts, tree, mesh, slot, 1))
+        k = int(last_of_row(parts, slot, 1))
         if k >= 0:
-            further = further_end(parts, tree, mesh, slot) - one_of(k, corner_a, corner_b, corner_c)
+            further = further_end(parts, slot) - one_of(k, corner_a, corner_b, corner_c)
             if not may_be_below(half, one_of(k, a, b, c), further, room):
                 result = result & ~(CORNER << k)
     return result
@@ -309,18 +307,16 @@ def _make_parts(
             first = -1
         else:
             further = scale * vertices[mesh, end]
-    row = row_of(tree, mesh, slot, 0)
-    write4(parts.rows, row, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
-    row = row + tree.count
-    write4(parts.rows, row, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
-    row = row + tree.count
-    write4(parts.rows, row, inward_ca[0], inward_ca[1], inward_ca[2], 0.0)
-    row = row + tree.count
-    write4(parts.rows, row, beyond_ab[0], beyond_ab[1], beyond_ab[2], further[0])
-    row = row + tree.count
-    write4(parts.rows, row, beyond_bc[0], beyond_bc[1], beyond_bc[2], further[1])
-    row = row + tree.count
-    write4(parts.rows, row, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
+    total = tree.face.shape[0]
+    rows = floats_at(parts.rows)
+    record = begin_record(rows, 4 * _FLOATS, slot)
+    put4(record, 0, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
+    put4(record, 1, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
+    put4(record, 2, inward_ca[0], inward_ca[1], inward_ca[2], 0.0)
+    put4(record, 3, beyond_ab[0], beyond_ab[1], beyond_ab[2], further[0])
+    put4(record, 4, beyond_bc[0], beyond_bc[1], beyond_bc[2], further[1])
+    put4(record, 5, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
+    end_record(rows, record, 4 * _FLOATS, slot, total)
     middle = (a + b + c) * (1.0 / 3.0)
     radius = about_root(wp.max(wp.length_sq(a - middle), wp.max(wp.length_sq(b - middle), wp.length_sq(c - middle))))
     # A little more than rounding can take from it.
@@ -328,11 +324,13 @@ def _make_parts(
     ab = wp.vec3d(b) - wp.vec3d(a)
     bc = wp.vec3d(c) - wp.vec3d(b)
     ca = wp.vec3d(a) - wp.vec3d(c)
-    at = _INVERSES * slot
-    parts.inverses[at] = inverse_length(ab)
-    parts.inverses[at + 1] = inverse_length(bc)
-    parts.inverses[at + 2] = inverse_length(ca)
-    parts.inverses[at + 3] = inverse_length(wp.cross(ab, -ca))
+    inverses = doubles_at(parts.inverses)
+    record = begin_record(inverses, 8 * _INVERSES, slot)
+    put_double(record, 0, inverse_length(ab))
+    put_double(record, 1, inverse_length(bc))
+    put_double(record, 2, inverse_length(ca))
+    put_double(record, 3, inverse_length(wp.cross(ab, -ca)))
+    end_record(inverses, record, 8 * _INVERSES, slot, total)
 
 
 def make_parts(

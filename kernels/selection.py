@@ -178,7 +178,7 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[_RIPE + ripe + lane]
-                which = parts_that_matter(block.cell, block.known, tree, parts, block.mesh, slot)
+                which = parts_that_matter(block.cell, block.known, tree, parts, slot)
             found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
         elif waiting >= lanes or reader.left == 0:
             taken = wp.min(lanes, waiting)

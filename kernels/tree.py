@@ -20,7 +20,8 @@ from sdm.kernels.atomics import lessen
 from sdm.kernels.curve import curve_bits, curve_code
 from sdm.kernels.geometry import unit_normal
 from sdm.kernels.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
-from sdm.kernels.wide import load4, load4_of_vectors, read4, write4, write4_of_vectors
+from sdm.kernels.records import begin_record, end_record, pairs_at, put4, put_pair, vectors_at
+from sdm.kernels.wide import load4, load4_of_vectors, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,6 +43,8 @@ _DIAGONAL = wp.constant(DIAGONAL)
 _LOW_X = wp.constant(LOW_X)
 _LATTICE = wp.constant(LATTICE)
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
+# Bytes of a triangle's corners and normal, and of its corners on the lattice.
+_CORNERS_SIZE, _LATTICE_SIZE = wp.constant(48), wp.constant(24)
 
 
 @wp.struct
@@ -96,9 +99,12 @@ def load_corners(tree: Tree, slot: int):
 @wp.func
 def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     """What `load_corners` reads."""
-    write4_of_vectors(tree.corners, 3 * slot, a[0], a[1], a[2], b[0])
-    write4_of_vectors(tree.corners, 3 * slot + 1, b[1], b[2], c[0], c[1])
-    write4_of_vectors(tree.corners, 3 * slot + 2, c[2], n[0], n[1], n[2])
+    corners = vectors_at(tree.corners)
+    record = begin_record(corners, _CORNERS_SIZE, slot)
+    put4(record, 0, a[0], a[1], a[2], b[0])
+    put4(record, 1, b[1], b[2], c[0], c[1])
+    put4(record, 2, c[2], n[0], n[1], n[2])
+    end_record(corners, record, _CORNERS_SIZE, slot, tree.face.shape[0])
 
 
 @wp.func
@@ -260,9 +266,12 @@ def _gather_triangles(
     a = scale * vertices[mesh, faces[f, 0]]
     b = scale * vertices[mesh, faces[f, 1]]
     c = scale * vertices[mesh, faces[f, 2]]
-    tree.lattice[3 * i] = to_lattice(tree, mesh, wp.float64(a[1]), wp.float64(a[2]))
-    tree.lattice[3 * i + 1] = to_lattice(tree, mesh, wp.float64(b[1]), wp.float64(b[2]))
-    tree.lattice[3 * i + 2] = to_lattice(tree, mesh, wp.float64(c[1]), wp.float64(c[2]))
+    lattice = pairs_at(tree.lattice)
+    record = begin_record(lattice, _LATTICE_SIZE, i)
+    put_pair(record, 0, to_lattice(tree, mesh, wp.float64(a[1]), wp.float64(a[2])))
+    put_pair(record, 1, to_lattice(tree, mesh, wp.float64(b[1]), wp.float64(b[2])))
+    put_pair(record, 2, to_lattice(tree, mesh, wp.float64(c[1]), wp.float64(c[2])))
+    end_record(lattice, record, _LATTICE_SIZE, i, tree.face.shape[0])
     n = wp.vec3(unit_normal(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
     write_corners(tree, i, a, b, c, n)
     write4(normals, mesh * tree.count + f, n[0], n[1], n[2], 0.0)

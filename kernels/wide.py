@@ -100,18 +100,3 @@ def read4(data: wp.array(dtype=wp.float32), index: int) -> wp.vec4:
 def write4(data: wp.array(dtype=wp.float32), index: int, x: float, y: float, z: float, w: float):
     """Four floats to 4 * index in one access."""
     ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    reinterpret_cast<float4*>(data.data)[index] = make_float4(x, y, z, w);
-#else
-    float* v = reinterpret_cast<float*>(data.data) + 4 * index;
-    v[0] = x; v[1] = y; v[2] = z; v[3] = w;
-#endif
-"""
-)
-def write4_of_vectors(data: wp.array(dtype=wp.vec3), index: int, x: float, y: float, z: float, w: float):
-    """`write4` to an array of three-vectors that lie one behind the other."""
-    ...

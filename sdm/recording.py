@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -25,6 +26,10 @@ UNSAID = -1
 
 def unheard(remarks: Tensor) -> None:
     """Remarks that nobody waits for."""
+
+
+def _nothing() -> None:
+    """As a reference to a tensor that is gone."""
 
 
 class Room:
@@ -65,6 +70,8 @@ class Recording:
         self._room = room
         self._device = inputs[0].device
         self._guesses, self._count = False, 0
+        # Of each input which tensor it was last, and that one's version.
+        self._last: list[tuple[Callable[[], Tensor | None], int]] = [(_nothing, 0)] * len(inputs)
         self._heard = torch.cuda.Event(external=True)
         with (
             torch.cuda.device(self._device),
@@ -122,18 +129,37 @@ class Recording:
         with torch.cuda.device(self._device), torch.no_grad():
             stream = torch.cuda.current_stream()
             stream.wait_event(last)
-            for mine, given in zip(self._inputs, inputs, strict=True):
-                mine.copy_(given)
+            try:
+                return self._queue(inputs, stream)
+            finally:
+                last.record(stream)
+
+    def _queue(self, inputs: Inputs, stream: torch.cuda.Stream) -> tuple[Tensor, ...]:
+        for place, given in enumerate(inputs):
+            if given.numel() and not self._holds(place, given):
+                self._inputs[place].copy_(given)
                 given.record_stream(stream)
-            if self._guesses:
-                self._said[: self._count].fill_(UNSAID)
-            # The first result, if it is a map, is written where it is wanted; the others are copied.
-            placed = self._place.put()
-            self._graph.replay()
-            first = () if placed is None else (placed,)
-            results = (*first, *(result.clone() for result in self._results[len(first) :]))
-            last.record(stream)
-        return results
+        if self._guesses:
+            self._said[: self._count].fill_(UNSAID)
+        # The first result, if it is a map, is written where it is wanted; the others are copied.
+        placed = self._place.put()
+        self._graph.replay()
+        first = () if placed is None else (placed,)
+        return *first, *(result.clone() for result in self._results[len(first) :])
+
+    def _holds(self, place: int, given: Tensor) -> bool:
+        """Whether an input is that of the launch before, so that the recording's own tensor has its numbers.
+
+        Only of faces and what is known of them, whose topology is remembered as long: by the same rule, see
+        `sdm.topology`. They are a stream's in every batch, and five copies take the host as long as all the rest.
+        """
+        if given.dtype != torch.int32 or given.is_inference():
+            return False
+        seen, version = self._last[place]
+        if seen() is given and version == given._version:
+            return True
+        self._last[place] = weakref.ref(given), given._version
+        return False
 
     def guessed_right(self) -> bool:
         """Whether the last launch's guess was right: waits for its remarks, if it makes any, and for nothing else."""
