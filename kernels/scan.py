@@ -35,7 +35,7 @@ _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _OPEN = wp.constant(OPEN)
 _AHEAD = wp.constant(AHEAD)
-_PIECES = wp.constant(PIECES)
+_PIECES, _PIECES_64 = wp.constant(PIECES), wp.constant(wp.int64(PIECES))
 
 Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
 
@@ -127,10 +127,10 @@ def _scan_convert(
     lanes: int,
     most: int,
     counts: wp.array(dtype=wp.int32),
-    large: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.vec2i),
     larges: wp.array(dtype=wp.int32),
 ):
-    """Mark the columns of triangles that have few; note those that may have more than `most` for each lane."""
+    """Mark the columns of triangles that have few; note the slot and number of columns of those with `most` a lane."""
     thread = begin + wp.tid()
     slot = thread / lanes
     lane = thread % lanes
@@ -138,7 +138,7 @@ def _scan_convert(
     if columns[3] / lanes < most:
         mark_triangle(tree, slab, counts, slot, columns, lane, lanes)
     elif lane == 0:
-        large[fetch_add(larges, 0, 1)] = slot
+        large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns[3])
 
 
 @wp.kernel
@@ -149,17 +149,20 @@ def _scan_large(
     lanes: int,
     groups: int,
     counts: wp.array(dtype=wp.int32),
-    large: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.vec2i),
     larges: wp.array(dtype=wp.int32),
 ):
-    """Mark the columns of those: each triangle is the work of many groups of lanes."""
+    """Mark the columns of those: each triangle is the work of up to so many groups of lanes."""
     thread = begin + wp.tid()
-    piece = thread / lanes
-    while piece < larges[0] * _PIECES:
-        slot = large[piece / _PIECES]
-        lane = piece % _PIECES * lanes + thread % lanes
-        mark_triangle(tree, slab, counts, slot, columns_of(tree, slab, slot), lane, _PIECES * lanes)
-        piece = piece + groups
+    item = wp.int64(thread / lanes)
+    # Pieces of 100 million triangles are more than 32 bits count.
+    while item < _PIECES_64 * wp.int64(larges[0]):
+        noted = large[wp.int32(item / _PIECES_64)]
+        lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
+        if lane < noted[1]:
+            slot = noted[0]
+            mark_triangle(tree, slab, counts, slot, columns_of(tree, slab, slot), lane, _PIECES * lanes)
+        item = item + wp.int64(groups)
 
 
 @wp.kernel
@@ -243,7 +246,7 @@ def _scan_triangles(
     lanes = lanes_per_triangle(tree.count, columns) if device.is_cuda else 1
     most = MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
-    large, larges = empty(slots if some_large else 1, wp.int32), empty(1, wp.int32)
+    large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
     larges.zero_()
     launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
     if some_large:
