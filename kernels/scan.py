@@ -29,6 +29,8 @@ wp.set_module_options({"enable_backward": False})
 # triangles are small, the others would wait for one that lies under half of the grid.
 MOST_COLUMNS = {"cuda": 64, "cpu": 1 << 30}
 PIECES = 64
+# Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
+MOST_THREADS = 1 << 26
 # Voxels of a column that are loaded at a time.
 AHEAD = 8
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
@@ -229,21 +231,25 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
-def lanes_per_triangle(triangles: int, columns: int) -> int:
-    """Lanes of a GPU for each triangle: enough for some times the columns that one covers, as some cover more."""
-    lanes = 1
-    while lanes < GPU_LANES and lanes * triangles < 4 * columns:
+def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:
+    """Lanes of a GPU for each of a mesh's triangles: for some times the columns that one covers, as some cover more.
+
+    A power of two times the fewest; of many meshes no more than there are threads to count.
+    """
+    lanes = fewest
+    while lanes < most and lanes * triangles < 4 * columns and lanes * triangles * meshes < MOST_THREADS:
         lanes *= 2
     return lanes
 
 
 def _scan_triangles(
-    tree: Tree, slab: Slab, counts: wp.array, slots: int, launch: Any, empty: Callable[[int, Any], wp.array]
+    tree: Tree, slab: Slab, counts: wp.array, meshes: int, launch: Any, empty: Callable[[int, Any], wp.array]
 ) -> None:
     """Mark where all triangles cross the columns of a slab."""
     device = counts.device
     columns = slab.shape[1] * slab.shape[2]
-    lanes = lanes_per_triangle(tree.count, columns) if device.is_cuda else 1
+    slots = meshes * tree.count
+    lanes = lanes_for_each(tree.count, meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
     most = MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
     large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
@@ -275,11 +281,13 @@ def slab_winding(
         values.zero_()
         counts = values.view(wp.int32)
         boundary = winding.boundary
-        _scan_triangles(tree, slab, counts.flatten(), meshes * tree.count, launch, empty)
+        _scan_triangles(tree, slab, counts.flatten(), meshes, launch, empty)
         if winding.kind != CLOSED:
-            lanes = GPU_LANES if device.is_cuda else 1
-            edges = meshes * boundary.count * lanes
-            launch(_scan_caps, edges, [tree, boundary, slab, lanes, counts.flatten()], device)
+            # A cap is as large as its hole.
+            most = PIECES * GPU_LANES
+            lanes = lanes_for_each(boundary.count, meshes, ny * nz, GPU_LANES, most) if device.is_cuda else 1
+            inputs = [tree, boundary, slab, lanes, counts.flatten()]
+            launch(_scan_caps, meshes * boundary.count * lanes, inputs, device)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
         if winding.kind != CLOSED:
             open_caps(tree, boundary, slab, values, launch, empty)

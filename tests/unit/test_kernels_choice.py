@@ -14,6 +14,7 @@ from sdm.kernels.effort import (
     search_is_faster,
     shares_of,
 )
+from sdm.kernels.scan import lanes_for_each
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
@@ -52,6 +53,15 @@ def test_a_cell_shares_out_the_chains_of_its_region(triangles, n):
     of_region, of_cell = shares_of(triangles, [n] * 3, cell_for(triangles, [n] * 3, gpu=True))
     assert of_region % of_cell == 0
     assert of_region & (of_region - 1) == of_cell & (of_cell - 1) == 0
+
+
+def test_lanes_that_mark_columns():
+    columns = 512**2
+    for_triangles = [lanes_for_each(n, 1, columns, 1, 32) for n in (12, 20_000, 500_000, 5_000_000)]
+    assert for_triangles == [32, 32, 4, 1]
+    # The caps of a few large holes get thousands; those of as many meshes as there can be, as many as can be counted.
+    assert [lanes_for_each(n, 1, columns, 32, 2048) for n in (4, 1_000, 50_000)] == [2048, 2048, 32]
+    assert lanes_for_each(8_000, 60, 1 << 24, 32, 2048) * 8_000 * 60 < 1 << 31
 
 
 class Device:
