@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.atomics import fetch_add, fetch_add_once
 from sdm.kernels.boxes import eighths_of, octants_of
 from sdm.kernels.features import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face, tests_of
-from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
+from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.least import clear_values, measure_item
 from sdm.kernels.leaves import push
@@ -22,7 +22,6 @@ from sdm.kernels.lists import (
     BLOCK,
     COARSE,
     NEXT_BLOCK,
-    SLICED,
     Lists,
     Reader,
     is_within,
@@ -33,7 +32,6 @@ from sdm.kernels.lists import (
 from sdm.kernels.mix import Mix, kind_of, taken_now
 from sdm.kernels.octants import octants_there
 from sdm.kernels.parts import Parts
-from sdm.kernels.places import noted_start
 from sdm.kernels.plan import whole_blocks
 from sdm.kernels.queues import PAIR_BITS, PART_BITS, in_line, put_in_line
 from sdm.kernels.rows import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
@@ -51,7 +49,7 @@ _PAIRS, _ITEMS, _MOST_ITEMS = wp.constant(PAIRS), wp.constant(ITEMS), wp.constan
 _PARTS = wp.constant(PARTS)
 _PART_BITS, _PAIR_BITS = wp.constant(PART_BITS), wp.constant(PAIR_BITS)
 _FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_COARSE, _SLICED = wp.constant(COARSE), wp.constant(SLICED)
+_COARSE = wp.constant(COARSE)
 _NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 
 
@@ -196,57 +194,6 @@ def _measure_blocks(
         item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
 
 
-@wp.func
-def sliced_voxels(lists: Lists):
-    """How many voxels there are in cells whose lists are cut into several slices."""
-    return lists.cell * lists.cell * lists.cell * lists.counts[_SLICED]
-
-
-@wp.func
-def sliced_voxel(lists: Lists, number: int):
-    """The mesh and the indices of one of them."""
-    # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
-    bits = wp.where(lists.cell == BLOCK, 3, 4)
-    last = lists.cell - 1
-    mesh, start = noted_start(lists, lists.sliced[number >> (3 * bits)])
-    return mesh, start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
-
-
-@wp.kernel
-def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
-    """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
-    number = begin + wp.tid()
-    while number < sliced_voxels(lists):
-        mesh, at = sliced_voxel(lists, number)
-        if is_within(slab, at):
-            index = index_of(slab, mesh, at)
-            winding = out.values[index]
-            out.values[index] = with_sign(float(wp.inf), winding)
-            if is_unclear(winding) != 0:
-                fetch_add(out.ambiguous, mesh, 1)
-        number = number + threads
-
-
-@wp.kernel
-def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
-    """What voxels that several slices measure come to nobody knows before the last is done."""
-    number = begin + wp.tid()
-    while number < sliced_voxels(lists):
-        mesh, at = sliced_voxel(lists, number)
-        if is_within(slab, at):
-            index = index_of(slab, mesh, at)
-            distance = out.values[index]
-            put_distance(distances_at(out), index, distance)
-            if not wp.abs(distance) < float(wp.inf):
-                fetch_add(out.missed, 0, 1)
-        number = number + threads
-
-
-def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
-    """What `measure_blocks` needs of the winding numbers where a block's list is cut into several slices."""
-    launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
-
-
 def measure_blocks(
     tree: Tree,
     parts: Parts,
@@ -264,6 +211,5 @@ def measure_blocks(
     `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
     are counted in `out.missed`.
     """
-    device, threads = out.values.device, workers * lanes
-    launch(_measure_blocks, threads, [lanes, tree, parts, slab, lists, rows, stacks, out], device, smallest=1)
-    launch(_end_sliced, threads, [threads, slab, lists, out], device, smallest=1)
+    inputs = [lanes, tree, parts, slab, lists, rows, stacks, out]
+    launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)

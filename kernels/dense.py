@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import warp as wp
 
-from sdm.kernels.blocks import begin_sliced, measure_blocks
+from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
 from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for, search_is_faster, shares_of
@@ -24,6 +24,7 @@ from sdm.kernels.rows import ROWS
 from sdm.kernels.scan import slab_winding
 from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.selection import SELECT_BLOCKS, select_parts
+from sdm.kernels.sliced import SLICED_BLOCKS, begin_sliced, end_sliced
 from sdm.kernels.stacks import stack_room
 from sdm.kernels.tree import Tree
 from sdm.kernels.winding import Winding
@@ -124,6 +125,7 @@ def query_slab(
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(stack_room(workers(max(REGION_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
     rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
+    sliced = workers(SLICED_BLOCKS) * lanes
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
     lists.step = passes
@@ -138,11 +140,12 @@ def query_slab(
         plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes, launch)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
-            begin_sliced(slab, lists, out, workers(GPU_BLOCKS) * lanes, launch)
+            begin_sliced(slab, lists, out, sliced, launch)
         select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes, launch)
         if first == 0:
             # From here on winding numbers are looked at.
             join()
         join_sliced()
         measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes, launch)
+        end_sliced(slab, lists, out, sliced, launch)
     mend_slab(tree, slab, out, workers(GPU_BLOCKS) * lanes, launch)

@@ -1,0 +1,77 @@
+"""Voxels of cells whose list of parts is cut into slices: several blocks measure them, and each lessens what is there.
+
+So before the blocks they are infinite, and only after the last is it known what they came to.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.atomics import fetch_add
+from sdm.kernels.grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
+from sdm.kernels.lists import BLOCK, SLICED, Lists, is_within
+from sdm.kernels.places import noted_start
+
+wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks: a voxel is little work, and four reads that wait for each other.
+SLICED_BLOCKS = 16
+_SLICED = wp.constant(SLICED)
+
+
+@wp.func
+def sliced_voxels(lists: Lists):
+    """How many voxels there are in cells whose lists are cut into several slices."""
+    return lists.cell * lists.cell * lists.cell * lists.counts[_SLICED]
+
+
+@wp.func
+def sliced_voxel(lists: Lists, number: int):
+    """The mesh and the indices of one of them."""
+    # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
+    bits = wp.where(lists.cell == BLOCK, 3, 4)
+    last = lists.cell - 1
+    mesh, start = noted_start(lists, lists.sliced[number >> (3 * bits)])
+    return mesh, start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
+
+
+@wp.kernel
+def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
+    number = begin + wp.tid()
+    while number < sliced_voxels(lists):
+        mesh, at = sliced_voxel(lists, number)
+        if is_within(slab, at):
+            index = index_of(slab, mesh, at)
+            winding = out.values[index]
+            out.values[index] = with_sign(float(wp.inf), winding)
+            if is_unclear(winding) != 0:
+                fetch_add(out.ambiguous, mesh, 1)
+        number = number + threads
+
+
+@wp.kernel
+def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """What voxels that several slices measure come to nobody knows before the last is done."""
+    number = begin + wp.tid()
+    while number < sliced_voxels(lists):
+        mesh, at = sliced_voxel(lists, number)
+        if is_within(slab, at):
+            index = index_of(slab, mesh, at)
+            distance = out.values[index]
+            put_distance(distances_at(out), index, distance)
+            if not wp.abs(distance) < float(wp.inf):
+                fetch_add(out.missed, 0, 1)
+        number = number + threads
+
+
+def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+    """What `blocks` needs of the winding numbers where a block's list is cut into several slices."""
+    launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
+
+
+def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+    """After `blocks`: write what several slices came to where distances go, and count what was missed there."""
+    launch(_end_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
