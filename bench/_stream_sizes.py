@@ -13,8 +13,8 @@ from sdm import Grid
 from sdm.shapes import Cochlea
 from sdm.stream import Batch, SDMStream
 
-# Calls that are not counted, and the fewest that are.
-WARM, FEWEST = 5, 3
+# Calls that are not counted, and the fewest that are; the part of a measurement's time that tells how many it takes.
+WARM, FEWEST, SHARE = 5, 3, 0.1
 
 
 class Bench:
@@ -56,17 +56,22 @@ class Bench:
         """How many calls one measurement takes; `shared`: rank 0 decides, or ranks would wait for each other."""
         for _ in range(WARM):
             call()
-        self.wait()
-        start = time.perf_counter()
-        for _ in range(FEWEST):
-            call()
-        self.wait()
-        count = max(FEWEST, round(self.seconds * FEWEST / (time.perf_counter() - start)))
-        if shared:
-            said = torch.tensor(count, device=self.device)
-            dist.broadcast(said, 0)
-            count = int(said)
-        return count
+        count = FEWEST
+        while True:
+            self.wait()
+            start = time.perf_counter()
+            for _ in range(count):
+                call()
+            self.wait()
+            took = time.perf_counter() - start
+            if shared:
+                said = torch.tensor(took, dtype=torch.float64, device=self.device)
+                dist.broadcast(said, 0)
+                took = float(said)
+            if took >= SHARE * self.seconds:
+                return max(FEWEST, round(self.seconds * count / took))
+            # A stream makes several batches at once: a few of them may have been there already.
+            count *= 4
 
     def speed(self, call: Callable[[], object], count: int | None = None) -> float:
         """Calls a second, by the clock on the wall, the device waited for at both ends."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
+import time
 
 import pytest
 import torch
 
 from bench._networks import NETWORKS
+from bench._stream_sizes import Bench
 from bench.stream import Results, main
 
 pytestmark = pytest.mark.skipif(torch.cuda.is_available(), reason="on a GPU it takes minutes")
@@ -63,3 +66,15 @@ def test_parts_of_the_same_machine_stay(tmp_path):
     assert json.loads(path.read_text())["rates"] == {"x": 1}
     Results(path, {"device": "two"}).add("training", {"y": 3})
     assert json.loads(path.read_text()) == {"machine": {"device": "two"}, "training": {"y": 3}}
+
+
+def test_batches_that_are_there_already_do_not_make_a_stream_seem_fast():
+    bench = Bench("cpu")
+    made = itertools.count()
+
+    def call() -> None:
+        if next(made) % 64 == 0:
+            time.sleep(0.01)
+
+    # As many as are made in a measurement's time, and not the thousands of times as many that are handed out in it.
+    assert bench.calls(call) <= 2 * 64 * bench.seconds / 0.01
