@@ -12,7 +12,7 @@ import torch
 import sdm
 import sdm.ops
 from bench.meshes import load_case
-from sdm.kernels import scan
+from sdm.kernels import columns
 
 MESHES = ("torus-2000", "open hemisphere", "random soup", "zero-area faces", "coincident shells")
 
@@ -20,7 +20,7 @@ MESHES = ("torus-2000", "open hemisphere", "random soup", "zero-area faces", "co
 def small(resolution: int, device: str) -> int:
     """Maps, points, a batch and a distance transform; returns how many results were finite numbers throughout."""
     # Under so small a grid no triangle would count as large.
-    scan.MOST_COLUMNS["cuda"] = 1
+    columns.MOST_COLUMNS["cuda"] = 1
     fine = 0
     for name in MESHES:
         case = load_case(name)

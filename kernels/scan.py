@@ -1,7 +1,7 @@
 """Winding numbers at every voxel of a slab.
 
 Closed and nearly closed meshes are scan converted: every triangle marks where it crosses the columns of voxels along
-x, and a sum along each column turns crossings into winding numbers, exactly (see `crossings`).
+x (see `columns`), and a sum along each column turns crossings into winding numbers, exactly (see `crossings`).
 """
 
 from __future__ import annotations
@@ -11,173 +11,25 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.atomics import fetch_add
-from sdm.kernels.boundary import Boundary, boundary_winding
-from sdm.kernels.caps import cap_lattice
-from sdm.kernels.crossings import count_crossings, covers, crossing_of
-from sdm.kernels.grid import Slab, along, count_below, unravel, voxel
+from sdm.kernels.boundary import boundary_winding
+from sdm.kernels.columns import scan_caps, scan_triangles
+from sdm.kernels.crossings import count_crossings
+from sdm.kernels.grid import Slab, unravel, voxel
 from sdm.kernels.holes import open_caps
-from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
-from sdm.kernels.launch import threads
 from sdm.kernels.solid_angle import soup_winding
-from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
+from sdm.kernels.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.winding import CLOSED, MANY, OPEN, SOUP, Winding
 
 wp.set_module_options({"enable_backward": False})
 
-# Columns for each lane from which on a triangle is shared out to many groups of lanes, into so many pieces: where most
-# triangles are small, the others would wait for one that lies under half of the grid.
-MOST_COLUMNS = {"cuda": 64, "cpu": 1 << 30}
-PIECES = 64
-# Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
-MOST_THREADS = 1 << 26
 # Voxels of a column that are loaded at a time.
 AHEAD = 8
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
 _OPEN = wp.constant(OPEN)
 _AHEAD = wp.constant(AHEAD)
-_PIECES, _PIECES_64 = wp.constant(PIECES), wp.constant(wp.int64(PIECES))
 
 Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
-
-
-@wp.func
-def columns_under(tree: Tree, slab: Slab, mesh: int, pa: wp.vec3, pb: wp.vec3, pc: wp.vec3):
-    """The columns (j,k) that a triangle may cover: the first j and k, how many k, and how many columns."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    low = wp.min(pa, wp.min(pb, pc))
-    high = wp.max(pa, wp.max(pb, pc))
-    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
-        return wp.vec4i(0, 0, 0, 0)
-    # Columns are snapped before they are tested, hence the slack.
-    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
-    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
-    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
-    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
-    return wp.vec4i(j_begin, k_begin, k_end - k_begin, (j_end - j_begin) * (k_end - k_begin))
-
-
-@wp.func
-def mark_columns(
-    tree: Tree,
-    slab: Slab,
-    counts: wp.array(dtype=wp.int32),
-    mesh: int,
-    pa: wp.vec3,
-    pb: wp.vec3,
-    pc: wp.vec3,
-    a: wp.vec2i,
-    b: wp.vec2i,
-    c: wp.vec2i,
-    columns: wp.vec4i,
-    lane: int,
-    lanes: int,
-):
-    """Add a triangle's crossing to the last voxel before it, in every lanes-th of these columns that it covers."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    column = lane
-    while column < columns[3]:
-        j = columns[0] + column / columns[2]
-        k = columns[1] + column % columns[2]
-        q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
-        sign = covers(a, b, c, q)
-        if sign != 0:
-            below = count_below(slab, 0, crossing_of(a, b, c, pa[0], pb[0], pc[0], q), scale)
-            if below > 0:
-                at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
-                fetch_add(counts, at, sign)
-        column = column + lanes
-
-
-@wp.func
-def mark_triangle(
-    tree: Tree, slab: Slab, counts: wp.array(dtype=wp.int32), slot: int, columns: wp.vec4i, lane: int, lanes: int
-):
-    """`mark_columns` of the triangle in a slot."""
-    mark_columns(
-        tree,
-        slab,
-        counts,
-        slot / tree.count,
-        tree.corners[4 * slot],
-        tree.corners[4 * slot + 1],
-        tree.corners[4 * slot + 2],
-        tree.lattice[3 * slot],
-        tree.lattice[3 * slot + 1],
-        tree.lattice[3 * slot + 2],
-        columns,
-        lane,
-        lanes,
-    )
-
-
-@wp.func
-def columns_of(tree: Tree, slab: Slab, slot: int):
-    """`columns_under` of the triangle in a slot."""
-    corner = 4 * slot
-    return columns_under(
-        tree, slab, slot / tree.count, tree.corners[corner], tree.corners[corner + 1], tree.corners[corner + 2]
-    )
-
-
-@wp.kernel
-def _scan_convert(
-    begin: int,
-    tree: Tree,
-    slab: Slab,
-    lanes: int,
-    most: int,
-    counts: wp.array(dtype=wp.int32),
-    large: wp.array(dtype=wp.vec2i),
-    larges: wp.array(dtype=wp.int32),
-):
-    """Mark the columns of triangles that have few; note the slot and number of columns of those with `most` a lane."""
-    thread = begin + wp.tid()
-    slot = thread / lanes
-    lane = thread % lanes
-    columns = columns_of(tree, slab, slot)
-    if columns[3] / lanes < most:
-        mark_triangle(tree, slab, counts, slot, columns, lane, lanes)
-    elif lane == 0:
-        large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns[3])
-
-
-@wp.kernel
-def _scan_large(
-    begin: int,
-    tree: Tree,
-    slab: Slab,
-    lanes: int,
-    groups: int,
-    counts: wp.array(dtype=wp.int32),
-    large: wp.array(dtype=wp.vec2i),
-    larges: wp.array(dtype=wp.int32),
-):
-    """Mark the columns of those: each triangle is the work of up to so many groups of lanes."""
-    thread = begin + wp.tid()
-    item = wp.int64(thread / lanes)
-    # Pieces of 100 million triangles are more than 32 bits count.
-    while item < _PIECES_64 * wp.int64(larges[0]):
-        noted = large[wp.int32(item / _PIECES_64)]
-        lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
-        if lane < noted[1]:
-            slot = noted[0]
-            mark_triangle(tree, slab, counts, slot, columns_of(tree, slab, slot), lane, _PIECES * lanes)
-        item = item + wp.int64(groups)
-
-
-@wp.kernel
-def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
-    thread = begin + wp.tid()
-    edge = thread / lanes
-    mesh = edge / boundary.count
-    a, b, c = cap_lattice(boundary, tree, edge, mesh)
-    begins = boundary.ends[2 * edge]
-    ends = boundary.ends[2 * edge + 1]
-    apex = boundary.apexes[edge]
-    columns = columns_under(tree, slab, mesh, ends, begins, apex)
-    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, columns, thread % lanes, lanes)
 
 
 @wp.kernel
@@ -231,36 +83,6 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
-def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:
-    """Lanes of a GPU for each of a mesh's triangles: for some times the columns that one covers, as some cover more.
-
-    A power of two times the fewest; of many meshes no more than there are threads to count.
-    """
-    lanes = fewest
-    while lanes < most and lanes * triangles < 4 * columns and lanes * triangles * meshes < MOST_THREADS:
-        lanes *= 2
-    return lanes
-
-
-def _scan_triangles(
-    tree: Tree, slab: Slab, counts: wp.array, meshes: int, launch: Any, empty: Callable[[int, Any], wp.array]
-) -> None:
-    """Mark where all triangles cross the columns of a slab."""
-    device = counts.device
-    columns = slab.shape[1] * slab.shape[2]
-    slots = meshes * tree.count
-    lanes = lanes_for_each(tree.count, meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
-    most = MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
-    some_large = columns >= most * lanes
-    large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
-    larges.zero_()
-    launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
-    if some_large:
-        lanes, groups = (GPU_LANES, gpu_workers(GPU_BLOCKS)) if device.is_cuda else (1, threads())
-        inputs = [tree, slab, lanes, groups, counts, large, larges]
-        launch(_scan_large, groups * lanes, inputs, device, smallest=1)
-
-
 def slab_winding(
     tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
 ) -> None:
@@ -280,14 +102,10 @@ def slab_winding(
     else:
         values.zero_()
         counts = values.view(wp.int32)
-        boundary = winding.boundary
-        _scan_triangles(tree, slab, counts.flatten(), meshes, launch, empty)
+        boundary, flat = winding.boundary, counts.flatten()
+        scan_triangles(tree, slab, flat, meshes, launch, empty)
         if winding.kind != CLOSED:
-            # A cap is as large as its hole.
-            most = PIECES * GPU_LANES
-            lanes = lanes_for_each(boundary.count, meshes, ny * nz, GPU_LANES, most) if device.is_cuda else 1
-            inputs = [tree, boundary, slab, lanes, counts.flatten()]
-            launch(_scan_caps, meshes * boundary.count * lanes, inputs, device)
+            scan_caps(tree, boundary, slab, flat, meshes, launch)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
         if winding.kind != CLOSED:
             open_caps(tree, boundary, slab, values, launch, empty)

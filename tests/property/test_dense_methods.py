@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import sdm
 import sdm.ops
 from bench.meshes import cube, load_case, sphere
-from sdm.kernels import effort, scan
+from sdm.kernels import columns, effort
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
 
@@ -79,7 +79,7 @@ def test_large_triangles_are_the_work_of_many(monkeypatch, name):
     index, grid = sdm.MeshIndex(mesh, "cpu"), sdm.Grid.around(mesh, resolution=40)
     maps = []
     for most in (1 << 30, 9, 1):
-        monkeypatch.setitem(scan.MOST_COLUMNS, "cpu", most)
+        monkeypatch.setitem(columns.MOST_COLUMNS, "cpu", most)
         maps.append(index.signed_distance_map(grid).values)
     assert (maps[0] < 0).any()
     assert all(torch.equal(maps[0], other) for other in maps[1:])

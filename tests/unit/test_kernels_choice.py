@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from sdm.kernels.columns import lanes_for_each
 from sdm.kernels.effort import (
     LARGEST_POOL,
     SMALLEST_POOL,
@@ -14,7 +15,6 @@ from sdm.kernels.effort import (
     search_is_faster,
     shares_of,
 )
-from sdm.kernels.scan import lanes_for_each
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
