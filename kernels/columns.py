@@ -30,6 +30,7 @@ PIECES = 64
 MOST_THREADS = 1 << 26
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
+# Two, as Warp takes a constant that a kernel has cast for the cast one from there on.
 _PIECES, _PIECES_64 = wp.constant(PIECES), wp.constant(wp.int64(PIECES))
 
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.lanes import GPU_GROUPS, GPU_LANES
+
 wp.set_module_options({"enable_backward": False})
 
 # Bytes of the largest record, and threads of a block.
-LARGEST, THREADS = 96, 128
+LARGEST, THREADS = 96, GPU_GROUPS * GPU_LANES
 
 
 @wp.func_native(snippet="return (wp::uint64)data.data;")
