@@ -18,36 +18,22 @@ from sdm.kernels.crossings import covers, crossing_of
 from sdm.kernels.grid import Slab, along, count_below
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
-from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, to_lattice
+from sdm.kernels.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_corners, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
 # Columns for each lane from which on a triangle is shared out to many groups of lanes, into so many pieces: where most
 # triangles are small, the others would wait for one that lies under half of the grid.
-MOST_COLUMNS = {"cuda": 64, "cpu": 1 << 30}
+ANY = 1 << 30
+MOST_COLUMNS = {"cuda": 64, "cpu": ANY}
 PIECES = 64
 # Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
 MOST_THREADS = 1 << 26
 _FRAME_SIZE = wp.constant(FRAME_SIZE)
 _SCALE = wp.constant(SCALE)
+_ANY = wp.constant(ANY)
 # Two, as Warp takes a constant that a kernel has cast for the cast one from there on.
 _PIECES, _PIECES_64 = wp.constant(PIECES), wp.constant(wp.int64(PIECES))
-
-
-@wp.func
-def columns_under(tree: Tree, slab: Slab, mesh: int, pa: wp.vec3, pb: wp.vec3, pc: wp.vec3):
-    """The columns (j,k) that a triangle may cover: the first j and k, how many k, and how many columns."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
-    low = wp.min(pa, wp.min(pb, pc))
-    high = wp.max(pa, wp.max(pb, pc))
-    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
-        return wp.vec4i(0, 0, 0, 0)
-    # Columns are snapped before they are tested, hence the slack.
-    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
-    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
-    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
-    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
-    return wp.vec4i(j_begin, k_begin, k_end - k_begin, (j_end - j_begin) * (k_end - k_begin))
 
 
 @wp.func
@@ -62,16 +48,32 @@ def mark_columns(
     a: wp.vec2i,
     b: wp.vec2i,
     c: wp.vec2i,
-    columns: wp.vec4i,
+    most: int,
     lane: int,
     lanes: int,
 ):
-    """Add a triangle's crossing to the last voxel before it, in every lanes-th of these columns that it covers."""
+    """Add a triangle's crossing to the last voxel before it, in every column (j,k) that it covers: this lane's of them.
+
+    Returns how many columns its box covers; if those are `most` or more for each lane, nothing is added.
+    """
     scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    low = wp.min(pa, wp.min(pb, pc))
+    high = wp.max(pa, wp.max(pb, pc))
+    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
+        return 0
+    # Columns are snapped before they are tested, hence the slack.
+    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
+    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
+    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
+    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
+    width = k_end - k_begin
+    columns = (j_end - j_begin) * width
+    if columns / lanes >= most:
+        return columns
     column = lane
-    while column < columns[3]:
-        j = columns[0] + column / columns[2]
-        k = columns[1] + column % columns[2]
+    while column < columns:
+        j = j_begin + column / width
+        k = k_begin + column % width
         q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
         sign = covers(a, b, c, q)
         if sign != 0:
@@ -80,37 +82,19 @@ def mark_columns(
                 at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
                 fetch_add(counts, at, sign)
         column = column + lanes
+    return columns
 
 
 @wp.func
 def mark_triangle(
-    tree: Tree, slab: Slab, counts: wp.array(dtype=wp.int32), slot: int, columns: wp.vec4i, lane: int, lanes: int
+    tree: Tree, slab: Slab, counts: wp.array(dtype=wp.int32), slot: int, most: int, lane: int, lanes: int
 ):
     """`mark_columns` of the triangle in a slot."""
-    mark_columns(
-        tree,
-        slab,
-        counts,
-        slot / tree.count,
-        tree.corners[4 * slot],
-        tree.corners[4 * slot + 1],
-        tree.corners[4 * slot + 2],
-        tree.lattice[3 * slot],
-        tree.lattice[3 * slot + 1],
-        tree.lattice[3 * slot + 2],
-        columns,
-        lane,
-        lanes,
-    )
-
-
-@wp.func
-def columns_of(tree: Tree, slab: Slab, slot: int):
-    """`columns_under` of the triangle in a slot."""
-    corner = 4 * slot
-    return columns_under(
-        tree, slab, slot / tree.count, tree.corners[corner], tree.corners[corner + 1], tree.corners[corner + 2]
-    )
+    pa, pb, pc, _normal = load_corners(tree, slot)
+    a = tree.lattice[3 * slot]
+    b = tree.lattice[3 * slot + 1]
+    c = tree.lattice[3 * slot + 2]
+    return mark_columns(tree, slab, counts, slot / tree.count, pa, pb, pc, a, b, c, most, lane, lanes)
 
 
 @wp.kernel
@@ -128,11 +112,9 @@ def _scan_convert(
     thread = begin + wp.tid()
     slot = thread / lanes
     lane = thread % lanes
-    columns = columns_of(tree, slab, slot)
-    if columns[3] / lanes < most:
-        mark_triangle(tree, slab, counts, slot, columns, lane, lanes)
-    elif lane == 0:
-        large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns[3])
+    columns = mark_triangle(tree, slab, counts, slot, most, lane, lanes)
+    if columns / lanes >= most and lane == 0:
+        large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns)
 
 
 @wp.kernel
@@ -154,8 +136,7 @@ def _scan_large(
         noted = large[wp.int32(item / _PIECES_64)]
         lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
         if lane < noted[1]:
-            slot = noted[0]
-            mark_triangle(tree, slab, counts, slot, columns_of(tree, slab, slot), lane, _PIECES * lanes)
+            mark_triangle(tree, slab, counts, noted[0], _ANY, lane, _PIECES * lanes)
         item = item + wp.int64(groups)
 
 
@@ -168,8 +149,7 @@ def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: in
     begins = boundary.ends[2 * edge]
     ends = boundary.ends[2 * edge + 1]
     apex = boundary.apexes[edge]
-    columns = columns_under(tree, slab, mesh, ends, begins, apex)
-    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, columns, thread % lanes, lanes)
+    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, _ANY, thread % lanes, lanes)
 
 
 def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:

@@ -71,15 +71,6 @@ def cell_of_rows(first: wp.vec4, second: wp.vec4):
 
 
 @wp.func
-def witness_of_row(row: wp.vec4):
-    """A witness as it is noted in a row."""
-    w = Witness()
-    w.to_surface = wp.vec3(row[0], row[1], row[2])
-    w.distance2 = row[3]
-    return w
-
-
-@wp.func
 def no_witness():
     """Nothing known yet."""
     w = Witness()

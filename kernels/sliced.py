@@ -28,13 +28,14 @@ def sliced_voxels(lists: Lists):
 
 
 @wp.func
-def sliced_voxel(lists: Lists, number: int):
-    """The mesh and the indices of one of them."""
+def sliced_voxel(slab: Slab, lists: Lists, number: int):
+    """The mesh and the index of one of them; -1 if it is beyond the slab."""
     # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
     bits = wp.where(lists.cell == BLOCK, 3, 4)
     last = lists.cell - 1
     mesh, start = noted_start(lists, lists.sliced[number >> (3 * bits)])
-    return mesh, start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
+    at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
+    return mesh, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
 
 
 @wp.kernel
@@ -42,9 +43,8 @@ def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Outpu
     """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
-        mesh, at = sliced_voxel(lists, number)
-        if is_within(slab, at):
-            index = index_of(slab, mesh, at)
+        mesh, index = sliced_voxel(slab, lists, number)
+        if index >= 0:
             winding = out.values[index]
             out.values[index] = with_sign(float(wp.inf), winding)
             if is_unclear(winding) != 0:
@@ -57,9 +57,8 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
     """What voxels that several slices measure come to nobody knows before the last is done."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
-        mesh, at = sliced_voxel(lists, number)
-        if is_within(slab, at):
-            index = index_of(slab, mesh, at)
+        _mesh, index = sliced_voxel(slab, lists, number)
+        if index >= 0:
             distance = out.values[index]
             put_distance(distances_at(out), index, distance)
             if not wp.abs(distance) < float(wp.inf):

@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.atomics import fetch_add_once
-from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember, witness_of_row
+from sdm.kernels.cull import Witness, agree, away, moved, no_witness, remember
 from sdm.kernels.frames import load_frame, see
 from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, members
@@ -136,7 +136,11 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
 @wp.func
 def read_witness(rows: wp.array(dtype=wp.float32), number: int):
     """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
-    return witness_of_row(load4(rows, number))
+    row = load4(rows, number)
+    known = Witness()
+    known.to_surface = wp.vec3(row[0], row[1], row[2])
+    known.distance2 = row[3]
+    return known
 
 
 def find_witnesses(

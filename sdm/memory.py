@@ -73,6 +73,11 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.dev
     return wp.array(ptr=address, dtype=dtype, shape=tuple(shape), device=wp.device_from_torch(device), copy=False)
 
 
+def version_of(tensor: Tensor) -> int | None:
+    """How often torch has seen a tensor written into; None if it keeps no count, as of those made in inference mode."""
+    return None if tensor.is_inference() else tensor._version
+
+
 def scratch_on(device: torch.device) -> Callable[[int, Any], wp.array]:
     """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
     kept: list[Tensor] = []

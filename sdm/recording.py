@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.beside import side_stream
-from sdm.memory import on_current_stream
+from sdm.memory import on_current_stream, version_of
 from sdm.placing import Place, placing
 
 Say: TypeAlias = Callable[[Tensor], None]
@@ -70,8 +70,8 @@ class Recording:
         self._room = room
         self._device = inputs[0].device
         self._guesses, self._count = False, 0
-        # Of each input which tensor it was last, and that one's version.
-        self._last: list[tuple[Callable[[], Tensor | None], int]] = [(_nothing, 0)] * len(inputs)
+        # Of each input which tensor was copied last, and that one's version.
+        self._given: list[tuple[Callable[[], Tensor | None], int | None]] = [(_nothing, None)] * len(inputs)
         self._heard = torch.cuda.Event(external=True)
         with (
             torch.cuda.device(self._device),
@@ -136,9 +136,8 @@ class Recording:
 
     def _queue(self, inputs: Inputs, stream: torch.cuda.Stream) -> tuple[Tensor, ...]:
         for place, given in enumerate(inputs):
-            if given.numel() and not self._holds(place, given):
-                self._inputs[place].copy_(given)
-                given.record_stream(stream)
+            if given.numel():
+                self._copy_in(place, given, stream)
         if self._guesses:
             self._said[: self._count].fill_(UNSAID)
         # The first result, if it is a map, is written where it is wanted; the others are copied.
@@ -147,19 +146,19 @@ class Recording:
         first = () if placed is None else (placed,)
         return *first, *(result.clone() for result in self._results[len(first) :])
 
-    def _holds(self, place: int, given: Tensor) -> bool:
-        """Whether an input is that of the launch before, so that the recording's own tensor has its numbers.
+    def _copy_in(self, place: int, given: Tensor, stream: torch.cuda.Stream) -> None:
+        """Copy an input to the recording's own tensor, unless that has its numbers from the launch before.
 
-        Only of faces and what is known of them, whose topology is remembered as long: by the same rule, see
-        `sdm.topology`. They are a stream's in every batch, and five copies take the host as long as all the rest.
+        That is asked only of faces and what is known of them, which `sdm.topology` remembers by the same rule. A
+        stream's are the same in every batch, and to copy them was a seventh of what a call takes the host.
         """
-        if given.dtype != torch.int32 or given.is_inference():
-            return False
-        seen, version = self._last[place]
-        if seen() is given and version == given._version:
-            return True
-        self._last[place] = weakref.ref(given), given._version
-        return False
+        version = version_of(given) if given.dtype == torch.int32 else None
+        before, then = self._given[place]
+        if version is not None and version == then and before() is given:
+            return
+        self._inputs[place].copy_(given)
+        given.record_stream(stream)
+        self._given[place] = weakref.ref(given), version
 
     def guessed_right(self) -> bool:
         """Whether the last launch's guess was right: waits for its remarks, if it makes any, and for nothing else."""

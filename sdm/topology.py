@@ -17,7 +17,7 @@ from sdm.errors import MeshError
 from sdm.kernels import seams
 from sdm.kernels.edges import REMARKS, gather_ends, pair_edges
 from sdm.kernels.launch import launch
-from sdm.memory import as_warp, on_current_stream, scratch_on
+from sdm.memory import as_warp, on_current_stream, scratch_on, version_of
 from sdm.seams import join_on_device, join_on_host, loops_on_host
 
 # Up to this many edges left over, and this many in all meshes, are joined on the host: on a GPU each of the many small
@@ -278,5 +278,5 @@ def _remembered(seen: WeakIdKeyDictionary, about: Tensor, find: Callable[[], Any
 
 def _state(about: Tensor, count: int) -> tuple[int, int] | None:
     """What is remembered about a tensor holds as long as this stays."""
-    # Tensors made in inference mode keep no count of changes, so nothing is remembered about them.
-    return None if about.is_inference() else (about._version, count)
+    version = version_of(about)
+    return None if version is None else (version, count)
