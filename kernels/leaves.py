@@ -19,8 +19,10 @@ from sdm.kernels.wide import load4
 wp.set_module_options({"enable_backward": False})
 
 # Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their parts. A batch
-# of lanes leaves at most 31 of what it takes, and brings up to 128 triangles of leaves, 32 triangles, or 224 parts.
-WAITING, RIPE, PARTS = 0, 160, 224
+# of lanes leaves at most 31 of what it takes, and brings the triangles of 32 leaves, 32 triangles, or 224 parts.
+WAITING = 0
+RIPE = WAITING + 32 * (TRIANGLES_PER_LEAF + 1)
+PARTS = RIPE + 64
 
 _LEAF = wp.constant(TRIANGLES_PER_LEAF)
 

@@ -41,6 +41,8 @@ class Room:
 
     def __init__(self, before: Room | None = None) -> None:
         self.nbytes = 0
+        # Launches of all its recordings so far.
+        self.launches = 0
         self._pool: Any = None
         self._stream: torch.cuda.Stream | None = before._stream if before else None
         self.last: torch.cuda.Event | None = before.last if before else None
@@ -70,8 +72,9 @@ class Recording:
         self._room = room
         self._device = inputs[0].device
         self._guesses, self._count = False, 0
-        # Of each input which tensor was copied last, and that one's version.
+        # Of each input which tensor was copied last, and that one's version; and which launch of the room's that was.
         self._given: list[tuple[Callable[[], Tensor | None], int | None]] = [(_nothing, None)] * len(inputs)
+        self._launched = 0
         self._heard = torch.cuda.Event(external=True)
         with (
             torch.cuda.device(self._device),
@@ -135,6 +138,11 @@ class Recording:
                 last.record(stream)
 
     def _queue(self, inputs: Inputs, stream: torch.cuda.Stream) -> tuple[Tensor, ...]:
+        if self._room.launches != self._launched:
+            # Scratch of a recording that was launched in between may lie where this one's inputs are.
+            self._given = [(_nothing, None)] * len(inputs)
+        self._room.launches += 1
+        self._launched = self._room.launches
         for place, given in enumerate(inputs):
             if given.numel():
                 self._copy_in(place, given, stream)
@@ -147,7 +155,7 @@ class Recording:
         return *first, *(result.clone() for result in self._results[len(first) :])
 
     def _copy_in(self, place: int, given: Tensor, stream: torch.cuda.Stream) -> None:
-        """Copy an input to the recording's own tensor, unless that has its numbers from the launch before.
+        """Copy an input to the recording's own tensor, unless that has its numbers from the room's launch before.
 
         That is asked only of faces and what is known of them, which `sdm.topology` remembers by the same rule. A
         stream's are the same in every batch, and to copy them was a seventh of what a call takes the host.

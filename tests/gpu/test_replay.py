@@ -97,6 +97,28 @@ def test_batches(launches, shape):
     assert len(launches) == 6 - CALLS
 
 
+@pytest.mark.parametrize("triangles", [600, 200_000])
+def test_known_faces_by_turns_with_another_recording(launches, triangles):
+    """Recordings share their scratch: one may write where the other keeps the faces that it need not copy again."""
+    vertices, faces = torus(triangles)
+    known = torch.tensor(faces).cuda()
+    grids = [sdm.Grid([-1.2] * 3, [0.04] * 3, [61] * 3), GRID]
+    moved = [torch.tensor(v).cuda() for v in _shapes(vertices)]
+
+    def calls(grid):
+        return [sdm.signed_distance_map(sdm.TriangleMesh(v, known), grid) for v in moved]
+
+    with replay.paused():
+        expected = [calls(grid) for grid in grids]
+    for grid in grids:
+        calls(grid)
+    before = len(launches)
+    for step, v in enumerate(moved):
+        for grid, wanted in zip(grids, expected, strict=True):
+            _same(sdm.signed_distance_map(sdm.TriangleMesh(v, known), grid), wanted[step])
+    assert len(launches) == before + 2 * len(moved)
+
+
 def test_an_open_mesh_where_closed_ones_were(launches):
     vertices, faces = sphere(12)
     for _ in range(CALLS + 1):
