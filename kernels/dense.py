@@ -11,7 +11,16 @@ import warp as wp
 from sdm.kernels.blocks import measure_blocks
 from sdm.kernels.cells import CELL_BLOCKS, list_cells
 from sdm.kernels.cones import Cones
-from sdm.kernels.effort import cell_for, expected_entries, passes_for, pool_for, search_is_faster, shares_of
+from sdm.kernels.effort import (
+    NO_SLICES,
+    cell_for,
+    expected_entries,
+    passes_for,
+    pool_for,
+    search_is_faster,
+    shares_of,
+    slice_for,
+)
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.launch import threads
@@ -32,9 +41,6 @@ from sdm.kernels.witness import find_witnesses
 
 # Gives a context whose result makes what comes after it wait for what was launched in it.
 Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
-# Leaves of a cell's list that one group of lanes takes: of up to this many cells, and of more. A CPU has fewer groups.
-FEW_CELLS = 1 << 13
-SLICE = {"cuda": (128, 512), "cpu": (1 << 30, 1 << 30)}
 
 
 def query_slab(
@@ -97,7 +103,7 @@ def query_slab(
     lists.cell = cell_for(tree.count, shape, gpu)
     lists.regions = wp.vec3i(*(-(-n // (2 * lists.cell)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
-    slice_length = SLICE["cuda" if gpu else "cpu"][int(8 * total > FEW_CELLS)]
+    slice_length = slice_for(tree.count, tree.depth, 8 * total) if gpu else NO_SLICES
     lists.region_shares, lists.shares = shares_of(tree.count, shape, lists.cell) if gpu else (1, 1)
     expected = expected_entries(tree.count, shape, lists.cell, lists.region_shares, lists.shares)
     room = pool_for(expected, total, values.device)

@@ -10,11 +10,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.lists import BLOCK, CHUNK
 from sdm.kernels.plan import CELL_BITS
 
-# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 4 GiB on a GPU, of which they take at most a 16th.
-CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 1 << 30
+# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 6 GiB on a GPU, of which they take at most a 16th.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 3 << 29
 POOL_SHARE = 16
 # More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
 POOL_ROOM = 1.6
@@ -33,6 +34,10 @@ SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256
 MOST_OF_REGION, MOST_OF_CELL = 64, 16
+# A cell's list that is longer is the work of several groups: than so many leaves or, where cells are so few that the
+# last blocks would be waited for, so many triangles. A CPU has fewer groups, and nothing to gain.
+LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 400, 1 << 13
+NO_SLICES = 1 << 30
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
 
@@ -89,6 +94,13 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
     ):
         of_cell *= 2
     return of_region, min(of_cell, of_region)
+
+
+def slice_for(triangles: int, depth: int, cells: int) -> int:
+    """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves."""
+    if cells > FEW_CELLS:
+        return LONG_SLICE
+    return max(GPU_LANES, (SHORT_SLICE << depth) // triangles // GPU_LANES * GPU_LANES)
 
 
 def largest_pool(device: Any) -> int:

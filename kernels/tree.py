@@ -25,7 +25,8 @@ from sdm.kernels.wide import load4, load4_of_vectors, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
-TRIANGLES_PER_LEAF = 4
+# At most, so half as many and more: the leaves are a power of two.
+TRIANGLES_PER_LEAF = 5
 BOX_FLOATS = 8
 # Levels of boxes that one launch makes, and triangles that each lane looks at for the mesh's.
 LEVELS_AT_ONCE, RUN = 8, 8

@@ -6,7 +6,10 @@ import pytest
 
 from sdm.kernels.columns import lanes_for_each
 from sdm.kernels.effort import (
+    FEW_CELLS,
     LARGEST_POOL,
+    LONG_SLICE,
+    SHORT_SLICE,
     SMALLEST_POOL,
     cell_for,
     expected_entries,
@@ -14,7 +17,9 @@ from sdm.kernels.effort import (
     pool_for,
     search_is_faster,
     shares_of,
+    slice_for,
 )
+from sdm.kernels.tree import depth_for
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
@@ -64,6 +69,17 @@ def test_lanes_that_mark_columns():
     assert lanes_for_each(8_000, 60, 1 << 24, 32, 2048) * 8_000 * 60 < 1 << 31
 
 
+def test_slices_of_few_cells_have_as_many_triangles_whatever_the_leaves_hold():
+    for triangles in (300, 1_000, 20_088, 69_451, 99_938, 1_000_000, 5_000_000):
+        depth = depth_for(triangles)
+        leaves = slice_for(triangles, depth, FEW_CELLS)
+        assert leaves % 32 == 0
+        # Down to whole batches of 32 leaves, but at least one.
+        assert SHORT_SLICE - 32 * triangles / 2**depth < leaves * triangles / 2**depth <= SHORT_SLICE
+        assert slice_for(triangles, depth, FEW_CELLS + 1) == LONG_SLICE
+    assert slice_for(1, 0, 1) >= 32
+
+
 class Device:
     """As much of one as is asked about."""
 
@@ -91,7 +107,14 @@ def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
 
 
 def test_ordinary_maps_take_one_pass():
-    for triangles, n in ((20_000, 64), (100_000, 256), (100_000, 512), (1_000_000, 256), (1_000_000, 512)):
+    for triangles, n in (
+        (20_000, 64),
+        (100_000, 256),
+        (100_000, 512),
+        (1_000_000, 256),
+        (1_000_000, 512),
+        (5_000_000, 256),
+    ):
         shape, cell = [n] * 3, cell_for(triangles, [n] * 3, gpu=True)
         regions = (n // (2 * cell)) ** 3
         expected = expected_entries(triangles, shape, cell, *shares_of(triangles, shape, cell))

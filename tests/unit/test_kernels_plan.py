@@ -106,7 +106,7 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
 
 
 def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
-    monkeypatch.setitem(dense.SLICE, "cpu", (slice_length, slice_length))
+    monkeypatch.setattr(dense, "NO_SLICES", slice_length)
 
 
 NAMES = ["overlapping shells", "random soup", "needle fan"]
