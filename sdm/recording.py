@@ -58,6 +58,48 @@ class Room:
         return self._stream, self._pool
 
 
+class Held:
+    """Which tensor's numbers each of a recording's own inputs has: those of the last launch, if they are still there.
+
+    Recordings of one room share its memory, so that another one's scratch may lie where the inputs of this one do.
+
+    Args:
+        room: Whose launches are counted.
+        count: How many inputs there are.
+    """
+
+    def __init__(self, room: Room, count: int) -> None:
+        self._room = room
+        # Of each input which tensor was copied last, and that one's version.
+        self._given: list[tuple[Callable[[], Tensor | None], int | None]] = [(_nothing, None)] * count
+        self._launch = 0
+
+    def begin(self) -> None:
+        """One more launch of the room's begins, which is this recording's."""
+        if self._room.launches != self._launch:
+            # Others came in between.
+            self._given = [(_nothing, None)] * len(self._given)
+        self._room.launches += 1
+        self._launch = self._room.launches
+
+    def has(self, place: int, given: Tensor) -> bool:
+        """Whether an input need not be copied.
+
+        That is asked only of faces and what is known of them, which `sdm.topology` remembers by the same rule. A
+        stream's are the same in every batch, and to copy them was a seventh of what a call takes the host.
+        """
+        before, version = self._given[place]
+        return version is not None and before() is given and version == _version_of_faces(given)
+
+    def note(self, place: int, given: Tensor) -> None:
+        """An input was copied."""
+        self._given[place] = weakref.ref(given), _version_of_faces(given)
+
+
+def _version_of_faces(given: Tensor) -> int | None:
+    return version_of(given) if given.dtype == torch.int32 else None
+
+
 class Recording:
     """`work(say, *inputs)`, recorded: for other inputs of the same shapes.
 
@@ -72,9 +114,7 @@ class Recording:
         self._room = room
         self._device = inputs[0].device
         self._guesses, self._count = False, 0
-        # Of each input which tensor was copied last, and that one's version; and which launch of the room's that was.
-        self._given: list[tuple[Callable[[], Tensor | None], int | None]] = [(_nothing, None)] * len(inputs)
-        self._launched = 0
+        self._held = Held(room, len(inputs))
         self._heard = torch.cuda.Event(external=True)
         with (
             torch.cuda.device(self._device),
@@ -138,14 +178,12 @@ class Recording:
                 last.record(stream)
 
     def _queue(self, inputs: Inputs, stream: torch.cuda.Stream) -> tuple[Tensor, ...]:
-        if self._room.launches != self._launched:
-            # Scratch of a recording that was launched in between may lie where this one's inputs are.
-            self._given = [(_nothing, None)] * len(inputs)
-        self._room.launches += 1
-        self._launched = self._room.launches
+        self._held.begin()
         for place, given in enumerate(inputs):
-            if given.numel():
-                self._copy_in(place, given, stream)
+            if given.numel() and not self._held.has(place, given):
+                self._inputs[place].copy_(given)
+                given.record_stream(stream)
+                self._held.note(place, given)
         if self._guesses:
             self._said[: self._count].fill_(UNSAID)
         # The first result, if it is a map, is written where it is wanted; the others are copied.
@@ -153,20 +191,6 @@ class Recording:
         self._graph.replay()
         first = () if placed is None else (placed,)
         return *first, *(result.clone() for result in self._results[len(first) :])
-
-    def _copy_in(self, place: int, given: Tensor, stream: torch.cuda.Stream) -> None:
-        """Copy an input to the recording's own tensor, unless that has its numbers from the room's launch before.
-
-        That is asked only of faces and what is known of them, which `sdm.topology` remembers by the same rule. A
-        stream's are the same in every batch, and to copy them was a seventh of what a call takes the host.
-        """
-        version = version_of(given) if given.dtype == torch.int32 else None
-        before, then = self._given[place]
-        if version is not None and version == then and before() is given:
-            return
-        self._inputs[place].copy_(given)
-        given.record_stream(stream)
-        self._given[place] = weakref.ref(given), version
 
     def guessed_right(self) -> bool:
         """Whether the last launch's guess was right: waits for its remarks, if it makes any, and for nothing else."""

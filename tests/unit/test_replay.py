@@ -11,6 +11,7 @@ import torch
 import sdm
 from bench.meshes import load_case, sphere
 from sdm import maps, replay, topology
+from sdm.recording import Held, Room
 from sdm.shelf import MOST_CALLS, MOST_KINDS, WELL_WORTH, WORTH, Shelf
 
 INPUTS = (torch.zeros(1),)
@@ -31,6 +32,35 @@ def shelf():
 def _note(shelf, kind, nbytes=10, times=replay.CALLS):
     for _ in range(times):
         shelf.note(kind, nbytes, INPUTS)
+
+
+def test_faces_are_copied_again_once_they_changed_or_another_recording_was_launched():
+    room = Room()
+    one, other = Held(room, 2), Held(room, 2)
+    faces, again = torch.zeros(4, 3, dtype=torch.int32), torch.zeros(4, 3, dtype=torch.int32)
+
+    def launched(held, *given):
+        """Which inputs were there already."""
+        held.begin()
+        found = [held.has(place, tensor) for place, tensor in enumerate(given)]
+        for place, tensor in enumerate(given):
+            held.note(place, tensor)
+        return found
+
+    moving = torch.zeros(5, 3)
+    assert launched(one, moving, faces) == [False, False]
+    assert launched(one, moving, faces) == [False, True]
+    assert launched(one, moving, again) == [False, False]
+    assert launched(one, moving, again) == [False, True]
+    again[0] = 1
+    assert launched(one, moving, again) == [False, False]
+    # Its scratch may have been where the inputs of the first lie.
+    assert launched(other, moving, faces) == [False, False]
+    assert launched(one, moving, again) == [False, False]
+    assert launched(one, moving, again) == [False, True]
+    with torch.inference_mode():
+        uncounted = torch.zeros(4, 3, dtype=torch.int32)
+    assert [launched(one, moving, uncounted) for _ in range(2)] == [[False, False]] * 2
 
 
 def test_the_third_call_is_recorded(shelf):
