@@ -14,6 +14,7 @@ from sdm.beside import Join, kernels_beside
 from sdm.errors import MeshError
 from sdm.kernels import cones, frames, parts, solid_angle, tree
 from sdm.kernels.boundary import Boundary, gather_boundary
+from sdm.kernels.build import build_tree
 from sdm.kernels.launch import launch
 from sdm.kernels.winding import CLOSED, MANY, OPEN, SOUP, Winding
 from sdm.memory import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_on
@@ -94,7 +95,7 @@ def build_known(
         hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
         corners = as_warp(vertices, wp.vec3)
         normals = empty(4 * meshes * count, wp.float32)
-        tree.build(
+        build_tree(
             hierarchy,
             corners,
             as_warp(faces, wp.int32),
