@@ -28,6 +28,8 @@ def opengl():
     """Skips where Polyscope is not installed, or has no OpenGL to draw with."""
     polyscope = pytest.importorskip("polyscope")
     polyscope.set_verbosity(0)
+    # As `sdm view` does, else it writes files where the tests run.
+    polyscope.set_use_prefs_file(False)
     polyscope.set_allow_headless_backends(True)
     try:
         polyscope.init()
