@@ -35,8 +35,8 @@ SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 LONG_SHARE = 256
 MOST_OF_REGION, MOST_OF_CELL = 64, 16
 # A cell's list that is longer is the work of several groups: than so many leaves or, where cells are so few that the
-# last blocks would be waited for, so many triangles. A CPU has fewer groups, and nothing to gain.
-LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 400, 1 << 13
+# last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
+LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 370, 1 << 13
 NO_SLICES = 1 << 30
 # Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
@@ -97,10 +97,10 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
 
 
 def slice_for(triangles: int, depth: int, cells: int) -> int:
-    """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves."""
+    """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves: a power of two."""
     if cells > FEW_CELLS:
         return LONG_SLICE
-    return max(GPU_LANES, (SHORT_SLICE << depth) // triangles // GPU_LANES * GPU_LANES)
+    return max(GPU_LANES, 1 << round(math.log2(SHORT_SLICE / triangles) + depth))
 
 
 def largest_pool(device: Any) -> int:
