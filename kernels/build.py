@@ -26,6 +26,7 @@ from sdm.kernels.tree import (
     UNSCALE,
     Tree,
     first_triangle,
+    nodes_of,
     to_lattice,
     write_box,
     write_corners,
@@ -180,7 +181,7 @@ def bound_leaf(tree: Tree, mesh: int, leaf: int):
             low = wp.min(low, v)
             high = wp.max(high, v)
     leaves = 1 << tree.depth
-    write_box(tree, mesh * 2 * leaves + leaves + leaf, low, high)
+    write_box(tree, nodes_of(tree, mesh) + leaves + leaf, low, high)
 
 
 @wp.kernel
@@ -195,7 +196,7 @@ def _bound_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int):
     mesh = group / width
     top = width + group - mesh * width
     leaves = 1 << tree.depth
-    base = mesh * 2 * leaves
+    base = nodes_of(tree, mesh)
     for back in range(levels):
         down = levels - 1 - back
         node = (top << down) + lane

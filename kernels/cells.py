@@ -27,7 +27,7 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.places import noted_place
 from sdm.kernels.regions import box_matters
-from sdm.kernels.tree import Tree, node_box
+from sdm.kernels.tree import Tree, node_box, nodes_of
 from sdm.kernels.witness import nearer_of_leaves, read_witness, write_witness
 
 wp.set_module_options({"enable_backward": False})
@@ -59,7 +59,7 @@ def _list_cells(
         first = (number / 8) * lists.region_shares + (item % lists.shares) * chains
         if is_within(slab, place.start):
             mesh = place.mesh
-            base = mesh * 2 * leaves
+            base = nodes_of(tree, mesh)
             cell = place.cell
             radius = wp.sqrt(cell.half2)
             known = read_witness(lists.witnesses, lists.count + number)

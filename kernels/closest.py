@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.geometry import closest_point, nearest_part, part_distance2
-from sdm.kernels.tree import Tree, first_triangle, load_corners, node_distance2
+from sdm.kernels.tree import Tree, first_triangle, load_corners, node_distance2, nodes_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -71,7 +71,7 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
     `guess` is any slot of the mesh; a near one, such as the answer for a neighbouring point, saves most of the way.
     There is always an answer: if every squared distance overflows, it is the guess.
     """
-    base = mesh * (2 << tree.depth)
+    base = nodes_of(tree, mesh)
     leaves = 1 << tree.depth
     room = room_at(p)
     best = guess

@@ -31,7 +31,7 @@ import warp as wp
 from sdm.kernels.cull import Cell
 from sdm.kernels.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.rough import about_root
-from sdm.kernels.tree import Tree, first_triangle
+from sdm.kernels.tree import Tree, first_triangle, nodes_of
 from sdm.kernels.wide import load4, load_row, read4, write4
 
 wp.set_module_options({"enable_backward": False})
@@ -232,7 +232,7 @@ def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int
     mesh = group / width
     top = width + group - mesh * width
     leaves = 1 << tree.depth
-    base = mesh * 2 * leaves
+    base = nodes_of(tree, mesh)
     for back in range(levels):
         down = levels - 1 - back
         node = (top << down) + lane
@@ -252,7 +252,7 @@ def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int
 def node_cone(tree: Tree, cones: Cones, base: int, node: int):
     """The cone of node `node` of the mesh whose nodes begin at `base`: every direction for the large ones."""
     cone = wp.vec4(0.0, 0.0, 0.0, 1.0)
-    if node >= (1 << wp.max(tree.depth - LEVELS, 0)):
+    if node >= (1 << wp.max(tree.depth + tree.below - LEVELS, 0)):
         cone = load4(cones.nodes, base + node)
     return cone
 

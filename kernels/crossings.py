@@ -13,7 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.closest import NodeStack
-from sdm.kernels.tree import Tree, first_triangle, node_box, to_lattice
+from sdm.kernels.tree import Tree, first_triangle, node_box, nodes_of, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
@@ -138,7 +138,7 @@ def count_on_ray(tree: Tree, mesh: int, p: wp.vec3d, back: bool):
 
     Of a closed mesh they are equal, as the crossings of a whole line add up to zero.
     """
-    base = mesh * (2 << tree.depth)
+    base = nodes_of(tree, mesh)
     leaves = 1 << tree.depth
     q = to_lattice(tree, mesh, p[1], p[2])
     ray = ray_from(p, back)
@@ -178,5 +178,5 @@ def count_crossings(tree: Tree, mesh: int, p: wp.vec3d):
 @wp.func
 def winding_of_closed(tree: Tree, mesh: int, p: wp.vec3d):
     """The winding number of a closed mesh at p (scaled), by whichever ray along x leaves its box sooner."""
-    low, high = node_box(tree, mesh * (2 << tree.depth) + 1)
+    low, high = node_box(tree, nodes_of(tree, mesh) + 1)
     return count_on_ray(tree, mesh, p, wp.float64(low[0] + high[0]) > wp.float64(2.0) * p[0])

@@ -15,6 +15,7 @@ from sdm.kernels.effort import (
     NO_SLICES,
     cell_for,
     expected_entries,
+    levels_left_out,
     passes_for,
     pool_for,
     search_is_faster,
@@ -35,7 +36,7 @@ from sdm.kernels.search import mend_slab, search_slab
 from sdm.kernels.selection import SELECT_BLOCKS, select_parts
 from sdm.kernels.sliced import SLICED_BLOCKS, begin_sliced, end_sliced
 from sdm.kernels.stacks import stack_room
-from sdm.kernels.tree import Tree
+from sdm.kernels.tree import Tree, coarser
 from sdm.kernels.winding import Winding
 from sdm.kernels.witness import find_witnesses
 
@@ -103,6 +104,9 @@ def query_slab(
     lists.cell = cell_for(tree.count, shape, gpu)
     lists.regions = wp.vec3i(*(-(-n // (2 * lists.cell)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
+    whole, left_out = tree, levels_left_out(tree.count, tree.depth, shape, gpu)
+    if left_out > 0:
+        tree = coarser(whole, left_out)
     slice_length = slice_for(tree.count, tree.depth, 8 * total) if gpu else NO_SLICES
     lists.region_shares, lists.shares = shares_of(tree.count, shape, lists.cell) if gpu else (1, 1)
     expected = expected_entries(tree.count, shape, lists.cell, lists.region_shares, lists.shares)
@@ -154,4 +158,4 @@ def query_slab(
         join_sliced()
         measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes, launch)
         end_sliced(slab, lists, out, sliced, launch)
-    mend_slab(tree, slab, out, workers(GPU_BLOCKS) * lanes, launch)
+    mend_slab(whole, slab, out, workers(GPU_BLOCKS) * lanes, launch)

@@ -13,6 +13,7 @@ from typing import Any
 from sdm.kernels.lanes import GPU_LANES
 from sdm.kernels.lists import BLOCK, CHUNK
 from sdm.kernels.plan import CELL_BITS
+from sdm.kernels.tree import LARGEST_LEAF
 
 # Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 6 GiB on a GPU, of which they take at most a 16th.
 CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 3 << 29
@@ -34,6 +35,8 @@ SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256
 MOST_OF_REGION, MOST_OF_CELL = 64, 16
+# Triangles of a cell's list, on average, from which on lists are made of larger leaves: few of so many are dropped.
+LONG_FOR_LEAVES = 400
 # A cell's list that is longer is the work of several groups: than so many leaves or, where cells are so few that the
 # last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
 LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 370, 1 << 13
@@ -94,6 +97,19 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
     ):
         of_cell *= 2
     return of_region, min(of_cell, of_region)
+
+
+def levels_left_out(triangles: int, depth: int, shape: Sequence[int], gpu: bool) -> int:
+    """Levels of a tree with 2^depth leaves that lists do without (see `tree.coarser`).
+
+    From the slab's cross-section alone, as `expected_list`.
+    """
+    if not gpu or expected_list(triangles, shape, int(BLOCK)) < LONG_FOR_LEAVES:
+        return 0
+    levels = 0
+    while levels < depth and triangles <= LARGEST_LEAF << (depth - levels - 1):
+        levels += 1
+    return levels
 
 
 def slice_for(triangles: int, depth: int, cells: int) -> int:

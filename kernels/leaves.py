@@ -13,7 +13,7 @@ from sdm.kernels.cones import Cones, cone_misses
 from sdm.kernels.cull import Cell, Witness, triangle_is_farther
 from sdm.kernels.lanes import ballot, members, rank
 from sdm.kernels.queues import one_for_each_bit
-from sdm.kernels.tree import TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
+from sdm.kernels.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
 from sdm.kernels.wide import load4
 
 wp.set_module_options({"enable_backward": False})
@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False})
 # Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their parts. A batch
 # of lanes leaves at most 31 of what it takes, and brings the triangles of 32 leaves, 32 triangles, or 224 parts.
 WAITING = 0
-RIPE = WAITING + 32 * (TRIANGLES_PER_LEAF + 1)
+RIPE = WAITING + 32 * (LARGEST_LEAF + 1)
 PARTS = RIPE + 64
 
 _LEAF = wp.constant(TRIANGLES_PER_LEAF)

@@ -34,7 +34,7 @@ from sdm.kernels.lists import (
 )
 from sdm.kernels.parts import Parts
 from sdm.kernels.places import Place, brick_number, note_place, noted_place
-from sdm.kernels.tree import Tree, first_triangle, node_distance2
+from sdm.kernels.tree import Tree, first_triangle, node_distance2, nodes_of
 from sdm.kernels.wide import load4
 from sdm.kernels.witness import read_witness, seen_from, write_witness
 
@@ -124,7 +124,7 @@ def nearest_in_list(
     lanes: int,
 ):
     """The surface point nearest to a centre, of the triangles in a cell's list or what was known."""
-    boxes = mesh * (2 << tree.depth) + (1 << tree.depth)
+    boxes = nodes_of(tree, mesh) + (1 << tree.depth)
     mine = known
     reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
     # Each batch is read while the one before is looked at.

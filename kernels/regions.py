@@ -18,7 +18,7 @@ from sdm.kernels.leaves import push
 from sdm.kernels.lists import NEXT_REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.rough import about_root
 from sdm.kernels.stacks import STACK, stack_of
-from sdm.kernels.tree import Tree, node_box
+from sdm.kernels.tree import Tree, node_box, nodes_of
 from sdm.kernels.witness import nearer_of_leaves, read_witness
 
 wp.set_module_options({"enable_backward": False})
@@ -82,7 +82,7 @@ def _list_regions(
     while item < lists.count * lists.region_shares:
         region = item / lists.region_shares
         mesh, start = region_start(lists, region)
-        base = mesh * 2 * leaves
+        base = nodes_of(tree, mesh)
         cell = make_cell(tree, slab, mesh, start, 2 * lists.cell)
         radius = wp.sqrt(cell.half2)
         known = read_witness(lists.witnesses, region)

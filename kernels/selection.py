@@ -48,7 +48,7 @@ from sdm.kernels.plan import (
 from sdm.kernels.regions import node_matters
 from sdm.kernels.rough import about_root
 from sdm.kernels.stacks import stack_of
-from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree, node_box
+from sdm.kernels.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
 from sdm.kernels.voxels import Block
 from sdm.kernels.witness import read_witness, write_witness
 
@@ -196,7 +196,7 @@ def select_for(
             upcoming = read_entry(lists, reader, lane)
             keep = leaf >= 0 and batch % block.slices == block.slice
             if keep:
-                base = block.mesh * 2 * leaves
+                base = nodes_of(tree, block.mesh)
                 if (1 << block.bits) < lists.cell:
                     radius = about_root(block.cell.half2)
                     keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)

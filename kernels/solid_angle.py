@@ -15,7 +15,7 @@ import warp as wp
 
 from sdm.kernels.closest import NodeStack
 from sdm.kernels.geometry import solid_angle
-from sdm.kernels.tree import Tree, first_triangle, node_box
+from sdm.kernels.tree import Tree, first_triangle, node_box, nodes_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,7 +65,7 @@ def _leaf_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32)):
     vector = wp.vec3d()
     start = mesh * tree.count + first_triangle(tree, leaf)
     end = mesh * tree.count + first_triangle(tree, leaf + 1)
-    node = mesh * 2 * leaves + leaves + leaf
+    node = nodes_of(tree, mesh) + leaves + leaf
     for slot in range(start, end):
         a = wp.vec3d(tree.corners[4 * slot])
         b = wp.vec3d(tree.corners[4 * slot + 1])
@@ -104,7 +104,7 @@ def read_matrix(moments: wp.array(dtype=wp.float32), at: int):
 def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), width: int):
     i = begin + wp.tid()
     mesh = i / width
-    base = mesh * (2 << tree.depth)
+    base = nodes_of(tree, mesh)
     node = base + width + i - mesh * width
     left = (base + 2 * (node - base)) * _SIZE
     right = left + _SIZE
@@ -139,7 +139,7 @@ def build_moments(tree: Tree, moments: wp.array, meshes: int, launch: Any) -> No
 @wp.func
 def descend(tree: Tree, moments: wp.array(dtype=wp.float32), mesh: int, p: wp.vec3d, tolerance: float):
     """Winding number at p and a bound on its error, opening every node whose own bound is above `tolerance`."""
-    base = mesh * (2 << tree.depth)
+    base = nodes_of(tree, mesh)
     leaves = 1 << tree.depth
     quarter = float(1.0) / (4.0 * wp.PI)
     p32 = wp.vec3(p)

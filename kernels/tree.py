@@ -21,6 +21,8 @@ wp.set_module_options({"enable_backward": False})
 
 # At most, so half as many and more: the leaves are a power of two.
 TRIANGLES_PER_LEAF = 5
+# At most in a leaf of a coarser tree.
+LARGEST_LEAF = 8
 BOX_FLOATS = 8
 # The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
 LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
@@ -46,12 +48,22 @@ class Tree:
     boxes: wp.array(dtype=wp.float32)  # (meshes * 2^(depth+1) * BOX_FLOATS) low (3), 0, high (3), 0, scaled
     frame: wp.array(dtype=wp.float64)  # (meshes * FRAME_SIZE) scale, its inverse, lattice's origin and steps per unit
     count: wp.int32  # triangles of each mesh
-    depth: wp.int32
+    depth: wp.int32  # levels below the root, of which the last has the leaves
+    below: wp.int32  # levels below these, which were built and are not looked at (see `coarser`)
 
 
 def depth_for(faces: int) -> int:
     """Levels below the root for a mesh of `faces` triangles."""
     return max(0, math.ceil(math.log2(max(1, faces) / TRIANGLES_PER_LEAF)))
+
+
+def coarser(tree: Tree, levels: int) -> Tree:
+    """The same hierarchy without its last levels: each leaf has what 2^levels had."""
+    found = Tree()
+    for name in Tree.vars:
+        setattr(found, name, getattr(tree, name))
+    found.depth, found.below = tree.depth - levels, tree.below + levels
+    return found
 
 
 def sizes(meshes: int, faces: int) -> dict[str, tuple[tuple[int, ...], Any]]:
@@ -94,6 +106,12 @@ def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: 
     put4(record, 1, b[1], b[2], c[0], c[1])
     put4(record, 2, c[2], n[0], n[1], n[2])
     end_record(corners, record, _CORNERS_SIZE, slot, tree.face.shape[0])
+
+
+@wp.func
+def nodes_of(tree: Tree, mesh: int):
+    """Where the nodes of a mesh begin, which count from there: its root is one further."""
+    return mesh * (2 << (tree.depth + tree.below))
 
 
 @wp.func

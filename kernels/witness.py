@@ -18,7 +18,7 @@ from sdm.kernels.grid import Slab
 from sdm.kernels.lanes import ballot, members
 from sdm.kernels.lists import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
 from sdm.kernels.places import note_place
-from sdm.kernels.tree import Tree, box_distance2, first_triangle, node_distance2
+from sdm.kernels.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
 from sdm.kernels.wide import load4, write4
 
 wp.set_module_options({"enable_backward": False})
@@ -32,7 +32,7 @@ _NEXT_WITNESS = wp.constant(NEXT_WITNESS)
 @wp.func
 def greedy_leaf(tree: Tree, mesh: int, p: wp.vec3):
     """A leaf near p: always the nearer child."""
-    base = mesh * (2 << tree.depth)
+    base = nodes_of(tree, mesh)
     node = int(1)
     for _level in range(tree.depth):
         left = base + 2 * node

@@ -13,13 +13,14 @@ from sdm.kernels.effort import (
     SMALLEST_POOL,
     cell_for,
     expected_entries,
+    levels_left_out,
     passes_for,
     pool_for,
     search_is_faster,
     shares_of,
     slice_for,
 )
-from sdm.kernels.tree import depth_for
+from sdm.kernels.tree import LARGEST_LEAF, depth_for
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
@@ -77,6 +78,23 @@ def test_slices_of_few_cells_have_about_as_many_triangles_whatever_the_leaves_ho
         assert SHORT_SLICE / 1.42 < leaves * triangles / 2**depth < SHORT_SLICE * 1.42
         assert slice_for(triangles, depth, FEW_CELLS + 1) == LONG_SLICE
     assert slice_for(1, 0, 1) >= 32
+
+
+def test_long_lists_are_made_of_larger_leaves():
+    def left_out(triangles, n, gpu=True):
+        return levels_left_out(triangles, depth_for(triangles), [n, n, n], gpu)
+
+    assert [left_out(1_000_000, n) for n in (64, 128, 256, 512)] == [1, 1, 1, 0]
+    assert [left_out(99_938, n) for n in (128, 256, 512)] == [1, 0, 0]
+    # These have 4.9 and 4.2 in a leaf, and would have more than eight.
+    assert [left_out(triangles, 64) for triangles in (20_088, 69_451)] == [0, 0]
+    assert left_out(1_000_000, 128, gpu=False) == 0
+    for triangles in (1, 5, 300, 2_999_824):
+        depth = depth_for(triangles)
+        for n in (1, 8, 64):
+            levels = levels_left_out(triangles, depth, [n, n, n], True)
+            assert 0 <= levels <= depth
+            assert levels == 0 or triangles / 2 ** (depth - levels) <= LARGEST_LEAF
 
 
 class Device:

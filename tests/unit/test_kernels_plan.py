@@ -105,6 +105,11 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
     monkeypatch.setattr(dense, "find_witnesses", shared)
 
 
+def leave_levels_out(monkeypatch: pytest.MonkeyPatch, levels: int) -> None:
+    """Lists of larger leaves, as a GPU's long ones have."""
+    monkeypatch.setattr(dense, "levels_left_out", lambda _triangles, depth, _shape, _gpu: min(levels, depth))
+
+
 def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
     monkeypatch.setattr(dense, "NO_SLICES", slice_length)
 
@@ -239,6 +244,34 @@ def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
         check(mesh, grid, values)
         assert ((values.abs() - alone.abs()).abs() <= limit).all()
         assert torch.equal(values < 0, alone < 0)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+@pytest.mark.parametrize("name", [*NAMES, "all alike"])
+def test_lists_of_larger_leaves(monkeypatch, seen, name, levels):
+    mesh = mesh_of(name)
+    grid = grid_of(name, mesh)
+    plain = values_of(mesh, grid)
+    plain_entries = sum(lengths.sum() for lengths in seen.lengths)
+    leave_levels_out(monkeypatch, levels)
+    centres = grid.points().reshape(-1, 3).numpy()
+    limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
+    for slice_length, shares in ((10**6, 1), (13, 4)):
+        seen.clear()
+        slice_lists(monkeypatch, slice_length)
+        share_lists(monkeypatch, shares)
+        values = values_of(mesh, grid)
+        if shares == 1:
+            # Not of half or a quarter of the length: a larger leaf is nearer.
+            assert sum(lengths.sum() for lengths in seen.lengths) < 0.9 * plain_entries
+        check(mesh, grid, values)
+        assert ((values.abs() - plain.abs()).abs() <= limit).all()
+        assert torch.equal(values < 0, plain < 0)
+    # Each mesh of a batch has its own part of the hierarchy.
+    turned = torch.stack([mesh.vertices, mesh.vertices[:, [1, 2, 0]], mesh.vertices[:, [2, 0, 1]]])
+    batch = sdm.signed_distance_maps(turned, mesh.faces, grid)
+    for number, vertices in enumerate(turned):
+        check(sdm.TriangleMesh(vertices, mesh.faces), grid, batch[number])
 
 
 @pytest.mark.parametrize("shares", [1, 4])
