@@ -104,7 +104,7 @@ def query_slab(
     lists.cell = cell_for(tree.count, shape, gpu)
     lists.regions = wp.vec3i(*(-(-n // (2 * lists.cell)) for n in shape))
     total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
-    whole, left_out = tree, levels_left_out(tree.count, tree.depth, shape, gpu)
+    whole, left_out = tree, levels_left_out(tree.count, tree.depth, shape)
     if left_out > 0:
         tree = coarser(whole, left_out)
     slice_length = slice_for(tree.count, tree.depth, 8 * total) if gpu else NO_SLICES

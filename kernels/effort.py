@@ -99,12 +99,12 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
     return of_region, min(of_cell, of_region)
 
 
-def levels_left_out(triangles: int, depth: int, shape: Sequence[int], gpu: bool) -> int:
+def levels_left_out(triangles: int, depth: int, shape: Sequence[int]) -> int:
     """Levels of a tree with 2^depth leaves that lists do without (see `tree.coarser`).
 
     From the slab's cross-section alone, as `expected_list`.
     """
-    if not gpu or expected_list(triangles, shape, int(BLOCK)) < LONG_FOR_LEAVES:
+    if expected_list(triangles, shape, int(BLOCK)) < LONG_FOR_LEAVES:
         return 0
     levels = 0
     while levels < depth and triangles <= LARGEST_LEAF << (depth - levels - 1):

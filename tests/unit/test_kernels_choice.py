@@ -81,18 +81,17 @@ def test_slices_of_few_cells_have_about_as_many_triangles_whatever_the_leaves_ho
 
 
 def test_long_lists_are_made_of_larger_leaves():
-    def left_out(triangles, n, gpu=True):
-        return levels_left_out(triangles, depth_for(triangles), [n, n, n], gpu)
+    def left_out(triangles, n):
+        return levels_left_out(triangles, depth_for(triangles), [n, n, n])
 
     assert [left_out(1_000_000, n) for n in (64, 128, 256, 512)] == [1, 1, 1, 0]
     assert [left_out(99_938, n) for n in (128, 256, 512)] == [1, 0, 0]
     # These have 4.9 and 4.2 in a leaf, and would have more than eight.
     assert [left_out(triangles, 64) for triangles in (20_088, 69_451)] == [0, 0]
-    assert left_out(1_000_000, 128, gpu=False) == 0
     for triangles in (1, 5, 300, 2_999_824):
         depth = depth_for(triangles)
         for n in (1, 8, 64):
-            levels = levels_left_out(triangles, depth, [n, n, n], True)
+            levels = levels_left_out(triangles, depth, [n, n, n])
             assert 0 <= levels <= depth
             assert levels == 0 or triangles / 2 ** (depth - levels) <= LARGEST_LEAF
 

@@ -106,8 +106,8 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
 
 
 def leave_levels_out(monkeypatch: pytest.MonkeyPatch, levels: int) -> None:
-    """Lists of larger leaves, as a GPU's long ones have."""
-    monkeypatch.setattr(dense, "levels_left_out", lambda _triangles, depth, _shape, _gpu: min(levels, depth))
+    """Lists of larger leaves, as long ones have."""
+    monkeypatch.setattr(dense, "levels_left_out", lambda _triangles, depth, _shape: min(levels, depth))
 
 
 def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
