@@ -251,6 +251,7 @@ def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
 def test_lists_of_larger_leaves(monkeypatch, seen, name, levels):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
+    leave_levels_out(monkeypatch, 0)
     plain = values_of(mesh, grid)
     plain_entries = sum(lengths.sum() for lengths in seen.lengths)
     leave_levels_out(monkeypatch, levels)
