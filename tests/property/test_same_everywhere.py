@@ -31,8 +31,8 @@ def test_map_and_points(mesh, shape, spacing):
     scattered = index.signed_distance(grid.points())
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(4 * ROUNDING * scale_of(mesh.vertices, mesh.faces, centres)).reshape(shape)
-    # Which of two nearly equidistant triangles is taken may differ, and either may be that far from the truth: a step of
-    # float32 alone is 4.4 roundings where a distance is more than twice the largest coordinate.
+    # Which of two nearly equidistant triangles is taken may differ, and either may be that far from the truth: a step
+    # of float32 alone is 4.4 roundings where a distance is more than twice the largest coordinate.
     assert ((dense.abs() - scattered.abs()).abs() <= 2 * limit).all()
     winding = torch.from_numpy(oracle.winding_number(mesh.vertices, mesh.faces, centres)).reshape(shape)
     sure = ((winding - 0.5).abs() > 1e-5) & (dense.abs() > limit)
