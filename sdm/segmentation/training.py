@@ -20,6 +20,7 @@ from sdm.segmentation.average import Average
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.objective import Step, objective
 from sdm.segmentation.patches import Patch
+from sdm.segmentation.precision import layout, reduced
 from sdm.segmentation.settings import Settings
 
 LARGEST_GRADIENT = 1.0
@@ -72,7 +73,7 @@ def train(
     compiled: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Training:
-    """Train a network, on the patches' device; bfloat16 on a GPU.
+    """Train a network, on the patches' device; in bfloat16 where that device has it (`precision.has_bfloat16`).
 
     Args:
         patches: Of the training cases, with the map of the settings' method, and positions if the settings say so.
@@ -98,8 +99,7 @@ def train(
     with _own_random_numbers(device):
         torch.manual_seed(torch_seed(settings.seed))
         model = settings.network().to(device)
-        if device.type == "cuda":
-            model = model.to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+        model = model.to(memory_format=layout(device))  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)
         training = Training(model, average=Average(model, settings.average) if settings.average else None)
         if checkpoint is not None and checkpoint.is_file():
@@ -131,10 +131,8 @@ def _step(training: Training, optimizer: torch.optim.Optimizer, patches: Source,
     patch = patches.batch(settings.batch, seed=settings.seed, step=step, augment=settings.augment)
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate_at(step)
-    image = patch.image
-    if image.is_cuda:
-        image = image.to(memory_format=torch.channels_last_3d)
-    with torch.autocast(image.device.type, torch.bfloat16, enabled=image.is_cuda):
+    image = patch.image.to(memory_format=layout(patch.image.device))
+    with reduced(image.device):
         main, auxiliary = training.model(image)
     done = step / settings.steps
     state = Step(training.model.method, main, patch.label, patch.map, done, patches.spacing)
