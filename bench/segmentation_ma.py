@@ -189,6 +189,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--position", action="store_true", help="tell the network where voxels are in their volume")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     parser.add_argument("--compile", action="store_true")
+    parser.add_argument("--bfloat16", action="store_true", help="on a CPU too, where it has it")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
     return parser
 
@@ -230,6 +231,7 @@ def job_of(options: argparse.Namespace) -> Job:
         "stride": options.stride,
         "mirrors": options.mirrors,
         "compile": options.compile,
+        "bfloat16": options.bfloat16,
     }
 
 
@@ -260,7 +262,7 @@ def fit(options: argparse.Namespace, on: list[str]) -> int:
 
     def measure(steps: int) -> float:
         short = replace(settings, method="head-sdf-l1", steps=steps)
-        return train(patches, short, compiled=options.compile).seconds
+        return train(patches, short, compiled=options.compile, bfloat16=options.bfloat16 or None).seconds
 
     measure(2)
     left = options.budget_s - (time.monotonic() - begin) - STARTING_S
@@ -283,7 +285,14 @@ def work(
         torch.cuda.reset_peak_memory_stats(device)
     checkpoint = unfinished / f"{job['name']}.pt"
     patches = Patches.of_settings(cases, settings, device)
-    training: Training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
+    training: Training = train(
+        patches,
+        settings,
+        checkpoint=checkpoint,
+        deadline=deadline,
+        compiled=job["compile"],
+        bfloat16=job["bfloat16"] or None,
+    )
     if training.step < settings.steps:
         return None
     if keep is not None:

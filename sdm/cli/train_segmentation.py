@@ -36,6 +36,7 @@ def segmentation(
     budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
     device: str = "auto",
     compile: bool = False,  # noqa: A002
+    bfloat16: bool = False,
     resume: bool = False,
 ) -> int | None:
     """Train a network that segments one organ, by one of the methods of Ma et al. and Juhl et al. (MIDL 2020, 2019).
@@ -72,6 +73,7 @@ def segmentation(
         budget_s: Seconds of training at most; what is unfinished then goes on with --resume.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         compile: Compile the network first, for long trainings on GPUs.
+        bfloat16: On a CPU too, where it has it: twice the steps in the same time. A GPU trains so in any case.
         resume: Go on from OUT/checkpoint.pt if it is there. Without it an unfinished training is never replaced.
     """
     import time
@@ -130,7 +132,15 @@ def segmentation(
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:
-        training = train(patches, settings, checkpoint=checkpoint, deadline=deadline, compiled=compile, progress=meter)
+        training = train(
+            patches,
+            settings,
+            checkpoint=checkpoint,
+            deadline=deadline,
+            compiled=compile,
+            bfloat16=bfloat16 or None,
+            progress=meter,
+        )
     if training.step < steps:
         print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
         return None

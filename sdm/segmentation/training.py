@@ -20,7 +20,7 @@ from sdm.segmentation.average import Average
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.objective import Step, objective
 from sdm.segmentation.patches import Patch
-from sdm.segmentation.precision import layout, reduced
+from sdm.segmentation.precision import check_gradients, layout, reduced, uses_bfloat16
 from sdm.segmentation.settings import Settings
 
 LARGEST_GRADIENT = 1.0
@@ -71,9 +71,10 @@ def train(
     checkpoint: Path | None = None,
     deadline: float | None = None,
     compiled: bool = False,
+    bfloat16: bool | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Training:
-    """Train a network, on the patches' device; in bfloat16 where that device has it (`precision.has_bfloat16`).
+    """Train a network, on the patches' device.
 
     Args:
         patches: Of the training cases, with the map of the settings' method, and positions if the settings say so.
@@ -82,6 +83,8 @@ def train(
             It is removed by none but the caller.
         deadline: Value of `time.monotonic()` at which to stop, finished or not.
         compiled: Whether to compile the network: worth it for some hundred steps on a GPU.
+        bfloat16: Whether convolutions are in bfloat16 instead of float32; None: on a GPU. A CPU that has it does twice
+            as many steps in the same time.
         progress: Called with steps done and in all.
 
     Returns:
@@ -89,27 +92,31 @@ def train(
 
     Raises:
         FormatError: The checkpoint is of another training.
-        SDMError: The loss is not finite any more, or patches and settings differ in positions or in coarse voxels.
+        SDMError: The loss is not finite any more, patches and settings differ in positions or in coarse voxels, or a
+            CPU has no bfloat16, or a wrong one for this patch (`precision.check_gradients`).
     """
     for name in ("position", "coarsen"):
         wanted, given = getattr(settings, name), getattr(patches, name)
         if wanted != given:
             raise SDMError(f"the settings have {name}={wanted}, the patches {given}: give both the same")
     device = patches.device
+    reduce = uses_bfloat16(device, bfloat16)
     with _own_random_numbers(device):
         torch.manual_seed(torch_seed(settings.seed))
         model = settings.network().to(device)
-        model = model.to(memory_format=layout(device))  # type: ignore[call-overload]
+        model = model.to(memory_format=layout(reduce))  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)
         training = Training(model, average=Average(model, settings.average) if settings.average else None)
         if checkpoint is not None and checkpoint.is_file():
             _restore(checkpoint, training, optimizer, settings, device)
+        if reduce and device.type == "cpu":
+            check_gradients(model, _batch(patches, settings, training.step).image)
         model.train()
         begin, saved = time.monotonic(), time.monotonic()
         before = training.seconds
         with _compiled(model) if compiled else nullcontext():
             while training.step < settings.steps and (deadline is None or time.monotonic() < deadline):
-                _step(training, optimizer, patches, settings)
+                _step(training, optimizer, patches, settings, reduce)
                 progress(training.step, settings.steps)
                 training.seconds = before + time.monotonic() - begin
                 if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY_S:
@@ -126,13 +133,15 @@ def train(
     return training
 
 
-def _step(training: Training, optimizer: torch.optim.Optimizer, patches: Source, settings: Settings) -> None:
+def _step(
+    training: Training, optimizer: torch.optim.Optimizer, patches: Source, settings: Settings, reduce: bool
+) -> None:
     step = training.step
-    patch = patches.batch(settings.batch, seed=settings.seed, step=step, augment=settings.augment)
+    patch = _batch(patches, settings, step)
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate_at(step)
-    image = patch.image.to(memory_format=layout(patch.image.device))
-    with reduced(image.device):
+    image = patch.image.to(memory_format=layout(reduce))
+    with reduced(image.device, reduce):
         main, auxiliary = training.model(image)
     done = step / settings.steps
     state = Step(training.model.method, main, patch.label, patch.map, done, patches.spacing)
@@ -149,6 +158,10 @@ def _step(training: Training, optimizer: torch.optim.Optimizer, patches: Source,
         if value != value or abs(value) == float("inf"):
             raise SDMError(f"the loss of {settings.method} is {value} at step {training.step}: lower the learning rate")
         training.losses.append((training.step, round(value, 6)))
+
+
+def _batch(patches: Source, settings: Settings, step: int) -> Patch:
+    return patches.batch(settings.batch, seed=settings.seed, step=step, augment=settings.augment)
 
 
 @contextmanager
