@@ -10,8 +10,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# A line is marked if one of its voxels might have to look further than this.
-NEIGHBOURS = wp.constant(6)
+# A line is marked if one of its voxels might have to look further than this. In noise whose rows have voxels twice as
+# long as lines have, six would mark three lines in four.
+NEIGHBOURS = wp.constant(12)
 
 
 @wp.func
