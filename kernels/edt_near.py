@@ -10,8 +10,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# A line is marked if one of its voxels might have to look further than this. In noise whose rows have voxels twice as
-# long as lines have, six would mark three lines in four.
+# A line is marked if one of its voxels might have to look further than this. In noise whose voxels are twice as long
+# along rows as along lines, six would mark nine lines in ten, twelve one in twenty.
 NEIGHBOURS = wp.constant(12)
 
 
