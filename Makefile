@@ -1,14 +1,17 @@
 # Everything happens in .venv, which the first target makes. PYTHON= chooses the interpreter (3.11 to 3.13).
-# PIP_ARGS= goes to every `pip install`, for example --extra-index-url with PyTorch's CPU builds.
+# PIP_ARGS= goes to every `pip install`, for example --extra-index-url with PyTorch's CPU builds. RECORDS= is where
+# `make records` writes.
 
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_ARGS ?=
+RECORDS ?= bench/results
 ARGS ?=
+RECORDS ?= bench/results
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
 CODE = $(wildcard sdm kernels tests bench)
 
-.PHONY: demo test test-all lint format bench install clean help
+.PHONY: demo test test-all lint format bench records install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -35,6 +38,14 @@ format: $(VENV)/.installed-dev ## Put the code into the house format
 
 bench: $(VENV)/.installed-bench ## Compare with the other libraries on this machine
 	$(BIN)/sdm bench $(ARGS)
+
+records: $(VENV)/.installed-bench ## On a GPU, about ten minutes: its tests, then its records in RECORDS, all of one commit
+	$(BIN)/python -m pytest -m "not slow" tests/gpu
+	$(BIN)/python -m bench.dense --device cuda --out $(RECORDS)/dense-cuda.json
+	$(BIN)/python -m bench.sanitize --out $(RECORDS)/sanitizer.json
+	$(BIN)/python -m bench.stream --parts rates training loader --out $(RECORDS)/stream.json
+	$(BIN)/python -m bench.edt --device cuda --out $(RECORDS)/edt-cuda.json
+	$(BIN)/python -m bench.accuracy --device cuda --out $(RECORDS)/accuracy-cuda.json
 
 install: $(VENV)/.installed ## Make the environment alone
 
