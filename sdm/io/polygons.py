@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdm.io.ear_clipping import cut, find_wrong_fans
+from sdm.io.obj_text import plain_obj
 
 # With the end of the line before: a search for plain text is much faster than one for the begin of a line.
 OBJ_VERTEX = re.compile(rb"\nv [ \t]*(\S+)[ \t]+(\S+)[ \t]+(\S+)")
@@ -21,16 +22,20 @@ PLY_NAMES = ("vertex_index", "vertex_indices")
 def cut_text(path: Path) -> bytes | None:
     """The text of an OBJ or OFF file with triangles for the polygons that its parser would not cut rightly.
 
-    None if there are none, so that files of triangles and of convex polygons are parsed as they are; and for a file
-    with anything odd, which is for its parser to refuse.
+    Of OBJ files also what else it would not read rightly. None if there is nothing of the kind, so that files of
+    triangles and of convex polygons are parsed as they are; and for a file with anything odd, which is for its parser
+    to refuse.
     """
     rewrite = {".obj": _obj, ".off": _off}.get(path.suffix.lower())
     if rewrite is None:
         return None
+    data = path.read_bytes()
+    plain = plain_obj(data) if rewrite is _obj else data
     try:
-        return rewrite(path.read_bytes())
+        found = rewrite(plain)
     except (ValueError, IndexError):
-        return None
+        found = None
+    return plain if found is None and plain is not data else found
 
 
 def _obj(data: bytes) -> bytes | None:
@@ -42,9 +47,8 @@ def _obj(data: bytes) -> bytes | None:
         return None
     vertices = np.array(OBJ_VERTEX.findall(data)).astype(np.float64)
     corners = [line[1].split() for line in lines]
-    polygons = [np.array([int(corner.split(b"/", 1)[0]) for corner in polygon]) for polygon in corners]
-    # Counted from 1; negative numbers count from the end.
-    polygons = [polygon - (polygon > 0) for polygon in polygons]
+    # Counted from 1.
+    polygons = [np.array([int(corner.split(b"/", 1)[0]) for corner in polygon]) - 1 for polygon in corners]
     parts, done = [], 0
     for number in find_wrong_fans(vertices, polygons):
         line, names = lines[number], corners[number]

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from sdm.demo_mesh import demo_mesh
-from sdm.errors import FormatError
+from sdm.errors import FormatError, MeshError
 from sdm.inspect import inspect_mesh
 from sdm.io import load_mesh, mesh_files
 from sdm.io.meshes import write_ply
@@ -126,3 +126,54 @@ def test_a_mesh_that_was_written_is_read(tmp_path):
         np.testing.assert_array_equal(found, expected)
     with pytest.raises(FormatError, match="make it first"):
         write_ply(mesh, tmp_path / "none" / "a.ply")
+
+
+CUBE = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+TRIANGLES = [corners for a, b, c, d in SQUARES for corners in ((a, b, c), (a, c, d))]
+
+
+def _obj(faces, shift: int = 0, first: int = 1) -> str:
+    """A cube's part of an OBJ file, whose faces count from `first`."""
+    text = "".join(f"v {x + shift} {y} {z}\n" for x, y, z in CUBE)
+    return text + "".join(f"f {' '.join(str(corner + first) for corner in face)}\n" for face in faces)
+
+
+@pytest.mark.parametrize("faces", [TRIANGLES, SQUARES], ids=["triangles", "squares"])
+def test_negative_numbers_of_an_obj_count_back_from_their_face(faces, tmp_path):
+    (tmp_path / "a.obj").write_text(_obj(faces, first=-8) + _obj(faces, shift=3, first=-8))
+    report = inspect_mesh(load_mesh(tmp_path / "a.obj"))
+    assert (report.triangles, report.vertices, report.closed) == (24, 16, True)
+    assert report.bounds == ((0, 0, 0), (4, 1, 1))
+    # A number from before the first vertex is none of a later one's.
+    (tmp_path / "b.obj").write_text(_obj(faces, first=-9) + _obj(faces, shift=3, first=-8))
+    with pytest.raises(MeshError, match="not there"):
+        load_mesh(tmp_path / "b.obj")
+
+
+def test_concave_polygons_with_negative_numbers(tmp_path):
+    part = "v {0} 0 0\nv {1} 2 0\nv {0} 1 0\nv {2} 2 0\nf -4 -3 -2 -1\n"
+    (tmp_path / "a.obj").write_text(part.format(0, 1, -1) + part.format(10, 12, 8))
+    report = inspect_mesh(load_mesh(tmp_path / "a.obj"))
+    assert (report.triangles, report.bounds) == (4, ((-1, 0, 0), (12, 2, 0)))
+    assert report.area == pytest.approx(1 + 2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("v ", "v\t").replace("f ", "f\t"),
+        lambda text: text.replace("f 2", "  f 2"),
+        lambda text: "  \t" + text.replace("\n", "\n  \t"),
+        lambda text: text.replace("v 1", "v\t1"),
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("\n", "\r\n ").replace("f ", "f\t"),
+        lambda text: text.replace("f 1 2", "f 1 \\\n 2"),
+    ],
+    ids=["tabs", "some indented", "all indented", "some tabs", "byte order mark", "CRLF", "continued"],
+)
+@pytest.mark.parametrize("faces", [TRIANGLES, SQUARES], ids=["triangles", "squares"])
+def test_obj_lines_with_other_white_space(faces, change, tmp_path):
+    (tmp_path / "a.obj").write_bytes(change(_obj(faces)).encode())
+    report = inspect_mesh(load_mesh(tmp_path / "a.obj"))
+    assert (report.triangles, report.vertices, report.closed, report.outward) == (12, 8, True, True)
