@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from sdm.errors import GridError, SDMError
@@ -34,7 +35,7 @@ class SDM:
 
     def numpy(self) -> np.ndarray:
         """The values on the host, (nx,ny,nz) float32."""
-        return self.values.detach().cpu().numpy()
+        return self.values.detach().to("cpu", torch.float32).numpy()
 
     def save(self, path: str | Path) -> None:
         """Write to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends; atomic. See `sdm.io`."""

@@ -101,8 +101,9 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
         tensor = torch.from_dlpack(array)
     else:
         host = _host_array(array, what)
-        # torch cannot hold views with negative strides, foreign byte orders or read-only memory safely.
-        if not host.flags.writeable or not host.dtype.isnative or any(s < 0 for s in host.strides):
+        # torch cannot hold views with negative strides, foreign byte orders or read-only memory safely, and no fields
+        # of packed records, as of PLY and STL files.
+        if not host.flags.writeable or not host.dtype.isnative or any(s < 0 or s % host.itemsize for s in host.strides):
             host = np.array(host, dtype=host.dtype.newbyteorder("="), order="C")
         tensor = torch.from_numpy(host)
     if tensor.is_complex() or tensor.dtype == torch.bool:

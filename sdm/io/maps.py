@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from sdm.errors import FormatError, SDMError
+from sdm.errors import FormatError, GridError, SDMError
 from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.io.atomic import replacing
@@ -150,6 +150,9 @@ def _reading(path: Path) -> Iterator[None]:
     """Whatever a library says about a damaged file, in one sentence."""
     try:
         yield
+    except GridError as error:
+        # Of a grid it is said what is wrong with it, but not whose it is.
+        raise GridError(f"{path}: {error}") from error
     except (SDMError, MemoryError):
         raise
     except OSError as error:

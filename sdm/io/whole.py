@@ -20,7 +20,8 @@ def check_whole(path: Path) -> None:
     """Look at a file for what its parser passes over.
 
     Raises:
-        MeshError: An STL, PLY or OFF file that holds less than it says, or an OBJ file with a face that uses vertex 0.
+        MeshError: An STL, PLY or OFF file that holds less than it says, a binary STL file that holds more, or an OBJ
+            file with a face that uses vertex 0.
     """
     check = {".stl": _stl, ".ply": _ply, ".off": _off, ".obj": _obj}.get(path.suffix.lower())
     if check is not None:
@@ -36,6 +37,8 @@ def _stl(path: Path, data: bytes) -> None:
             raise MeshError(f"{path} is cut off: it does not end with endsolid")
     elif len(data) >= STL_HEADER:
         _enough(path, (len(data) - STL_HEADER) // STL_FACE, said, "triangles")
+        # Its parser would look for text, and find nothing.
+        raise MeshError(f"{path} is damaged: its header promises {said} triangles, and more than these are there")
 
 
 def _ply(path: Path, data: bytes) -> None:

@@ -155,6 +155,12 @@ def test_a_nan_in_a_binary_file(tmp_path):
     refused(tmp_path / "a.stl", "must be finite")
 
 
+@pytest.mark.parametrize("said", [0, 5, 12])
+def test_a_binary_stl_with_more_than_it_says(said, tmp_path):
+    (tmp_path / "a.stl").write_bytes(STL[:80] + said.to_bytes(4, "little") + STL[84:] + b"more")
+    refused(tmp_path / "a.stl", f"promises {said} triangles")
+
+
 @pytest.mark.parametrize("face", ["1 2 9", "1 2 -9", "0 1 2", "1/1 0/1 2/1", "1//1 2//1 0//1", "1 2 00"])
 def test_obj_faces_out_of_range(face, tmp_path):
     (tmp_path / "a.obj").write_text(f"{OBJ}vt 0 0\nvn 0 0 1\nf 1 2 3\nf {face}\n")

@@ -38,6 +38,12 @@ def _with_gaps(array: np.ndarray) -> np.ndarray:
     return wide[::2, 1:6:2]
 
 
+def _packed(array: np.ndarray) -> np.ndarray:
+    records = np.zeros(len(array), [("count", "u1"), ("row", array.dtype, array.shape[1:])])
+    records["row"] = array
+    return records["row"]
+
+
 FORMS = {
     "float64": lambda a: a.astype(np.float64),
     "big-endian": lambda a: a.astype(a.dtype.newbyteorder(">")),
@@ -45,6 +51,7 @@ FORMS = {
     "backwards": lambda a: np.ascontiguousarray(a[::-1, ::-1])[::-1, ::-1],
     "column-major": np.asfortranarray,
     "read-only": _read_only,
+    "packed records": _packed,
     "long double": lambda a: a.astype(np.longdouble),
     "list": lambda a: a.tolist(),
     "tuples": lambda a: tuple(map(tuple, a.tolist())),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+import sdm
 from sdm.errors import GridError, SDMError
 from sdm.field import SDM
 from sdm.grid import Grid
@@ -66,3 +67,13 @@ def test_values_must_fit_the_grid():
 def test_numpy_detaches():
     values = torch.zeros(1, 1, 1, requires_grad=True)
     assert SDM(values, Grid((0, 0, 0), (1, 1, 1), (1, 1, 1))).numpy().tolist() == [[[0.0]]]
+
+
+@pytest.mark.parametrize("kind", [torch.bfloat16, torch.float16, torch.float64])
+def test_values_of_another_type_come_out_as_float32(kind, tmp_path):
+    field = ball(np.eye(3), shape=(3, 4, 5))
+    other = SDM(field.values.to(kind), field.grid)
+    assert other.numpy().dtype == np.float32
+    for ending in ("nii", "npz", "nrrd", "zarr", "nvdb"):
+        other.save(tmp_path / f"map.{ending}")
+        torch.testing.assert_close(sdm.load(tmp_path / f"map.{ending}").values, other.values.float(), rtol=0, atol=0)
