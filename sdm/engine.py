@@ -8,6 +8,7 @@ from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
 
 from sdm import ops  # noqa: F401 - registers the operators
 from sdm.device import choose_device, room_for
@@ -59,6 +60,7 @@ class MeshIndex:
     ) -> None:
         if orient not in ("keep", "auto"):
             raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
+        _refuse_forward_mode(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
         self.mesh = (orient_outward(mesh) if orient == "auto" else mesh).to(self.device)
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
@@ -84,6 +86,7 @@ class MeshIndex:
                 f"update was given vertices of shape {tuple(moved.shape)}, but {self.mesh.name} has "
                 f"{tuple(self.mesh.vertices.shape)}; build a new MeshIndex for another mesh"
             )
+        _refuse_forward_mode(moved)
         self.mesh = TriangleMesh(moved, self.mesh.faces, self.mesh.name)
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()
@@ -188,6 +191,7 @@ def signed_distance_map(
     if orient == "keep":
         mesh = mesh.to(choose_device(device, mesh.vertices))
         if is_replayable(mesh.vertices, grid):
+            _refuse_forward_mode(mesh.vertices)
             with room_for(grid.nbytes, mesh.device, _described(grid)):
                 values, ambiguous = map_of(mesh.vertices, mesh.faces, grid)
             return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
@@ -222,6 +226,7 @@ def signed_distance(
         Differentiable in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex
         minus the closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
     """
+    _refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
     return _at_points(mesh.to(where), points, return_closest, [], 0)
 
@@ -241,6 +246,7 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
     """
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
+    _refuse_forward_mode(batch)
     shared = as_tensor(faces, torch.int32, "the faces", device=where)
     if batch.ndim != 3 or batch.shape[2] != 3 or batch.shape[0] == 0:
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
@@ -258,7 +264,16 @@ def _as_points(points: Any, device: torch.device) -> Tensor:
     at = as_tensor(points, torch.float32, "the points", device=device)
     if at.ndim == 0 or at.shape[-1] != 3:
         raise MeshError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
+    _refuse_forward_mode(at)
     return at
+
+
+def _refuse_forward_mode(tensor: Tensor) -> None:
+    # Torch would take the derivatives of operators like these for zero, without a word.
+    if not torch.compiler.is_compiling() and unpack_dual(tensor).tangent is not None:
+        raise NotImplementedError(
+            "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
+        )
 
 
 def _at_points(
