@@ -13,6 +13,7 @@ VERTEX = re.compile(rb"\nv ")
 FACE = re.compile(rb"\nf [^\n]*")
 BACKWARD_FACE = re.compile(rb"\nf [^\n-]*-")
 BACKWARD = re.compile(rb"(?<=[ \t])-\d+")
+TEXTURE_AND_NORMAL = re.compile(rb"/[^ \t]*")
 
 
 def plain_obj(data: bytes) -> bytes:
@@ -49,3 +50,8 @@ def _counted_forward(text: bytes) -> bytes:
         return BACKWARD.sub(number, face[0])
 
     return FACE.sub(forward, text)
+
+
+def without_textures(text: bytes) -> bytes:
+    """The text of an OBJ file with the numbers of vertices alone in its faces."""
+    return FACE.sub(lambda face: TEXTURE_AND_NORMAL.sub(b"", face[0]), text)

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from sdm.io.ear_clipping import cut, find_wrong_fans
-from sdm.io.obj_text import plain_obj
+from sdm.io.obj_text import plain_obj, without_textures
 
 # With the end of the line before: a search for plain text is much faster than one for the begin of a line.
 OBJ_VERTEX = re.compile(rb"\nv [ \t]*(\S+)[ \t]+(\S+)[ \t]+(\S+)")
 OBJ_POLYGON = re.compile(rb"\nf((?:[ \t]+[^\s#]+){4,})[ \t]*(?=\n|\Z)")
+# From so many corners on, trimesh takes a face for one with fewer whose corners have texture and normal, if all of a
+# material have as many numbers: six corners of two numbers for four of three.
+OBJ_MISTAKEN = 6
 OFF_COMMENT = re.compile(rb"#[^\n]*")
 OFF_TRIANGLE = (b"3 ", b"3\t")
 PLY_NAMES = ("vertex_index", "vertex_indices")
@@ -45,6 +48,10 @@ def _obj(data: bytes) -> bytes | None:
     lines = list(OBJ_POLYGON.finditer(data))
     if not lines:
         return None
+    bare = b"/" in data and max(len(line[1].split()) for line in lines) >= OBJ_MISTAKEN
+    if bare:
+        data = without_textures(data)
+        lines = list(OBJ_POLYGON.finditer(data))
     vertices = np.array(OBJ_VERTEX.findall(data)).astype(np.float64)
     corners = [line[1].split() for line in lines]
     # Counted from 1.
@@ -55,7 +62,7 @@ def _obj(data: bytes) -> bytes | None:
         triangles = cut(vertices[polygons[number]])
         parts += [data[done : line.start()], b"".join(b"\nf " + b" ".join(names[n] for n in t) for t in triangles)]
         done = line.end()
-    return b"".join([*parts, data[done:]]) if parts else None
+    return b"".join([*parts, data[done:]]) if parts or bare else None
 
 
 def _off(data: bytes) -> bytes | None:

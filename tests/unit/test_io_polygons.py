@@ -182,3 +182,18 @@ def test_corners_on_a_line_and_a_hole_with_a_bridge():
 def test_a_polygon_that_cuts_itself_is_a_fan():
     corners = np.array([(0, 0, 0), (2, 2, 0), (2, 0, 0), (0, 3, 0), (-1, 1, 0.5)], float)
     assert cut(corners) == [(0, 1, 2), (0, 2, 3), (0, 3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("style", "corners", "hexagon"),
+    [("{}/1/1", (1, 2, 3, 4), "{}//1"), ("{}/1/1", (1, 2, 3, 4), "{}/1"), ("{}//1", (1, 2, 3), "{}")],
+)
+def test_faces_of_an_obj_with_as_many_numbers_but_other_corners(style, corners, hexagon, tmp_path):
+    text = (
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 7 1 0\nv 6 2 0\nv 5 2 0\nv 4 1 0\nvt 0 0\nvn 0 0 1\n"
+    )
+    faces = [[style.format(number) for number in corners], [hexagon.format(number) for number in range(5, 11)]]
+    (tmp_path / "a.obj").write_text(text + "".join(f"f {' '.join(face)}\n" for face in faces))
+    report = inspect_mesh(load_mesh(tmp_path / "a.obj"))
+    assert (report.triangles, report.bounds) == (len(corners) - 2 + 4, ((0, 0, 0), (7, 2, 0)))
+    assert report.area == pytest.approx((len(corners) - 2) / 2 + 4)
