@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from sdm.errors import MeshError
+from sdm.io.gltf import check_gltf
 
 STL_HEADER, STL_FACE = 84, 50
 # A face that uses vertex 0: OBJ counts from 1, and trimesh takes 0 for 1.
@@ -20,10 +21,10 @@ def check_whole(path: Path) -> None:
     """Look at a file for what its parser passes over.
 
     Raises:
-        MeshError: An STL, PLY or OFF file that holds less than it says, a binary STL file that holds more, or an OBJ
-            file with a face that uses vertex 0.
+        MeshError: An STL, PLY or OFF file that holds less than it says, a binary STL file that holds more, an OBJ file
+            with a face that uses vertex 0, or a glTF file of a kind that would be read wrongly.
     """
-    check = {".stl": _stl, ".ply": _ply, ".off": _off, ".obj": _obj}.get(path.suffix.lower())
+    check = CHECKS.get(path.suffix.lower())
     if check is not None:
         check(path, path.read_bytes())
 
@@ -69,3 +70,6 @@ def _obj(path: Path, data: bytes) -> None:
 def _enough(path: Path, found: int, said: int, what: str) -> None:
     if found < said:
         raise MeshError(f"{path} is cut off or damaged: its header promises {said} {what}, and {found} are there")
+
+
+CHECKS = {".stl": _stl, ".ply": _ply, ".off": _off, ".obj": _obj, ".glb": check_gltf, ".gltf": check_gltf}

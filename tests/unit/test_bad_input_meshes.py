@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import logging
 import os
 from typing import Any
@@ -213,3 +214,41 @@ def test_a_bad_file_prints_nothing(tmp_path, capfd):
     (tmp_path / "a.ply").write_text("hello")
     refused(tmp_path / "a.ply")
     assert capfd.readouterr() == ("", "")
+
+
+def _gltf(path, change) -> None:
+    scene: Any = trimesh.Scene(trimesh.creation.box()).export(file_type="glb")
+    begin, size = 20, int.from_bytes(scene[12:16], "little")
+    document = json.loads(scene[begin : begin + size])
+    primitive = document["meshes"][0]["primitives"][0]
+    change(document, primitive, document["accessors"][primitive["attributes"]["POSITION"]])
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = scene[begin + size :]
+    head = scene[:8] + (begin + len(text) + len(rest)).to_bytes(4, "little") + len(text).to_bytes(4, "little")
+    path.write_bytes(head + scene[16:20] + text + rest)
+
+
+def _draco(document, primitive, vertices) -> None:
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    vertices.pop("bufferView")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_draco, "Draco"),
+        (lambda _, primitive, vertices: vertices.update(sparse={"count": 1}), "sparse"),
+        (lambda _, primitive, vertices: vertices.update(normalized=True, componentType=5123), "normalized"),
+        (lambda _, primitive, vertices: primitive.update(mode=6), "fans"),
+        (lambda document, *_: document["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}), "instances"),
+    ],
+    ids=["Draco", "sparse", "normalized", "fan", "instances"],
+)
+def test_gltf_that_would_be_read_wrongly(change, words, tmp_path, monkeypatch):
+    # With DracoPy, trimesh reads what Draco compressed.
+    monkeypatch.setattr("sdm.io.gltf.find_spec", lambda name: None)
+    _gltf(tmp_path / "a.glb", lambda *_: None)
+    assert len(load_mesh(tmp_path / "a.glb")) == 12
+    _gltf(tmp_path / "b.glb", change)
+    refused(tmp_path / "b.glb", words, "are not read")
