@@ -72,7 +72,8 @@ def _flush(path: Path) -> None:
 
 
 def _take_place(part: Path, target: Path) -> None:
-    if not (part.is_dir() and target.exists()):
+    # A link that leads nowhere is in the way of a folder too.
+    if not (part.is_dir() and (target.exists() or target.is_symlink())):
         part.replace(target)
         return
     if exchange(part, target):
@@ -89,7 +90,8 @@ def _take_place(part: Path, target: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    # What a link leads to is not ours.
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
         return
     try:

@@ -37,7 +37,8 @@ def load_mesh(path: str | Path) -> TriangleMesh:
 
     Raises:
         MeshError: No such file, a folder, an ending that is not known, a file that is damaged or holds no triangles,
-            a coordinate that is not finite, or a face index out of range.
+            a coordinate that is not finite, a face index out of range, or triangles that trimesh would lose or
+            misplace (glTF files with Draco compression, sparse accessors, normalized integers, fans or instances).
     """
     source = Path(path)
     _check_file(source)

@@ -207,3 +207,23 @@ def test_paths_without_a_name(path):
         pass
     with pytest.raises(FormatError, match="is a folder; give a name in it"):
         atomic.try_to_write(Path(path))
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("in_one_step", [True, False])
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_link_gives_way_and_what_it_leads_to_stays(ending, in_one_step, there, tmp_path, monkeypatch):
+    if not in_one_step:
+        monkeypatch.setattr(atomic, "exchange", lambda one, other: False)
+    (tmp_path / "far").mkdir()
+    far, near = tmp_path / "far" / f"map.{ending}", tmp_path / f"map.{ending}"
+    if there:
+        save(FIELD, far)
+    near.symlink_to(far)
+    save(SDM(FIELD.values + 1, GRID, 0), near)
+    assert torch.equal(load(near).values, FIELD.values + 1)
+    assert not near.is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far", near.name]
+    assert far.exists() == there
+    if there:
+        assert torch.equal(load(far).values, FIELD.values)
