@@ -42,7 +42,7 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None) -> No
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
     with held(path) as holder:
-        image = _load(path, holder)
+        image = opened(path, holder)
         grid, count = _geometry(image, path)
         values = np.asanyarray(image.dataobj).reshape(grid.shape)
         return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
@@ -50,12 +50,12 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
-    return _geometry(_load(path), path)[0]
+    return _geometry(opened(path), path)[0]
 
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
-    kept = (_said(extension.get_content()) for extension in _load(path).header.extensions)
+    kept = (_said(extension.get_content()) for extension in opened(path).header.extensions)
     return next((found for found in kept if found is not None), None)
 
 
@@ -74,7 +74,12 @@ def _image(field: SDM, made_from: str | None) -> Any:
     return image
 
 
-def _load(path: Path, holder: FileHolder | None = None) -> Any:
+def opened(path: Path, holder: FileHolder | None = None) -> Any:
+    """An image of NIfTI-1 or NIfTI-2, whose values are not yet read.
+
+    Raises:
+        FormatError: It is neither.
+    """
     # By content, since nibabel's own search for the file is particular about capitals.
     with ImageOpener(str(path)) as file:
         head = file.read(Nifti2Header.template_dtype.itemsize)
