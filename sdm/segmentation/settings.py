@@ -95,6 +95,11 @@ class Settings:
             if share is not None and not 0 <= share < 1:
                 raise SDMError(f"{name} is a share from 0 to less than 1, not {share}")
 
+    @property
+    def mirrored(self) -> str:
+        """The axes along which patches were mirrored: `mirrors` is for augmentations that turn freely alone."""
+        return {"none": "", "published": "xy"}.get(self.augment, self.mirrors)
+
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step."""
         warm = max(1, self.steps // 20)
