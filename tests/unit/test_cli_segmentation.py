@@ -115,6 +115,17 @@ def test_images_of_another_voxel_size_are_refused(trained, tmp_path, capsys):
     assert "a.nii.gz has voxels of 2 x 2 x 2 mm" in refused([*words, "--out", str(tmp_path / "out")], capsys)
 
 
+def test_a_network_of_a_newer_program_is_one_sentence(trained, tmp_path, capsys):
+    import torch
+
+    state = torch.load(trained / "net" / "model.pt", weights_only=True)
+    state["settings"]["novel"] = 1
+    torch.save(state, tmp_path / "model.pt")
+    words = ["segment", str(trained / "data" / "imagesTs"), "--model", str(tmp_path / "model.pt")]
+    said = refused([*words, "--out", str(tmp_path / "out")], capsys)
+    assert "model.pt has settings that this program does not know" in said
+
+
 def test_labels_that_do_not_fit(trained, tmp_path, capsys):
     truths = trained / "data" / "labelsTr"
     (tmp_path / "p").mkdir()
@@ -178,6 +189,19 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert "failed, for one of the two labels is empty: case0" in said
 
 
+def test_where_both_labels_are_empty_nothing_has_failed(tmp_path, capsys):
+    for folder in ("p", "t"):
+        (tmp_path / folder).mkdir()
+        for name, label in (("full", volume(0)[1]), ("none", np.zeros(SHAPE, np.uint8))):
+            nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / folder / f"{name}.nii.gz")
+    assert main(["evaluate", str(tmp_path / "p"), str(tmp_path / "t")]) == 0
+    said = capsys.readouterr().out
+    assert "| none | - | - | - | - | - | - |" in said
+    assert "| mean of 2 | 100.00 | 100.00 | 100.00 | 0.00 | 0.00 | 0.00 |" in said
+    assert "failed" not in said
+    assert "in no mean, for both labels are empty: none" in said
+
+
 @pytest.mark.parametrize("name", ["", "nowhere/scores.json", "folder"])
 def test_a_place_for_scores_that_cannot_be_is_refused_before_they_are_made(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -235,6 +259,24 @@ def test_mirror_images_are_those_of_the_training(trained, tmp_path, capsys):
     both = [str(trained / "net" / "model.pt"), "--model", str(tmp_path / "model.pt")]
     assert "leave out --mirrors" in refused([*segment, *both], capsys)
     assert main([*segment, str(trained / "net" / "model.pt")]) == 0
+
+
+@pytest.mark.parametrize("augment", ["none", "published"])
+def test_mirror_images_are_those_of_the_augmentation(augment, trained, tmp_path, capsys):
+    from sdm.segmentation import load_model, predict, predict_ensemble
+    from sdm.segmentation.folder import read_images
+
+    data, images = str(trained / "data"), trained / "data" / "imagesTs"
+    words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    assert main([*words, "--augment", augment]) == 0
+    capsys.readouterr()
+    segment = ["segment", str(images), "--out", str(tmp_path / "out"), "--mirrors", "--model"]
+    if augment == "none":
+        assert "leave out --mirrors" in refused([*segment, str(tmp_path / "model.pt")], capsys)
+        return
+    trained_so, (case,) = load_model(tmp_path / "model.pt"), read_images([images])
+    expected = predict(trained_so.model, case.image, (16, 16, 16), mirrors="xy").field
+    assert predict_ensemble([trained_so], case.image, mirrors=True).field.equal(expected)
 
 
 def test_several_networks_together(trained, tmp_path, capsys):
