@@ -86,6 +86,13 @@ def refused(words, capsys) -> str:
     return said.err
 
 
+def test_a_network_that_cannot_be_written_is_not_trained(trained, tmp_path, capsys):
+    (tmp_path / "model.pt").mkdir()
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path), *QUICK]
+    capsys.readouterr()
+    assert "model.pt cannot be written: a folder of that name is there" in refused([*words, "--steps", "2"], capsys)
+
+
 def test_bad_cases_are_refused_before_training(tmp_path, capsys):
     image, label = volume(0)
     write_hdf5(tmp_path / "data" / "good.h5", image, label)
