@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from sdm.device import plain_defaults
 from sdm.errors import SDMError
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.methods import METHODS
@@ -114,16 +115,17 @@ class Settings:
         return {**asdict(self), "patch": list(self.patch)}
 
     def network(self) -> SegmentationModel:
-        """The network, not trained."""
-        return SegmentationModel(
-            METHODS[self.method],
-            self.architecture,
-            filters=self.filters,
-            dropout=self.dropout,
-            last_dropout=self.last_dropout,
-            position=self.position,
-            coarsen=self.coarsen,
-        )
+        """The network, not trained, float32 on the host."""
+        with plain_defaults():
+            return SegmentationModel(
+                METHODS[self.method],
+                self.architecture,
+                filters=self.filters,
+                dropout=self.dropout,
+                last_dropout=self.last_dropout,
+                position=self.position,
+                coarsen=self.coarsen,
+            )
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Settings:
