@@ -33,10 +33,13 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         _image(field, made_from).to_stream(file)
 
 
-def write_compressed(field: SDM, path: Path, made_from: str | None = None) -> None:
-    """Write `.nii.gz`. The same map gives the same bytes: no name, no time."""
+def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
+    """Write `.nii.gz`. The same map gives the same bytes: no name, no time.
+
+    `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
+    """
     with path.open("wb") as file, gzip.GzipFile("", "wb", compresslevel=1, fileobj=file, mtime=0) as packed:
-        _image(field, made_from).to_stream(packed)
+        _image(field, made_from, space).to_stream(packed)
 
 
 def read(path: Path) -> SDM:
@@ -59,7 +62,7 @@ def read_record(path: Path) -> Any:
     return next((found for found in kept if found is not None), None)
 
 
-def _image(field: SDM, made_from: str | None) -> Any:
+def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     affine = field.grid.affine
     large = max(field.grid.shape) > LARGEST_NIFTI_1
     values = field.numpy().astype(np.float32, copy=False)
@@ -67,8 +70,8 @@ def _image(field: SDM, made_from: str | None) -> Any:
     image.header.set_xyzt_units("mm", "unknown")
     image.header["descrip"] = b"signed distance, negative inside"
     image.header.set_intent("estimate", name="distance")
-    image.set_sform(affine, SCANNER)
-    image.set_qform(affine, SCANNER)
+    image.set_sform(affine, space)
+    image.set_qform(affine, space)
     text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels, made_from)}, separators=(",", ":"))
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image

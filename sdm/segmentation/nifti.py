@@ -43,11 +43,11 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
         FormatError: A file cannot be read, is not of three dimensions, holds no plain numbers, or lies elsewhere than
             its label; or the label has values that are not whole numbers.
     """
-    image, affine = _volume(path)
+    image, affine, space = _volume(path)
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
     mask = None
     if label is not None:
-        mask, other = _volume(label)
+        mask, other, _ = _volume(label)
         size = np.linalg.norm(other[:3, :3], axis=0)
         if not np.allclose(size, spacing, rtol=TOLERANCE):
             raise FormatError(f"{label} has voxels of {_lengths(size)} mm, but its image of {_lengths(spacing)} mm")
@@ -60,10 +60,12 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=affine,
         source=path,
+        space=space,
     )
 
 
-def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+    """Values, affine in mm, and the number of its space."""
     try:
         with held(path) as holder:
             image = opened(path, holder)
@@ -82,7 +84,7 @@ def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     if not (np.isfinite(affine).all() and (np.linalg.norm(affine[:3, :3], axis=0) > 0).all()):
         raise FormatError(f"{path} has no usable voxel size in its header")
     affine[:3] *= MILLIMETRES.get(int(image.header["xyzt_units"]) & 7, 1.0)
-    return values, affine
+    return values, affine, int(image.header["sform_code"]) or int(image.header["qform_code"])
 
 
 def _lengths(sizes: np.ndarray) -> str:

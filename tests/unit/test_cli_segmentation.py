@@ -234,6 +234,29 @@ def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_
     assert list(tmp_path.iterdir()) == [label]
 
 
+@pytest.mark.parametrize("codes", [(0, 0), (0, 1), (4, 0), (2, 1)])
+def test_results_lie_in_the_space_of_their_image(codes, tmp_path):
+    """Where the header leaves the place open, so do the results: programs guess it in more than one way."""
+    import torch
+
+    from sdm.segmentation import write_prediction
+    from sdm.segmentation.folder import read_images
+
+    sform, qform = codes
+    image = nib.Nifti1Image(volume(0)[0], AFFINE)
+    image.set_sform(AFFINE, sform)
+    image.set_qform(AFFINE, qform)
+    nib.save(image, tmp_path / "a.nii.gz")
+    (case,) = read_images([tmp_path / "a.nii.gz"])
+    (tmp_path / "out").mkdir()
+    for path in write_prediction(case, torch.from_numpy(volume(0)[1] != 0), tmp_path / "out"):
+        assert path is not None
+        found = nib.load(path)
+        assert {int(found.header[name]) for name in ("sform_code", "qform_code")} == {sform or qform}
+        assert np.allclose(found.affine, nib.load(tmp_path / "a.nii.gz").affine, atol=1e-5)
+    assert np.allclose(sdm.load(path).grid.affine, case.affine, atol=1e-5)
+
+
 def test_a_label_is_not_written_over_by_a_distance_map(trained, tmp_path, capsys):
     capsys.readouterr()
     paths = [str(tmp_path / f"{name}.nii.gz") for name in ("a_sdm", "a")]
