@@ -54,7 +54,8 @@ def segment(
     from sdm.errors import FormatError, SDMError
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
     from sdm.segmentation.checks import check_image
-    from sdm.segmentation.folder import PARTS, label_files, read_images
+    from sdm.segmentation.folder import PARTS, read_images
+    from sdm.segmentation.nifti import nifti_files
     from sdm.segmentation.write import prediction_files
 
     if not model:
@@ -75,7 +76,7 @@ def segment(
         raise FormatError(f"{twice} would be one image's label and another's distance map: segment them apart")
     # nnU-Net has the true labels in a folder beside that of the images, under the names of those to write.
     beside = {case.source.absolute().parent.parent / masks for case in cases for _, _, masks in PARTS.values()}
-    truths = [path for folder in beside for path in label_files(folder).values()]
+    truths = [path for folder in beside for path in nifti_files(folder)]
     refuse_inputs(targets, [*(case.source for case in cases), *truths, *model])
     out.mkdir(parents=True, exist_ok=True)
     empty = []

@@ -163,6 +163,15 @@ def test_what_is_no_label_is_not_scored(value, words, tmp_path, capsys):
         assert "soft" in said
 
 
+def test_of_two_labels_of_one_name_none_is_chosen(tmp_path, capsys):
+    for name, label in (("p/a.nii.gz", volume(0)[1]), ("t/a.nii.gz", volume(0)[1]), ("t/a.nii", volume(1)[1])):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / name)
+    for pair in (["p", "t"], ["t", "p"]):
+        said = refused(["evaluate", *(str(tmp_path / name) for name in pair)], capsys)
+        assert "a.nii and a.nii.gz have one name" in said
+
+
 def test_labels_as_scaled_integers_are_scored(tmp_path, capsys):
     label = volume(0)[1]
     nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / "label.nii.gz")

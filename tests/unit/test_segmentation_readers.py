@@ -91,6 +91,14 @@ def of_no_type(folder):
     (folder / "imagesTr" / "case0_0000.nii.gz").write_bytes(gzip.compress(bytes(data)))
 
 
+def label_twice(folder):
+    nib.save(nib.Nifti1Image(volume(0)[1], AFFINE), folder / "labelsTr" / "case0.nii")
+
+
+def image_twice(folder):
+    nib.save(nib.Nifti1Image(volume(0)[0], AFFINE), folder / "imagesTr" / "case0_0000.nii")
+
+
 BROKEN = {
     broken_nifti: "case0_0000.nii.gz cannot be read",
     missing_label: "case0_0000.nii.gz has no label",
@@ -98,6 +106,8 @@ BROKEN = {
     moved_label: "case0.nii.gz lies elsewhere in space",
     second_channel: "case0_0001.nii.gz is a second channel",
     unnumbered: "call it case0_0000.nii.gz",
+    label_twice: "case0.nii and case0.nii.gz have one name: take one of them out",
+    image_twice: "case0_0000.nii and case0_0000.nii.gz have one name",
     of_colours: "case0_0000.nii.gz has values of type .*: plain numbers are needed",
     of_complex_numbers: "case0_0000.nii.gz has values of type complex64: plain numbers are needed",
     of_no_type: "case0_0000.nii.gz cannot be read as NIfTI: data code 0 not supported",
