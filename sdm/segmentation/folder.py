@@ -24,7 +24,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
     Args:
         folder: HDF5 files (see `read_hdf5`), or nnU-Net's `imagesTr/NAME_0000.nii.gz` with `labelsTr/NAME.nii.gz`.
         part: "train" or "val": the sub-folder of that name, or `imagesTr`/`imagesTs` with their labels. If there are
-            no such sub-folders, "train" is the folder itself. None: whatever images there are.
+            no such sub-folders, "train" is the folder itself. None: as "train", or NIfTI files in the folder itself.
         labels: Whether every image must have a label.
 
     Raises:
@@ -41,7 +41,9 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
         return _pairs(folder / images, folder / masks, labels)
     if part is None and (files := nifti_files(folder)):
         return [read_nifti(path, name=stem_of(path).removesuffix(CHANNEL)) for path in files]
-    raise FormatError(f"{folder} holds no cases{'' if part is None else f' to {part}'}: give a folder with {LAYOUTS}")
+    if part is None:
+        raise FormatError(f"{folder} holds no images: give the folder that NIfTI or HDF5 files are in")
+    raise FormatError(f"{folder} holds no cases to {part}: give a folder with {LAYOUTS}")
 
 
 def has_part(folder: Path, part: str) -> bool:
