@@ -93,6 +93,10 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["encode", "{few}", "--scan", "-m", "{model}", "-o", "x.npz"], "has 50 points; at least 100 are needed"),
         (["encode", "{nan}", "--scan", "-m", "{model}", "-o", "x.npz"], "1 of the points are not finite"),
         (["encode", "{wide}", "--scan", "-m", "{model}", "-o", "x.npz"], "(N, 3), or (N, 6) with normals, is needed"),
+        (
+            ["encode", "{new}", "--scan", "--sphere", "0", "0", "0", "4", "-m", "{model}", "-o", "x.npz"],
+            "642 of the 642 points of the scan are outside the sphere with centre (0.0, 0.0, 0.0) and radius 4.0",
+        ),
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply"], "the code has 3 numbers; this model's codes have"),
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply", "--to", "{short}"], "does not end like a picture"),
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
