@@ -103,6 +103,18 @@ def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def plain_defaults() -> Iterator[None]:
+    """float32 on the host, whatever torch's default type and device are the caller's: networks are made by them."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with torch.device("cpu"):
+            yield
+    finally:
+        torch.set_default_dtype(before)
+
+
 def _refuse_beyond(free: int, needed: int, device: torch.device, what: str) -> None:
     if needed > free:
         raise GridError(

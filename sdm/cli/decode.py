@@ -37,14 +37,18 @@ def decode(
     from sdm.deepsdf import DeepSDF, decode_mesh, interpolation_strip, load_code, render, save_picture
     from sdm.errors import FormatError
     from sdm.grid import Grid
-    from sdm.io.formats import check_target
+    from sdm.io.formats import FORMATS, check_file, check_target, is_map_name
     from sdm.io.meshes import write_ply
 
     if to is not None and out.suffix != ".png":
         raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")
     refuse_inputs([out], [code, model, to])
-    if out.suffix not in (".ply", ".png"):
+    if out.suffix in (".ply", ".png"):
+        check_file(out)
+    elif is_map_name(out):
         check_target(out)
+    else:
+        raise FormatError(f"{out} is no name for a result: use one of .ply, .png, .{', .'.join(FORMATS)}")
     shape, found = load_code(code), DeepSDF.load(model, device)
     if to is not None:
         picture = interpolation_strip(found, shape.code, load_code(to).code, count=count, size=resolution)

@@ -46,6 +46,7 @@ def encode(
     from sdm.deepsdf import DeepSDF, encode_meshes, encode_scan, save_code
     from sdm.errors import FormatError, SDMError
     from sdm.io import load_mesh
+    from sdm.io.formats import check_file
     from sdm.sampling import UnitSphere
 
     if not shapes:
@@ -60,14 +61,18 @@ def encode(
     refuse_inputs(targets, [*sources, model])
     given = None if sphere is None else UnitSphere(sphere[:3], sphere[3])
     found = DeepSDF.load(model, device)
-    if scan:
-        codes = [encode_scan(found, *_points(path), sphere=given, steps=steps, seed=seed) for path in sources]
-    else:
-        meshes = [load_mesh(path) for path in sources]
-        spheres = None if given is None else [given] * len(meshes)
-        codes = encode_meshes(found, meshes, steps=steps, seed=seed, spheres=spheres)
+    scans = [_points(path) for path in sources] if scan else []
+    meshes = [] if scan else [load_mesh(path) for path in sources]
     if len(shapes) > 1:
         out.mkdir(parents=True, exist_ok=True)
+    # Before the search, which takes minutes.
+    for target in targets:
+        check_file(target)
+    if scan:
+        codes = [encode_scan(found, *points, sphere=given, steps=steps, seed=seed) for points in scans]
+    else:
+        spheres = None if given is None else [given] * len(meshes)
+        codes = encode_meshes(found, meshes, steps=steps, seed=seed, spheres=spheres)
     for target, code in zip(targets, codes, strict=True):
         save_code(code, target)
         print(f"{target}: {found.code_size} numbers, sphere of radius {code.sphere.radius:.4g}")

@@ -20,12 +20,12 @@ def evaluate(
 
     Dice, Jaccard, Dice near the contour (5 voxels), 95 percent Hausdorff distance, average and root mean square
     symmetric surface distance. An empty prediction is a failure: overlap 0, distances infinite; it is left out of the
-    means of distances, and counted there.
+    means of distances, and counted there. Where both labels are empty nothing can be said, and no mean has the case.
 
     Args:
         predictions: A NIfTI label, or a folder of them; files that end in _sdm are not looked at.
         truths: The true label, or a folder with labels of the same names (NIfTI, or HDF5 with a data set label).
-        json: File for the scores of every case; a distance that is infinite is null.
+        json: File for the scores of every case; what is infinite or unknown is null.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import math
@@ -61,4 +61,7 @@ def evaluate(
     failed = [name for name, case in scores.items() if case["failed"]]
     if failed:
         print(f"failed, for one of the two labels is empty: {', '.join(failed)}")
+    nothing = [name for name, case in scores.items() if math.isnan(case["dice"])]
+    if nothing:
+        print(f"in no mean, for both labels are empty: {', '.join(nothing)}")
     return None

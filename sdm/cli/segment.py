@@ -52,10 +52,10 @@ def segment(
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
     from sdm.errors import FormatError, SDMError
-    from sdm.grid import Grid
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
-    from sdm.segmentation.checks import check_spacing
-    from sdm.segmentation.folder import PARTS, label_files, read_images
+    from sdm.segmentation.checks import check_image
+    from sdm.segmentation.folder import PARTS, read_images
+    from sdm.segmentation.nifti import nifti_files
     from sdm.segmentation.write import prediction_files
 
     if not model:
@@ -64,19 +64,19 @@ def segment(
     trained = [load_model(path, where) for path in model]
     check_ensemble(trained, model)
     for path, one in zip(model, trained, strict=True):
-        if mirrors and not one.settings.mirrors:
+        if mirrors and not one.settings.mirrored:
             raise SDMError(f"{path} has seen no mirror images in its training: leave out --mirrors")
     cases = read_images(images)
     for case in cases:
         for one in trained:
-            check_spacing(case, one.spacing)
-        Grid.from_affine(case.affine, case.image.shape)
+            check_image(case, one.spacing)
     targets = [path for case in cases for path in prediction_files(case, out)]
     twice = next((path for path, count in Counter(targets).items() if count > 1), None)
     if twice is not None:
         raise FormatError(f"{twice} would be one image's label and another's distance map: segment them apart")
-    # nnU-Net's folder has the true labels beside the images, under the names of those to write.
-    truths = [path for place in images for path in label_files(place / PARTS["train"][2]).values()]
+    # nnU-Net has the true labels in a folder beside that of the images, under the names of those to write.
+    beside = {case.source.absolute().parent.parent / masks for case in cases for _, _, masks in PARTS.values()}
+    truths = [path for folder in beside for path in nifti_files(folder)]
     refuse_inputs(targets, [*(case.source for case in cases), *truths, *model])
     out.mkdir(parents=True, exist_ok=True)
     empty = []

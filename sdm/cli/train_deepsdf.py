@@ -54,10 +54,11 @@ def deepsdf(
     from sdm.budget import check_budget
     from sdm.cli.meter import Meter
     from sdm.deepsdf import train
-    from sdm.deepsdf.checkpoint import refuse_unfinished
+    from sdm.deepsdf.checkpoint import MODEL, refuse_unfinished
     from sdm.deepsdf.ranks import is_first, process_group
     from sdm.deepsdf.settings import VARIANTS
     from sdm.errors import SDMError
+    from sdm.io.formats import check_file
     from sdm.sampling import ShapeSet
 
     given = {"epochs": epochs, "shapes": shapes, "points": points, "width": width, "seed": seed}
@@ -69,6 +70,9 @@ def deepsdf(
         refuse_unfinished(out)
     with process_group(device) as where:
         found = ShapeSet(_meshes(source, count), where)
+        # Before the training, not at its first checkpoint.
+        out.mkdir(parents=True, exist_ok=True)
+        check_file(out / MODEL)
         with Meter("steps") as meter:
             path = train(
                 found,

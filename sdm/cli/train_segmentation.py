@@ -82,6 +82,7 @@ def segmentation(
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
     from sdm.errors import FormatError
+    from sdm.io.formats import check_file
     from sdm.segmentation import (
         Patches,
         Settings,
@@ -129,6 +130,7 @@ def segmentation(
     if others:
         check_cases(others, spacing=cases[0].spacing)
     out.mkdir(parents=True, exist_ok=True)
+    check_file(out / "model.pt")
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with Meter("steps") as meter:

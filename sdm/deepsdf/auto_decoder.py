@@ -22,9 +22,9 @@ class AutoDecoder(nn.Module):
         super().__init__()
         self.settings = settings
         self.decoder = make_decoder(settings)
-        generator = torch.Generator().manual_seed(torch_seed(settings.seed))
-        start = settings.code_deviation * torch.randn(count, settings.code_size, generator=generator)
-        self.codes = nn.Parameter(start)
+        generator = torch.Generator("cpu").manual_seed(torch_seed(settings.seed))
+        start = torch.randn(count, settings.code_size, generator=generator, dtype=torch.float32, device="cpu")
+        self.codes = nn.Parameter(settings.code_deviation * start)
 
     def forward(self, shapes: Tensor, points: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
         """The data's loss and the codes' mean squared length: scalars, for shapes (B,), (B,N,3) and (B,N)."""

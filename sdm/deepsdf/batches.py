@@ -37,7 +37,8 @@ class Batches:
     def __getitem__(self, step: int) -> Tensor:
         """The shapes (B,) int64 of this process in a step, on the host."""
         epoch, place = divmod(step, self.per_epoch)
-        order = torch.randperm(self._count, generator=torch.Generator().manual_seed(mixed(self._seed, epoch)))
+        generator = torch.Generator("cpu").manual_seed(mixed(self._seed, epoch))
+        order = torch.randperm(self._count, generator=generator, device="cpu")
         return order[place * self._size : (place + 1) * self._size][self._rank :: self._world]
 
 

@@ -1,4 +1,4 @@
-"""Codes as files: the code, where the shape is, and which model it belongs to."""
+"""Codes as files: the code, and where the shape is."""
 
 from __future__ import annotations
 

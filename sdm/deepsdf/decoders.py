@@ -11,6 +11,7 @@ from torch.nn.functional import dropout, grid_sample, linear, relu, silu
 from torch.nn.utils.parametrizations import weight_norm
 
 from sdm.deepsdf.settings import Settings
+from sdm.device import plain_defaults
 from sdm.seeds import torch_seed
 
 # Which layer of the published network sees code and point again.
@@ -91,7 +92,7 @@ class LocalDecoder(nn.Module):
     def _encoded(self, points: Tensor) -> Tensor:
         if not self.frequencies:
             return points
-        octaves = math.pi * 2.0 ** torch.arange(self.frequencies, device=points.device)
+        octaves = math.pi * 2.0 ** torch.arange(self.frequencies, device=points.device, dtype=points.dtype)
         angles = (points[..., None] * octaves).flatten(-2)
         return torch.cat([points, angles.sin(), angles.cos()], -1)
 
@@ -109,6 +110,6 @@ class LocalDecoder(nn.Module):
 
 def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
     """The network of these settings, with weights that are a function of the seed."""
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), plain_defaults():
         torch.manual_seed(torch_seed(settings.seed))
         return PublishedDecoder(settings) if settings.variant == "published" else LocalDecoder(settings)

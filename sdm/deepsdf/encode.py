@@ -76,7 +76,8 @@ def encode_scan(
         options: Those of `estimate_codes`.
 
     Raises:
-        SDMError: Fewer than 100 points, a point that is not finite, or normals that do not fit.
+        SDMError: Fewer than 100 points, a point that is not finite, normals that do not fit, or a sphere that most of
+            the points are outside of.
     """
     at = model.check_points(points)
     if at.ndim != 2:
@@ -84,5 +85,13 @@ def encode_scan(
     # Said here too, since a sphere around no points has no radius.
     Scan(at, normals)
     sphere = sphere or UnitSphere.of(at)
-    scan = Scan(sphere.to_unit(at), normals, count=POINTS // 2, seed=seed)
+    unit = sphere.to_unit(at)
+    # Of a scan with noise a few may well be.
+    outside = int((unit.norm(dim=1) > 1).sum())
+    if 2 * outside > len(unit):
+        raise SDMError(
+            f"{outside} of the {len(unit)} points of the scan are outside the sphere with centre {sphere.centre} and "
+            f"radius {sphere.radius}: give that around the whole shape, in the scan's unit"
+        )
+    scan = Scan(unit, normals, count=POINTS // 2, seed=seed)
     return ShapeCode(estimate_codes(model, scan, steps=steps, **options).codes[0], sphere)

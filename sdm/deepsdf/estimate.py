@@ -80,7 +80,7 @@ def estimate_codes(
         return errors(model.decoder(bounded(codes, settings.code_bound), points), values, settings).mean(1)
 
     of = torch.compile(costs) if compile_network else costs
-    losses = torch.zeros(points.shape[0], device=model.device)
+    losses = torch.zeros(points.shape[0], device=model.device, dtype=points.dtype)
     with torch.enable_grad():
         for step in range(steps):
             if step:

@@ -65,7 +65,12 @@ class DeepSDF:
         saved = checkpoint.read(Path(path), where)
         if "settings" not in saved:
             raise FormatError(f"{path} is the state of a training's optimizer; give the {checkpoint.MODEL} beside it")
-        settings = Settings(**saved["settings"])
+        try:
+            settings = Settings(**saved["settings"])
+        except TypeError as error:
+            raise FormatError(
+                f"{path} has settings that this program does not know: use the sdm that wrote it"
+            ) from error
         whole = AutoDecoder(settings, len(saved["names"])).to(where)
         whole.load_state_dict(saved["state"])
         spheres = [UnitSphere((x, y, z), radius) for x, y, z, radius in saved["spheres"]]

@@ -34,7 +34,7 @@ def sphere_trace(model: DeepSDF, code: Any, origins: Tensor, directions: Tensor)
     """
     z = model.check_codes(code)[0]
     at, out = origins.to(model.device), directions.to(model.device)
-    gone = torch.zeros(len(at), device=model.device)
+    gone = torch.zeros(len(at), device=model.device, dtype=at.dtype)
     hit = torch.zeros(len(at), dtype=torch.bool, device=model.device)
     # Nothing is in front of the box, and past its far corner there is nothing more.
     alive = torch.arange(len(at), device=model.device)
@@ -55,11 +55,11 @@ def render(model: DeepSDF, code: Any, *, size: int = 256, elevation: float = 30.
     if size < 1:
         raise SDMError(f"a picture of {size} pixels was asked for; give 1 or more")
     eye, right, up = _camera(elevation, azimuth, model.device)
-    across = torch.linspace(-1, 1, size, device=model.device)
+    across = torch.linspace(-1, 1, size, device=model.device, dtype=torch.float32)
     y, x = torch.meshgrid(-across, across, indexing="ij")
     origins = (2 * eye + x[..., None] * right + y[..., None] * up).reshape(-1, 3)
     points, hit = sphere_trace(model, code, origins, (-eye).expand_as(origins))
-    picture = torch.ones(size * size, 3, device=model.device)
+    picture = torch.ones(size * size, 3, device=model.device, dtype=torch.float32)
     if bool(hit.any()):
         normals = model.normals(points[hit], code)
         light = normalize(eye + 0.5 * up - 0.6 * right, dim=0)
@@ -88,5 +88,5 @@ def _camera(elevation: float, azimuth: float, device: torch.device) -> tuple[Ten
     rise, turn = math.radians(elevation), math.radians(azimuth)
     eye: Sequence[float] = (math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise))
     right = (-math.sin(turn), math.cos(turn), 0.0)
-    towards, side = torch.tensor(eye, device=device), torch.tensor(right, device=device)
+    towards, side = (torch.tensor(v, device=device, dtype=torch.float32) for v in (eye, right))
     return towards, side, torch.linalg.cross(towards, side)

@@ -65,9 +65,9 @@ class Scan:
         chosen = (uniform(self._seed, number, 1)[:, 0] * total).long()
         at = self._points[:, chosen]
         if self._normals is None:
-            return Samples(at, torch.zeros(at.shape[:2], device=device))
+            return Samples(at, at.new_zeros(at.shape[:2]))
         off = self._offset * self._normals[:, chosen]
-        values = torch.full(at.shape[:2], self._offset, device=device)
+        values = at.new_full(at.shape[:2], self._offset)
         return Samples(torch.cat([at + off, at - off], 1), torch.cat([values, -values], 1))
 
 

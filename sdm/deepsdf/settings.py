@@ -118,7 +118,10 @@ def _check(settings: Settings) -> None:
     for name in ("width", "layers", "global_size", "shapes", "points", "epochs", "clamp", "decoder_rate", "code_rate"):
         if not getattr(settings, name) > 0:
             raise SDMError(f"{name} is {getattr(settings, name)}; it must be positive")
-    if settings.variant == "published" and (settings.layers < 5 or settings.width <= settings.global_size + 3):
+    if settings.variant == "published" and settings.layers < 5:
         raise SDMError("the published network joins code and point before its fifth layer: 5 layers or more are needed")
+    if settings.variant == "published" and settings.width <= settings.global_size + 3:
+        least = settings.global_size + 4
+        raise SDMError(f"a width of {settings.width} has no room for code and point: {least} or more are needed")
     if any(resolution < 2 or channels < 1 for resolution, channels in settings.grids):
         raise SDMError(f"the grids {settings.grids} are pairs of a resolution of at least 2 and channels of at least 1")

@@ -85,9 +85,9 @@ def refine(function: Callable[[Tensor], Tensor], resolution: int, device: torch.
     step, bricks = 2.0 / (resolution - 1), -(-resolution // BRICK)
     size = bricks * BRICK
     every = torch.cartesian_prod(*[torch.arange(bricks, device=device)] * 3)
-    middle = function((every * BRICK + (BRICK - 1) / 2) * step - 1)
+    middle = function((every.float() * BRICK + (BRICK - 1) / 2) * step - 1)
     # Values of a view by brick and place in it are values of the whole.
-    whole = torch.empty(size, size, size, device=device)
+    whole = torch.empty(size, size, size, device=device, dtype=middle.dtype)
     view = whole.view(bricks, BRICK, bricks, BRICK, bricks, BRICK).permute(0, 2, 4, 1, 3, 5)
     view.copy_(middle.reshape(bricks, bricks, bricks, 1, 1, 1).expand_as(view))
     inner = torch.cartesian_prod(*[torch.arange(BRICK, device=device)] * 3)
@@ -96,7 +96,7 @@ def refine(function: Callable[[Tensor], Tensor], resolution: int, device: torch.
     wanted = (middle.abs() <= reach).reshape(refined.shape)
     while bool(wanted.any()):
         chosen = wanted.nonzero()
-        points = ((chosen[:, None] * BRICK + inner) * step - 1).reshape(-1, 3)
+        points = ((chosen[:, None] * BRICK + inner).float() * step - 1).reshape(-1, 3)
         view[wanted] = function(points).reshape(-1, BRICK, BRICK, BRICK)
         refined |= wanted
         wanted = _crossed(whole, bricks) & ~refined

@@ -33,16 +33,19 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         _image(field, made_from).to_stream(file)
 
 
-def write_compressed(field: SDM, path: Path, made_from: str | None = None) -> None:
-    """Write `.nii.gz`. The same map gives the same bytes: no name, no time."""
+def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
+    """Write `.nii.gz`. The same map gives the same bytes: no name, no time.
+
+    `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
+    """
     with path.open("wb") as file, gzip.GzipFile("", "wb", compresslevel=1, fileobj=file, mtime=0) as packed:
-        _image(field, made_from).to_stream(packed)
+        _image(field, made_from, space).to_stream(packed)
 
 
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
     with held(path) as holder:
-        image = _load(path, holder)
+        image = opened(path, holder)
         grid, count = _geometry(image, path)
         values = np.asanyarray(image.dataobj).reshape(grid.shape)
         return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
@@ -50,16 +53,16 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
-    return _geometry(_load(path), path)[0]
+    return _geometry(opened(path), path)[0]
 
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
-    kept = (_said(extension.get_content()) for extension in _load(path).header.extensions)
+    kept = (_said(extension.get_content()) for extension in opened(path).header.extensions)
     return next((found for found in kept if found is not None), None)
 
 
-def _image(field: SDM, made_from: str | None) -> Any:
+def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     affine = field.grid.affine
     large = max(field.grid.shape) > LARGEST_NIFTI_1
     values = field.numpy().astype(np.float32, copy=False)
@@ -67,14 +70,19 @@ def _image(field: SDM, made_from: str | None) -> Any:
     image.header.set_xyzt_units("mm", "unknown")
     image.header["descrip"] = b"signed distance, negative inside"
     image.header.set_intent("estimate", name="distance")
-    image.set_sform(affine, SCANNER)
-    image.set_qform(affine, SCANNER)
+    image.set_sform(affine, space)
+    image.set_qform(affine, space)
     text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels, made_from)}, separators=(",", ":"))
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image
 
 
-def _load(path: Path, holder: FileHolder | None = None) -> Any:
+def opened(path: Path, holder: FileHolder | None = None) -> Any:
+    """An image of NIfTI-1 or NIfTI-2, whose values are not yet read.
+
+    Raises:
+        FormatError: It is neither.
+    """
     # By content, since nibabel's own search for the file is particular about capitals.
     with ImageOpener(str(path)) as file:
         head = file.read(Nifti2Header.template_dtype.itemsize)

@@ -45,6 +45,9 @@ def foreground_distance(mask: Tensor, spacing: Spacing = 1.0, *, normalized: boo
 
     Returns:
         (B,1,x,y,z) float32; 0 where the label is empty or full.
+
+    Raises:
+        SDMError: One label without a batch, (x,y,z), is to be normalised.
     """
     distance = euclidean_distance_transform(mask == 0, spacing, missing=0.0)
     return distance / _largest(distance) if normalized else distance
@@ -63,6 +66,9 @@ def normalized_signed_distance(mask: Tensor, spacing: Spacing = 1.0, *, surface:
 
     Returns:
         (B,1,x,y,z) float32; 0 where the label is empty or full.
+
+    Raises:
+        SDMError: One label without a batch, (x,y,z).
     """
     published = surface == PUBLISHED
     where = "centres" if published else surface
@@ -87,5 +93,8 @@ def inner_boundary(mask: Tensor) -> Tensor:
 
 
 def _largest(distance: Tensor) -> Tensor:
+    if distance.ndim == 3:
+        # Each of its slices would have a scale of its own.
+        raise SDMError(f"a label of shape {tuple(distance.shape)} has no batch: give (B,1,x,y,z)")
     # Zero only where the side is empty, and then the numerator is zero as well.
     return distance.flatten(1).amax(1).clamp(min=1e-12).view(-1, *[1] * (distance.ndim - 1))

@@ -77,29 +77,31 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: 
     Returns:
         `place` (3,) in 0..1, `turn` (3,3), a rotation or reflection, and `seed`, of the patch's noise.
     """
-    random = torch.Generator().manual_seed(((seed * 1_000_003 + step) * 4099 + row) & (2**63 - 1))
-    uniform = torch.rand(12, generator=random, dtype=torch.float64)
+    random = torch.Generator("cpu").manual_seed(((seed * 1_000_003 + step) * 4099 + row) & (2**63 - 1))
+    uniform = torch.rand(12, generator=random, dtype=torch.float64, device="cpu")
     case = min(int(uniform[0] * cases), cases - 1)
-    own = int(torch.randint(2**62, (1,), generator=random))
+    own = int(torch.randint(2**62, (1,), generator=random, device="cpu"))
     if kind == "none":
-        return Draw(case, uniform[1:4], torch.eye(3, dtype=torch.float64), 1.0, 1.0, 0.0, own)
+        return Draw(case, uniform[1:4], torch.eye(3, dtype=torch.float64, device="cpu"), 1.0, 1.0, 0.0, own)
     if kind == "published":
-        turn = torch.eye(3, dtype=torch.float64)
+        turn = torch.eye(3, dtype=torch.float64, device="cpu")
         for _ in range(int(uniform[4] * 4)):
-            turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64) @ turn
+            turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64, device="cpu") @ turn
         axis = int(uniform[5] * 2)
         turn[axis] *= -1 if uniform[6] < 0.5 else 1
         return Draw(case, uniform[1:4], turn, 1.0, 1.0, 0.0, own)
     ranges = RANGES[kind]
     turn = rotation((2 * uniform[4:7] - 1) * math.radians(ranges.degrees))
-    allowed = torch.tensor([axis in mirrors for axis in "xyz"])
+    allowed = torch.tensor([axis in mirrors for axis in "xyz"], device="cpu")
     turn = turn @ torch.diag(torch.where(allowed & (uniform[7:10] < 0.5), -1.0, 1.0).double())
     scale = ranges.scale ** (2 * float(uniform[10]) - 1)
-    gain, shift = (ranges.brightness * (2 * torch.rand(2, generator=random, dtype=torch.float64) - 1)).tolist()
+    gain, shift = (
+        ranges.brightness * (2 * torch.rand(2, generator=random, dtype=torch.float64, device="cpu") - 1)
+    ).tolist()
     drawn = Draw(case, uniform[1:4], turn, scale, 1 + gain, shift, own)
     if kind == "affine":
         return drawn
-    gamma, shading, blurred, blur, noise = torch.rand(5, generator=random, dtype=torch.float64).tolist()
+    gamma, shading, blurred, blur, noise = torch.rand(5, generator=random, dtype=torch.float64, device="cpu").tolist()
     least, most = ranges.noise
     return replace(
         drawn,
@@ -112,10 +114,10 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: 
 
 def rotation(angles: Tensor) -> Tensor:
     """The rotation (3,3) by angles (3,) in radians about x, then y, then z."""
-    matrix = torch.eye(3, dtype=torch.float64)
+    matrix = torch.eye(3, dtype=torch.float64, device="cpu")
     for axis, angle in enumerate(angles.tolist()):
         first, second = [a for a in range(3) if a != axis]
-        turn = torch.eye(3, dtype=torch.float64)
+        turn = torch.eye(3, dtype=torch.float64, device="cpu")
         turn[first, first] = turn[second, second] = math.cos(angle)
         turn[first, second], turn[second, first] = -math.sin(angle), math.sin(angle)
         matrix = turn @ matrix

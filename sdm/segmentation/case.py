@@ -21,6 +21,8 @@ class Case:
         spacing: Size of a voxel along each axis in mm; 1 where the file does not say.
         affine: (4,4) from voxel indices to the scanner's coordinates.
         source: The image's file.
+        space: NIfTI's number of the space that the affine leads to: 0 unknown, so that the affine is a guess, 1 the
+            scanner's, and so on.
     """
 
     name: str
@@ -29,6 +31,7 @@ class Case:
     spacing: tuple[float, float, float]
     affine: np.ndarray
     source: Path
+    space: int = 1
 
 
 def standardized(image: Tensor) -> Tensor:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from sdm.errors import SDMError
+from sdm.errors import GridError, SDMError
+from sdm.grid import Grid
 from sdm.segmentation.case import Case
 
 # How far the voxel sizes of two cases may be apart: more is another scanner protocol, or a mistake.
@@ -24,8 +25,10 @@ def check_cases(cases: Sequence[Case], *, spacing: tuple[float, float, float] | 
     Raises:
         SDMError: Some cannot be used; each is named with its reason.
     """
-    sizes = [tuple(round(s, 3) for s in case.spacing) for case in cases]
-    wanted = max(sizes, key=sizes.count) if spacing is None and sizes else spacing or (1.0, 1.0, 1.0)
+    # Alike by their first digits, not by their last decimals: voxels may be of micrometres.
+    sizes = [tuple(f"{s:.3g}" for s in case.spacing) for case in cases]
+    most = cases[sizes.index(max(sizes, key=sizes.count))].spacing if cases else (1.0, 1.0, 1.0)
+    wanted = most if spacing is None else spacing
     bad = [f"{case.name} {why}" for case in cases if (why := _reason(case, wanted)) is not None]
     if bad:
         more = f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else ""
@@ -37,10 +40,8 @@ def check_cases(cases: Sequence[Case], *, spacing: tuple[float, float, float] | 
 
 def _reason(case: Case, spacing: Sequence[float]) -> str | None:
     label = case.label
-    if case.image.ndim != 3:
-        return f"has an image of shape {tuple(case.image.shape)}, not (x,y,z)"
-    if not torch.isfinite(case.image).all():
-        return "has values that are not finite"
+    if (why := _wrong_image(case)) is not None:
+        return why
     if label is None:
         return "has no label"
     if label.shape != case.image.shape:
@@ -52,15 +53,30 @@ def _reason(case: Case, spacing: Sequence[float]) -> str | None:
     return _wrong_spacing(case, spacing)
 
 
-def check_spacing(case: Case, spacing: Sequence[float]) -> None:
-    """Whether an image has the voxel size in mm that a network was trained on.
+def _wrong_image(case: Case) -> str | None:
+    if case.image.ndim != 3:
+        return f"has an image of shape {tuple(case.image.shape)}, not (x,y,z)"
+    if not torch.isfinite(case.image).all():
+        return "has values that are not finite"
+    return None
+
+
+def check_image(case: Case, spacing: Sequence[float]) -> None:
+    """Whether a network that was trained on voxels of a size in mm can segment an image.
 
     Raises:
-        SDMError: It has not.
+        SDMError: The image is not (x,y,z), has values that are not finite, of which networks say nothing, or voxels of
+            another size.
+        GridError: Its axes are not orthogonal.
     """
-    why = _wrong_spacing(case, spacing)
-    if why is not None:
+    if (why := _wrong_image(case)) is not None:
+        raise SDMError(f"{case.source} {why}: mend it")
+    if (why := _wrong_spacing(case, spacing)) is not None:
         raise SDMError(f"{case.source} {why}: resample it")
+    try:
+        Grid.from_affine(case.affine, case.image.shape)
+    except GridError as error:
+        raise GridError(f"{case.source} cannot be segmented: {error}") from None
 
 
 def _wrong_spacing(case: Case, spacing: Sequence[float]) -> str | None:

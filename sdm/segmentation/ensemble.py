@@ -53,7 +53,7 @@ def predict_ensemble(
 
     def said(trained: TrainedModel) -> Tensor:
         own = trained.settings
-        axes = own.mirrors if mirrors else ""
+        axes = own.mirrored if mirrors else ""
         return predicted_field(trained.model, image, window or own.patch, stride=stride, mirrors=axes, batch=batch)
 
     with torch.inference_mode():

@@ -24,7 +24,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
     Args:
         folder: HDF5 files (see `read_hdf5`), or nnU-Net's `imagesTr/NAME_0000.nii.gz` with `labelsTr/NAME.nii.gz`.
         part: "train" or "val": the sub-folder of that name, or `imagesTr`/`imagesTs` with their labels. If there are
-            no such sub-folders, "train" is the folder itself. None: whatever images there are.
+            no such sub-folders, "train" is the folder itself. None: as "train", or NIfTI files in the folder itself.
         labels: Whether every image must have a label.
 
     Raises:
@@ -41,7 +41,9 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
         return _pairs(folder / images, folder / masks, labels)
     if part is None and (files := nifti_files(folder)):
         return [read_nifti(path, name=stem_of(path).removesuffix(CHANNEL)) for path in files]
-    raise FormatError(f"{folder} holds no cases{'' if part is None else f' to {part}'}: give a folder with {LAYOUTS}")
+    if part is None:
+        raise FormatError(f"{folder} holds no images: give the folder that NIfTI or HDF5 files are in")
+    raise FormatError(f"{folder} holds no cases to {part}: give a folder with {LAYOUTS}")
 
 
 def has_part(folder: Path, part: str) -> bool:
@@ -84,21 +86,30 @@ def read_images(places: Sequence[Path]) -> list[Case]:
     return cases
 
 
-def label_files(folder: Path) -> dict[str, Path]:
-    """NIfTI labels by case."""
-    return {stem_of(path): path for path in nifti_files(folder)}
+def named(files: Sequence[Path]) -> dict[str, Path]:
+    """Files by their names without endings.
+
+    Raises:
+        FormatError: Two have one name, such as a .nii and a .nii.gz.
+    """
+    found: dict[str, Path] = {}
+    for path in files:
+        name = stem_of(path) if path.name.endswith(ENDINGS) else path.stem
+        if name in found:
+            raise FormatError(f"{found[name]} and {path.name} have one name: take one of them out")
+        found[name] = path
+    return found
 
 
 def _pairs(images: Path, masks: Path, wanted: bool) -> list[Case]:
-    labels = label_files(masks)
+    labels = named(nifti_files(masks))
     cases = []
-    for path in nifti_files(images):
-        name = stem_of(path)
-        if not name.endswith(CHANNEL):
-            if name[-5:-4] == "_" and name[-4:].isdigit():
+    for stem, path in named(nifti_files(images)).items():
+        if not stem.endswith(CHANNEL):
+            if stem[-5:-4] == "_" and stem[-4:].isdigit():
                 raise FormatError(f"{path} is a second channel: images of one channel ({CHANNEL}) are supported")
-            raise FormatError(f"{path} is not named as in nnU-Net: call it {name}{CHANNEL}{ENDINGS[0]}")
-        name = name.removesuffix(CHANNEL)
+            raise FormatError(f"{path} is not named as in nnU-Net: call it {stem}{CHANNEL}{ENDINGS[0]}")
+        name = stem.removesuffix(CHANNEL)
         if name not in labels and wanted:
             raise FormatError(f"{path} has no label: {masks / (name + ENDINGS[0])} is not there")
         cases.append(read_nifti(path, labels.get(name), name))

@@ -16,8 +16,9 @@ ENDINGS = (".h5", ".hdf5")
 
 
 def hdf5_files(folder: Path) -> list[Path]:
-    """The folder's HDF5 files, by name."""
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in ENDINGS) if folder.is_dir() else []
+    """The folder's HDF5 files, by name; no hidden ones."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(p for p in found if p.suffix.lower() in ENDINGS and not p.name.startswith("."))
 
 
 def read_hdf5(path: Path) -> Case:
@@ -51,6 +52,8 @@ def read_hdf5(path: Path) -> Case:
         raise FormatError(f"{path} has the spacing {one_line(told)!r}: three lengths in mm are needed") from None
     if spacing.shape != (3,):
         raise FormatError(f"{path} has a spacing of {len(spacing)} numbers: three lengths in mm are needed")
+    if not (np.isfinite(spacing).all() and (spacing > 0).all()):
+        raise FormatError(f"{path} has the spacing {one_line(told)}: three positive lengths in mm are needed")
     return Case(
         name=path.stem,
         image=torch.from_numpy(image.astype(np.float32)),

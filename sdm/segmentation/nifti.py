@@ -5,13 +5,14 @@ from __future__ import annotations
 import zlib
 from pathlib import Path
 
-import nibabel as nib
 import numpy as np
 import torch
 from nibabel.filebasedimages import ImageFileError
+from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 
 from sdm.errors import FormatError
+from sdm.io.nifti import opened
 from sdm.io.packed import held
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
@@ -20,11 +21,14 @@ from sdm.segmentation.labels import foreground
 ENDINGS = (".nii.gz", ".nii")
 # A label may have been written by another program, which rounds the header its own way.
 TOLERANCE = 1e-3
+# Millimetres of the header's units of length that are not millimetres: metres and micrometres.
+MILLIMETRES = {1: 1e3, 3: 1e-3}
 
 
 def nifti_files(folder: Path) -> list[Path]:
-    """The folder's NIfTI files, by name."""
-    return sorted(p for p in folder.iterdir() if p.name.endswith(ENDINGS)) if folder.is_dir() else []
+    """The folder's NIfTI files, by name; no hidden ones, such as macOS lays beside others."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(p for p in found if p.name.endswith(ENDINGS) and not p.name.startswith("."))
 
 
 def stem_of(path: Path) -> str:
@@ -33,17 +37,17 @@ def stem_of(path: Path) -> str:
 
 
 def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -> Case:
-    """One case.
+    """One case; its affine is in mm, whatever unit the header has.
 
     Raises:
-        FormatError: A file cannot be read, is not of three dimensions, or lies elsewhere than its label; or the label
-            has values that are not whole numbers.
+        FormatError: A file cannot be read, is not of three dimensions, holds no plain numbers, or lies elsewhere than
+            its label; or the label has values that are not whole numbers.
     """
-    image, affine = _volume(path)
+    image, affine, space = _volume(path)
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
     mask = None
     if label is not None:
-        mask, other = _volume(label)
+        mask, other, _ = _volume(label)
         size = np.linalg.norm(other[:3, :3], axis=0)
         if not np.allclose(size, spacing, rtol=TOLERANCE):
             raise FormatError(f"{label} has voxels of {_lengths(size)} mm, but its image of {_lengths(spacing)} mm")
@@ -56,25 +60,31 @@ def read_nifti(path: Path, label: Path | None = None, name: str | None = None) -
         spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
         affine=affine,
         source=path,
+        space=space,
     )
 
 
-def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+    """Values, affine in mm, and the number of its space."""
     try:
         with held(path) as holder:
-            image = nib.Nifti1Image.from_file_map({"image": holder})
+            image = opened(path, holder)
             shape = tuple(image.shape)
             if len(shape) < 3 or any(n != 1 for n in shape[3:]):
                 raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
-            values = np.ascontiguousarray(np.asanyarray(image.dataobj).reshape(shape[:3]), dtype=np.float32)
-    except (OSError, EOFError, ImageFileError, ValueError, zlib.error) as error:
+            values = np.asanyarray(image.dataobj)
+            if values.dtype.kind not in "buif":
+                raise FormatError(f"{path} has values of type {values.dtype}: plain numbers are needed")
+            values = np.ascontiguousarray(values.reshape(shape[:3]), dtype=np.float32)
+    except (OSError, EOFError, ImageFileError, HeaderDataError, ValueError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{path} cannot be read as NIfTI: {one_line(error)}") from error
-    affine = np.asarray(image.affine, dtype=np.float64)
+    affine = np.array(image.affine, dtype=np.float64)
     if not (np.isfinite(affine).all() and (np.linalg.norm(affine[:3, :3], axis=0) > 0).all()):
         raise FormatError(f"{path} has no usable voxel size in its header")
-    return values, affine
+    affine[:3] *= MILLIMETRES.get(int(image.header["xyzt_units"]) & 7, 1.0)
+    return values, affine, int(image.header["sform_code"]) or int(image.header["qform_code"])
 
 
 def _lengths(sizes: np.ndarray) -> str:

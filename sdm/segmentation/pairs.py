@@ -12,12 +12,12 @@ from torch import Tensor
 from sdm.errors import FormatError, GridError
 from sdm.grid import Grid
 from sdm.segmentation.case import Case
-from sdm.segmentation.folder import read_image
+from sdm.segmentation.folder import named, read_image
 from sdm.segmentation.hdf5 import ENDINGS as HDF5
 from sdm.segmentation.hdf5 import hdf5_files
 from sdm.segmentation.labels import foreground
 from sdm.segmentation.nifti import ENDINGS as NIFTI
-from sdm.segmentation.nifti import nifti_files, stem_of
+from sdm.segmentation.nifti import nifti_files
 
 DISTANCES = "_sdm"
 TOLERANCE = 1e-3
@@ -53,9 +53,8 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
 
 
 def labels_of(place: Path) -> dict[str, Path]:
-    """A label's file, or those of a folder, by name."""
-    files = [place] if place.is_file() else nifti_files(place) or hdf5_files(place)
-    return {stem_of(p) if p.name.endswith(NIFTI) else p.stem: p for p in files}
+    """A label's file, or those of a folder, by name; see `named`."""
+    return named([place] if place.is_file() else nifti_files(place) or hdf5_files(place))
 
 
 def _mask(case: Case) -> Tensor:

@@ -129,7 +129,7 @@ class Patches:
         values = volumes[:, 2:3]
         if self.kind in ("signed", "clipped"):
             # One voxel of the patch is `scale` voxels of the case.
-            values = values / self._there(torch.tensor([d.scale for d in draws])).view(-1, 1, 1, 1, 1)
+            values = values / self._there(torch.tensor([d.scale for d in draws], device="cpu")).view(-1, 1, 1, 1, 1)
         return clipped_sdf(values, CLIP_VOXELS * max(self.spacing)) if self.kind == "clipped" else values
 
     def _there(self, values: Tensor) -> Tensor:
@@ -138,18 +138,18 @@ class Patches:
 
     def _place(self, d: Draw) -> tuple[Tensor, Tensor]:
         """Where in the padded case it is: (3,3) from offsets in its voxels to those of the case, and the centre."""
-        shape = torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64)
-        size = torch.tensor(self.size, dtype=torch.float64)
+        shape = torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64, device="cpu")
+        size = torch.tensor(self.size, dtype=torch.float64, device="cpu")
         # Whole voxels, so that a patch that is not turned is a copy.
         centre = torch.floor(d.place * (shape - size + 1)) + (size - 1) / 2
-        spacing = torch.tensor(self.spacing, dtype=torch.float64)
+        spacing = torch.tensor(self.spacing, dtype=torch.float64, device="cpu")
         # Turns are rigid in mm, not in voxels.
         return d.scale * d.turn * spacing[None] / spacing[:, None], centre
 
     def _frame(self, d: Draw, matrix: Tensor, centre: Tensor) -> Tensor:
         """(3,4): the place in the terms of `affine_grid`."""
-        last = (torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64) - 1).clamp(min=1)
-        size = torch.tensor(self.size, dtype=torch.float64)
+        last = (torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64, device="cpu") - 1).clamp(min=1)
+        size = torch.tensor(self.size, dtype=torch.float64, device="cpu")
         normal = (2 / last)[:, None] * matrix * ((size - 1) / 2)[None]
         offset = 2 * centre / last - 1
         # affine_grid counts the axes from the last.
@@ -161,7 +161,7 @@ class Patches:
         for d, (matrix, centre) in zip(draws, places, strict=True):
             shape = self._shapes[d.case]
             pad = [(n - m) // 2 for n, m in zip(self._cases[d.case].shape[1:], shape, strict=True)]
-            frames.append(position_frame(matrix, centre - torch.tensor(pad), self.size, shape))
+            frames.append(position_frame(matrix, centre - torch.tensor(pad, device="cpu"), self.size, shape))
         return positions(self._there(torch.stack(frames)), self.size)
 
     def _cut(self, d: Draw, frame: Tensor) -> Tensor:
@@ -171,11 +171,13 @@ class Patches:
     def _intensities(self, image: Tensor, draws: Sequence[Draw], augment: Augment) -> Tensor:
         random = torch.Generator(self.device).manual_seed(draws[0].seed)
         # One transfer for all numbers, (B,1,1,1,1) each.
-        drawn = self._there(torch.tensor([[d.gain, d.shift, d.noise, d.gamma, d.shading, d.blur] for d in draws]))
+        drawn = self._there(
+            torch.tensor([[d.gain, d.shift, d.noise, d.gamma, d.shading, d.blur] for d in draws], device="cpu")
+        )
         gain, shift, deviation, gamma, shading, blur = drawn.T.reshape(6, -1, 1, 1, 1, 1)
         noise = _noise(image, random, coarse=augment == "scanner")
         if augment != "affine":
-            shade = torch.randn((len(draws), 1, 4, 4, 4), generator=random, device=self.device)
+            shade = torch.randn((len(draws), 1, 4, 4, 4), generator=random, device=self.device, dtype=image.dtype)
             image = _as_if_by_another_scanner(image, gamma, (shading * shade).exp(), blur)
         return image * gain + shift + deviation * noise
 
@@ -183,9 +185,9 @@ class Patches:
 def _noise(image: Tensor, random: torch.Generator, *, coarse: bool) -> Tensor:
     """Noise of standard deviation 1, from voxel to voxel or, as in enlarged scans, over two."""
     if not coarse:
-        return torch.randn(image.shape, generator=random, device=image.device)
+        return torch.randn(image.shape, generator=random, device=image.device, dtype=image.dtype)
     half = [(n + 1) // 2 for n in image.shape[2:]]
-    grain = torch.randn((*image.shape[:2], *half), generator=random, device=image.device)
+    grain = torch.randn((*image.shape[:2], *half), generator=random, device=image.device, dtype=image.dtype)
     fine = functional.interpolate(grain, [2 * n for n in half], mode="trilinear", align_corners=False)
     x, y, z = image.shape[2:]
     return fine[..., :x, :y, :z] / GRAIN

@@ -20,8 +20,8 @@ def position_frame(matrix: Tensor, centre: Tensor, size: Sequence[int], shape: S
         size: Voxels of the patch along each axis.
         shape: Voxels of the volume along each axis, without what pads it.
     """
-    half = (torch.tensor(size, dtype=torch.float64) - 1) / 2
-    scale = 2 / torch.tensor(shape, dtype=torch.float64)
+    half = (torch.tensor(size, dtype=torch.float64, device="cpu") - 1) / 2
+    scale = 2 / torch.tensor(shape, dtype=torch.float64, device="cpu")
     return torch.cat([scale[:, None] * matrix * half[None], (scale * (centre + 0.5) - 1)[:, None]], 1)
 
 

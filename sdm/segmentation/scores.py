@@ -24,7 +24,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean and sample standard deviation over the cases with a finite value (NaN for one), and how many have none."""
+    """Mean and sample standard deviation (NaN for one) over the cases with a finite value, and how many failed."""
 
     mean: float
     deviation: float
@@ -48,12 +48,13 @@ def cell(cases: Sequence[Mapping[str, float | bool]], column: str) -> Cell:
     """One cell of a table.
 
     A failed case (an empty prediction) counts as 0 where more is better. It has no finite distance, so it is left out
-    of a mean of distances, and counted: such a mean is to be read with the count beside it.
+    of a mean of distances, and counted: such a mean is to be read with the count beside it. A value that is NaN, as all
+    are where truth and prediction are empty, says nothing, and is left out.
     """
     factor = COLUMNS[column][1]
     values = [factor * float(case[column]) for case in cases]
     finite = [v for v in values if math.isfinite(v)]
-    failed = len(values) - len(finite)
+    failed = sum(math.isinf(v) for v in values)
     if not finite:
         return Cell(math.nan, math.nan, failed)
     deviation = statistics.stdev(finite) if len(finite) > 1 else math.nan

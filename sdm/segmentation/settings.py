@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from sdm.device import plain_defaults
 from sdm.errors import SDMError
 from sdm.segmentation.augment import Augment
 from sdm.segmentation.methods import METHODS
@@ -95,6 +96,11 @@ class Settings:
             if share is not None and not 0 <= share < 1:
                 raise SDMError(f"{name} is a share from 0 to less than 1, not {share}")
 
+    @property
+    def mirrored(self) -> str:
+        """The axes along which patches were mirrored: `mirrors` is for augmentations that turn freely alone."""
+        return {"none": "", "published": "xy"}.get(self.augment, self.mirrors)
+
     def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step."""
         warm = max(1, self.steps // 20)
@@ -109,16 +115,17 @@ class Settings:
         return {**asdict(self), "patch": list(self.patch)}
 
     def network(self) -> SegmentationModel:
-        """The network, not trained."""
-        return SegmentationModel(
-            METHODS[self.method],
-            self.architecture,
-            filters=self.filters,
-            dropout=self.dropout,
-            last_dropout=self.last_dropout,
-            position=self.position,
-            coarsen=self.coarsen,
-        )
+        """The network, not trained, float32 on the host."""
+        with plain_defaults():
+            return SegmentationModel(
+                METHODS[self.method],
+                self.architecture,
+                filters=self.filters,
+                dropout=self.dropout,
+                last_dropout=self.last_dropout,
+                position=self.position,
+                coarsen=self.coarsen,
+            )
 
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Settings:

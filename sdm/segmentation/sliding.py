@@ -53,7 +53,7 @@ def sliding_window(
     pad = [x for r in reversed(room) for x in (r // 2, r - r // 2)]
     padded = functional.pad(image, pad, value=float(image.min())) if any(room) else image
     weight = _weight(window, image.device)
-    total = torch.zeros(padded.shape, device=image.device)
+    total = torch.zeros(padded.shape, device=image.device, dtype=torch.float32)
     weights = torch.zeros_like(total)
     places = list(itertools.product(*(_starts(n, w, s) for n, w, s in zip(padded.shape, window, step, strict=True))))
     frames = to_device(_frames(places, window, shape, room), image.device) if position else None
@@ -74,9 +74,10 @@ def _frames(
     places: Sequence[Sequence[int]], window: Sequence[int], shape: Sequence[int], room: Sequence[int]
 ) -> Tensor:
     """(P,3,4): how positions run through each window."""
-    matrix = torch.eye(3, dtype=torch.float64)
-    middle = torch.tensor([(w - 1) / 2 - r // 2 for w, r in zip(window, room, strict=True)], dtype=torch.float64)
-    frames = [position_frame(matrix, torch.tensor(place) + middle, window, shape) for place in places]
+    matrix = torch.eye(3, dtype=torch.float64, device="cpu")
+    middles = [(w - 1) / 2 - r // 2 for w, r in zip(window, room, strict=True)]
+    middle = torch.tensor(middles, dtype=torch.float64, device="cpu")
+    frames = [position_frame(matrix, middle.new_tensor(place) + middle, window, shape) for place in places]
     return torch.stack(frames).to(torch.float32)
 
 

@@ -44,7 +44,7 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
         FormatError: There is no such file, or it is not one of `save_model`.
     """
     state = _state(path)
-    settings = Settings.of_record(state["settings"])
+    settings = _settings(path, state)
     model = settings.network()
     model.load_state_dict(state["weights"])
     x, y, z = state["spacing"]
@@ -57,7 +57,14 @@ def load_settings(path: Path) -> Settings:
     Raises:
         FormatError: As `load_model`.
     """
-    return Settings.of_record(_state(path, mmap=True)["settings"])
+    return _settings(path, _state(path, mmap=True))
+
+
+def _settings(path: Path, state: dict[str, Any]) -> Settings:
+    try:
+        return Settings.of_record(state["settings"])
+    except TypeError as error:
+        raise FormatError(f"{path} has settings that this program does not know: use the sdm that wrote it") from error
 
 
 def _state(path: Path, *, mmap: bool = False) -> dict[str, Any]:

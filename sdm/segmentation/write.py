@@ -12,11 +12,10 @@ from torch import Tensor
 from sdm.field import SDM
 from sdm.grid import Grid
 from sdm.io.atomic import replacing
+from sdm.io.nifti import write_compressed
 from sdm.segmentation.case import Case
 from sdm.segmentation.nifti import ENDINGS
 from sdm.segmentation.predict import label_distance_map
-
-SCANNER = 1
 
 
 def prediction_files(case: Case, folder: Path) -> tuple[Path, Path]:
@@ -27,8 +26,9 @@ def prediction_files(case: Case, folder: Path) -> tuple[Path, Path]:
 def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Path | None]:
     """Write `NAME.nii.gz` (uint8, 1 inside) and `NAME_sdm.nii.gz` (float32, mm, negative inside, 0 on voxel faces).
 
-    Both have the image's affine. A label that is empty or full has no distance map: then there is no second file, and
-    one that is there is removed.
+    Both have the image's affine, and say of it what the image does: where its header has none, programs guess one, each
+    in its own way, and have to guess the same. A label that is empty or full has no distance map: then there is no
+    second file, and one that is there is removed.
 
     Returns:
         The two files, None for one that was not written.
@@ -41,13 +41,15 @@ def write_prediction(case: Case, label: Tensor, folder: Path) -> tuple[Path, Pat
     target, distances = prediction_files(case, folder)
     image = nib.Nifti1Image(label.cpu().numpy().astype(np.uint8), case.affine)
     image.header.set_xyzt_units("mm", "unknown")
-    image.set_sform(case.affine, SCANNER)
-    image.set_qform(case.affine, SCANNER)
+    image.set_sform(case.affine, case.space)
+    image.set_qform(case.affine, case.space)
     with replacing(target) as part:
         part.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
     if not label.any() or label.all():
         # One of an earlier label would be taken for this one's.
         distances.unlink(missing_ok=True)
         return target, None
-    SDM(label_distance_map(label, grid.spacing).cpu(), grid, 0).save(distances)
+    field = SDM(label_distance_map(label, grid.spacing).cpu(), grid, 0)
+    with replacing(distances) as part:
+        write_compressed(field, part, space=case.space)
     return target, distances

@@ -101,5 +101,7 @@ def test_images_and_true_labels_are_not_replaced_by_labels(place: Path, capsys: 
     refused(f"segment im {model} im", capsys)
     refused(f"segment im/c1_sdm.nii.gz {model} im/../im", capsys)
     refused(f"segment data {model} data/labelsTr", capsys)
+    refused(f"segment data/imagesTs {model} data/labelsTs", capsys)
+    refused(f"segment data/imagesTs/case3_0000.nii.gz {model} data/labelsTs", capsys)
     assert run(f"segment im {model} out") == 0
     assert run(f"segment im {model} out") == 0

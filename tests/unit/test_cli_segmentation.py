@@ -86,6 +86,13 @@ def refused(words, capsys) -> str:
     return said.err
 
 
+def test_a_network_that_cannot_be_written_is_not_trained(trained, tmp_path, capsys):
+    (tmp_path / "model.pt").mkdir()
+    words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path), *QUICK]
+    capsys.readouterr()
+    assert "model.pt cannot be written: a folder of that name is there" in refused([*words, "--steps", "2"], capsys)
+
+
 def test_bad_cases_are_refused_before_training(tmp_path, capsys):
     image, label = volume(0)
     write_hdf5(tmp_path / "data" / "good.h5", image, label)
@@ -113,6 +120,17 @@ def test_images_of_another_voxel_size_are_refused(trained, tmp_path, capsys):
     nib.save(nib.Nifti1Image(volume(0)[0], np.diag([2.0, 2, 2, 1])), tmp_path / "a.nii.gz")
     words = ["segment", str(tmp_path / "a.nii.gz"), "--model", str(trained / "net" / "model.pt")]
     assert "a.nii.gz has voxels of 2 x 2 x 2 mm" in refused([*words, "--out", str(tmp_path / "out")], capsys)
+
+
+def test_a_network_of_a_newer_program_is_one_sentence(trained, tmp_path, capsys):
+    import torch
+
+    state = torch.load(trained / "net" / "model.pt", weights_only=True)
+    state["settings"]["novel"] = 1
+    torch.save(state, tmp_path / "model.pt")
+    words = ["segment", str(trained / "data" / "imagesTs"), "--model", str(tmp_path / "model.pt")]
+    said = refused([*words, "--out", str(tmp_path / "out")], capsys)
+    assert "model.pt has settings that this program does not know" in said
 
 
 def test_labels_that_do_not_fit(trained, tmp_path, capsys):
@@ -143,6 +161,15 @@ def test_what_is_no_label_is_not_scored(value, words, tmp_path, capsys):
         said = refused(["evaluate", *(str(tmp_path / name) for name in pair)], capsys)
         assert words in said
         assert "soft" in said
+
+
+def test_of_two_labels_of_one_name_none_is_chosen(tmp_path, capsys):
+    for name, label in (("p/a.nii.gz", volume(0)[1]), ("t/a.nii.gz", volume(0)[1]), ("t/a.nii", volume(1)[1])):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / name)
+    for pair in (["p", "t"], ["t", "p"]):
+        said = refused(["evaluate", *(str(tmp_path / name) for name in pair)], capsys)
+        assert "a.nii and a.nii.gz have one name" in said
 
 
 def test_labels_as_scaled_integers_are_scored(tmp_path, capsys):
@@ -178,6 +205,19 @@ def test_an_empty_prediction_is_said_to_have_failed(trained, tmp_path, capsys):
     assert "failed, for one of the two labels is empty: case0" in said
 
 
+def test_where_both_labels_are_empty_nothing_has_failed(tmp_path, capsys):
+    for folder in ("p", "t"):
+        (tmp_path / folder).mkdir()
+        for name, label in (("full", volume(0)[1]), ("none", np.zeros(SHAPE, np.uint8))):
+            nib.save(nib.Nifti1Image(label, AFFINE), tmp_path / folder / f"{name}.nii.gz")
+    assert main(["evaluate", str(tmp_path / "p"), str(tmp_path / "t")]) == 0
+    said = capsys.readouterr().out
+    assert "| none | - | - | - | - | - | - |" in said
+    assert "| mean of 2 | 100.00 | 100.00 | 100.00 | 0.00 | 0.00 | 0.00 |" in said
+    assert "failed" not in said
+    assert "in no mean, for both labels are empty: none" in said
+
+
 @pytest.mark.parametrize("name", ["", "nowhere/scores.json", "folder"])
 def test_a_place_for_scores_that_cannot_be_is_refused_before_they_are_made(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -201,6 +241,29 @@ def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_
     assert sorted(tmp_path.iterdir()) == [label, distances]
     assert write_prediction(case, torch.zeros_like(some), tmp_path) == (label, None)
     assert list(tmp_path.iterdir()) == [label]
+
+
+@pytest.mark.parametrize("codes", [(0, 0), (0, 1), (4, 0), (2, 1)])
+def test_results_lie_in_the_space_of_their_image(codes, tmp_path):
+    """Where the header leaves the place open, so do the results: programs guess it in more than one way."""
+    import torch
+
+    from sdm.segmentation import write_prediction
+    from sdm.segmentation.folder import read_images
+
+    sform, qform = codes
+    image = nib.Nifti1Image(volume(0)[0], AFFINE)
+    image.set_sform(AFFINE, sform)
+    image.set_qform(AFFINE, qform)
+    nib.save(image, tmp_path / "a.nii.gz")
+    (case,) = read_images([tmp_path / "a.nii.gz"])
+    (tmp_path / "out").mkdir()
+    for path in write_prediction(case, torch.from_numpy(volume(0)[1] != 0), tmp_path / "out"):
+        assert path is not None
+        found = nib.load(path)
+        assert {int(found.header[name]) for name in ("sform_code", "qform_code")} == {sform or qform}
+        assert np.allclose(found.affine, nib.load(tmp_path / "a.nii.gz").affine, atol=1e-5)
+    assert np.allclose(sdm.load(path).grid.affine, case.affine, atol=1e-5)
 
 
 def test_a_label_is_not_written_over_by_a_distance_map(trained, tmp_path, capsys):
@@ -235,6 +298,24 @@ def test_mirror_images_are_those_of_the_training(trained, tmp_path, capsys):
     both = [str(trained / "net" / "model.pt"), "--model", str(tmp_path / "model.pt")]
     assert "leave out --mirrors" in refused([*segment, *both], capsys)
     assert main([*segment, str(trained / "net" / "model.pt")]) == 0
+
+
+@pytest.mark.parametrize("augment", ["none", "published"])
+def test_mirror_images_are_those_of_the_augmentation(augment, trained, tmp_path, capsys):
+    from sdm.segmentation import load_model, predict, predict_ensemble
+    from sdm.segmentation.folder import read_images
+
+    data, images = str(trained / "data"), trained / "data" / "imagesTs"
+    words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
+    assert main([*words, "--augment", augment]) == 0
+    capsys.readouterr()
+    segment = ["segment", str(images), "--out", str(tmp_path / "out"), "--mirrors", "--model"]
+    if augment == "none":
+        assert "leave out --mirrors" in refused([*segment, str(tmp_path / "model.pt")], capsys)
+        return
+    trained_so, (case,) = load_model(tmp_path / "model.pt"), read_images([images])
+    expected = predict(trained_so.model, case.image, (16, 16, 16), mirrors="xy").field
+    assert predict_ensemble([trained_so], case.image, mirrors=True).field.equal(expected)
 
 
 def test_several_networks_together(trained, tmp_path, capsys):

@@ -93,9 +93,21 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["encode", "{few}", "--scan", "-m", "{model}", "-o", "x.npz"], "has 50 points; at least 100 are needed"),
         (["encode", "{nan}", "--scan", "-m", "{model}", "-o", "x.npz"], "1 of the points are not finite"),
         (["encode", "{wide}", "--scan", "-m", "{model}", "-o", "x.npz"], "(N, 3), or (N, 6) with normals, is needed"),
+        (
+            ["encode", "{new}", "--scan", "--sphere", "0", "0", "0", "4", "-m", "{model}", "-o", "x.npz"],
+            "642 of the 642 points of the scan are outside the sphere with centre (0.0, 0.0, 0.0) and radius 4.0",
+        ),
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply"], "the code has 3 numbers; this model's codes have"),
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply", "--to", "{short}"], "does not end like a picture"),
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
+        (
+            ["decode", "{new}", "-m", "{model}", "-o", "x.stl"],
+            "is no name for a result: use one of .ply, .png, .nii.gz",
+        ),
+        (
+            ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],
+            "a width of 100 has no room for code and point: 260 or more are needed",
+        ),
         (["train", "deepsdf", "cochlea", "-o", "x"], "say how long to train: --budget-s or --epochs"),
         (["train", "deepsdf", "nothing", "-o", "x", "--epochs", "1"], "neither a family"),
         (["train", "deepsdf", "cochlea", "-o", "x", "--budget-s", "0"], "a budget of 0 seconds trains nothing"),
@@ -122,3 +134,32 @@ def test_bad_input_is_one_sentence_and_code_2(
     assert said in error
     assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "x.ply").exists()
+
+
+def test_a_place_that_cannot_be_is_refused_before_the_work(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sdm import deepsdf
+    from sdm.deepsdf import ShapeCode, save_code
+    from sdm.sampling import UnitSphere
+
+    for name in ("encode_meshes", "encode_scan", "decode_mesh", "render", "train"):
+        monkeypatch.setattr(deepsdf, name, pytest.fail)
+    new, model, code = str(work / "new.ply"), str(work / "model"), str(tmp_path / "code.npz")
+    size = deepsdf.DeepSDF.load(model, "cpu").code_size
+    save_code(ShapeCode(torch.zeros(size), UnitSphere((0.0, 0.0, 0.0), 1.0)), code)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "net" / "model.pt").mkdir(parents=True)
+    for words in (
+        ["encode", new, "-m", model, "-o", str(tmp_path / "nowhere" / "new.npz")],
+        ["encode", new, "-m", model, "-o", str(tmp_path / "folder.npz")],
+        ["encode", new, "--scan", "-m", model, "-o", str(tmp_path / "folder.npz")],
+        ["encode", new, str(work / "meshes" / "0.ply"), "-m", model, "-o", str(tmp_path / "file")],
+        ["decode", code, "-m", model, "-o", str(tmp_path / "nowhere" / "new.ply")],
+        ["decode", code, "-m", model, "-o", str(tmp_path / "nowhere" / "new.png")],
+        ["train", "deepsdf", str(work / "meshes"), "-o", str(tmp_path / "file"), "--epochs", "1"],
+        ["train", "deepsdf", str(work / "meshes"), "-o", str(tmp_path / "net"), "--epochs", "1"],
+    ):
+        assert main([*words, "--device", "cpu"]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

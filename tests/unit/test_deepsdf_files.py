@@ -89,3 +89,10 @@ def test_bad_code_files_are_said(tmp_path: Path) -> None:
         np.savez(path, version=1, code=code, sphere=sphere)
         with pytest.raises(FormatError, match="it needs a code of numbers, and a centre with a radius"):
             load_code(path)
+
+
+def test_a_model_of_a_newer_program_is_refused(tmp_path: Path) -> None:
+    content = checkpoint.read(Path("cochlea"))
+    checkpoint.write({**content, "settings": {**content["settings"], "novel": 1}}, tmp_path / "model.pt")
+    with pytest.raises(FormatError, match=r"model\.pt has settings that this program does not know"):
+        DeepSDF.load(tmp_path / "model.pt", "cpu")

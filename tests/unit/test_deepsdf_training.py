@@ -13,6 +13,7 @@ from sdm.deepsdf import training as module
 from sdm.deepsdf.batches import Batches
 from sdm.deepsdf.progress import code_weight, rate_factor
 from sdm.errors import FormatError, SDMError
+from sdm.mesh import TriangleMesh
 from sdm.sampling import ShapeSet
 from sdm.shapes import Cochlea
 
@@ -105,6 +106,9 @@ def test_a_checkpoint_of_other_settings_or_shapes_is_refused(shapes: ShapeSet, t
     run(shapes, tmp_path, budget_s=0.01)
     with pytest.raises(FormatError, match="begun with other settings or shapes"):
         run(shapes, tmp_path, settings=published(**SMALL, global_size=4, epochs=41), resume=True)
+    larger = [TriangleMesh(1.5 * shapes.mesh(n).vertices, shapes.mesh(n).faces, shapes.names[n]) for n in range(4)]
+    with pytest.raises(FormatError, match="begun with other settings or shapes"):
+        run(ShapeSet(larger, "cpu"), tmp_path, resume=True)
 
 
 def test_a_loss_that_is_not_finite_ends_it(shapes: ShapeSet, tmp_path: Path) -> None:

@@ -78,3 +78,13 @@ def test_inner_boundary():
     assert np.array_equal(inner_boundary(batch(mask))[0, 0], find_boundaries(mask, connectivity=1, mode="inner"))
     with pytest.raises(SDMError, match="B,1,x,y,z"):
         inner_boundary(torch.zeros(3, 3, 3))
+
+
+@pytest.mark.parametrize("surface", ["faces", "centres", "published"])
+def test_one_label_has_one_scale(surface):
+    one = torch.tensor(blob(0))
+    with pytest.raises(SDMError, match=r"has no batch: give \(B,1,x,y,z\)"):
+        normalized_signed_distance(one, surface=surface)
+    with pytest.raises(SDMError, match="has no batch"):
+        foreground_distance(one, normalized=True)
+    assert torch.equal(foreground_distance(one), foreground_distance(one[None, None])[0, 0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+
 import nibabel as nib
 import numpy as np
 import pytest
@@ -73,6 +75,30 @@ def unnumbered(folder):
     (folder / "imagesTr" / "case0_0000.nii.gz").rename(folder / "imagesTr" / "case0.nii.gz")
 
 
+def of_colours(folder):
+    colours = np.zeros(volume(0)[0].shape, [(name, np.uint8) for name in "RGB"])
+    nib.save(nib.Nifti1Image(colours, AFFINE), folder / "imagesTr" / "case0_0000.nii.gz")
+
+
+def of_complex_numbers(folder):
+    nib.save(nib.Nifti1Image(volume(0)[0] * 1j, AFFINE), folder / "imagesTr" / "case0_0000.nii.gz")
+
+
+def of_no_type(folder):
+    image = nib.Nifti1Image(volume(0)[0], AFFINE)
+    data = bytearray(image.to_bytes())
+    data[70:72] = b"\0\0"
+    (folder / "imagesTr" / "case0_0000.nii.gz").write_bytes(gzip.compress(bytes(data)))
+
+
+def label_twice(folder):
+    nib.save(nib.Nifti1Image(volume(0)[1], AFFINE), folder / "labelsTr" / "case0.nii")
+
+
+def image_twice(folder):
+    nib.save(nib.Nifti1Image(volume(0)[0], AFFINE), folder / "imagesTr" / "case0_0000.nii")
+
+
 BROKEN = {
     broken_nifti: "case0_0000.nii.gz cannot be read",
     missing_label: "case0_0000.nii.gz has no label",
@@ -80,6 +106,11 @@ BROKEN = {
     moved_label: "case0.nii.gz lies elsewhere in space",
     second_channel: "case0_0001.nii.gz is a second channel",
     unnumbered: "call it case0_0000.nii.gz",
+    label_twice: "case0.nii and case0.nii.gz have one name: take one of them out",
+    image_twice: "case0_0000.nii and case0_0000.nii.gz have one name",
+    of_colours: "case0_0000.nii.gz has values of type .*: plain numbers are needed",
+    of_complex_numbers: "case0_0000.nii.gz has values of type complex64: plain numbers are needed",
+    of_no_type: "case0_0000.nii.gz cannot be read as NIfTI: data code 0 not supported",
 }
 
 
@@ -89,6 +120,41 @@ def test_bad_nifti_files_are_named(tmp_path, breaking):
     breaking(folder)
     with pytest.raises(FormatError, match=BROKEN[breaking]):
         read_cases(folder, "train")
+
+
+def test_nifti_2_is_nifti(tmp_path):
+    image, label = volume(0)
+    folder = write_nnunet(tmp_path, train=1)
+    nib.save(nib.Nifti2Image(image, AFFINE), folder / "imagesTr" / "case0_0000.nii.gz")
+    nib.save(nib.Nifti2Image(label, AFFINE), folder / "labelsTr" / "case0.nii.gz")
+    (case,) = read_cases(folder, "train")
+    assert torch.equal(case.image, torch.from_numpy(image))
+    assert case.label is not None
+    assert torch.equal(case.label, torch.from_numpy(label != 0))
+    assert np.allclose(case.affine, AFFINE)
+
+
+@pytest.mark.parametrize(("unit", "size"), [("mm", 1.0), ("meter", 1e-3), ("micron", 1e3)])
+def test_lengths_are_millimetres_whatever_the_header_has(unit, size, tmp_path):
+    """The label, of another program, is in mm."""
+    folder = write_nnunet(tmp_path, train=1)
+    scaled = nib.Nifti1Image(volume(0)[0], np.diag([size, size, size, 1]) @ AFFINE)
+    scaled.header.set_xyzt_units(unit)
+    nib.save(scaled, folder / "imagesTr" / "case0_0000.nii.gz")
+    (case,) = read_cases(folder, "train")
+    assert case.spacing == pytest.approx((0.8, 0.8, 1.25))
+    assert np.allclose(case.affine, AFFINE)
+
+
+def test_hidden_files_are_no_cases(tmp_path):
+    """As macOS lays beside others where a disk or an archive keeps no attributes."""
+    folder = write_nnunet(tmp_path / "nifti")
+    for name in ("imagesTr/._case0_0000.nii.gz", "labelsTr/._case0.nii.gz"):
+        (folder / name).write_bytes(b"\0\5\x16\7")
+    assert len(read_cases(folder, "train")) == 3
+    write_hdf5(tmp_path / "hdf5" / "a.h5", *volume(0))
+    (tmp_path / "hdf5" / "._a.h5").write_bytes(b"\0\5\x16\7")
+    assert len(read_cases(tmp_path / "hdf5", "train")) == 1
 
 
 def test_a_flipped_bit_is_found(tmp_path):
@@ -114,6 +180,9 @@ def test_hdf5_files_of_words_are_refused(tmp_path):
     for attributes, words in (
         ({"spacing": "1 1 1"}, "has the spacing '1 1 1'"),
         ({"spacing": [1.0, 2.0]}, "2 numbers"),
+        ({"spacing": [1.0, 1.0, 0.0]}, r"a\.h5 has the spacing \[1. 1. 0.\]: three positive lengths"),
+        ({"spacing": [-1.0, 1.0, 1.0]}, "three positive lengths"),
+        ({"spacing": [1.0, float("nan"), 1.0]}, "three positive lengths"),
     ):
         with pytest.raises(FormatError, match=words):
             read_cases(write_hdf5(tmp_path / "a.h5", image, label, **attributes).parent)
