@@ -16,7 +16,7 @@ from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.maker import Maker, refuse_fork
-from sdm.stream.ranks import rank_and_size
+from sdm.stream.ranks import in_process_group, rank_and_size
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 
@@ -129,8 +129,8 @@ class SDMStream(IterableDataset[Batch]):
     def __iter__(self) -> Iterator[Batch]:
         worker = get_worker_info()
         self._refuse_fork()
-        if self._find_rank and worker is None:
-            # A worker of a DataLoader is not in the process group; it has been given its rank with the stream.
+        if self._find_rank and (worker is None or in_process_group()):
+            # A spawned worker of a DataLoader is not in the process group; it was given its rank with the stream.
             self._take_rank(None, None)
             self._check_end(self._position)
         workers, first = (1, 0) if worker is None else (worker.num_workers, worker.id)
@@ -213,6 +213,9 @@ class SDMStream(IterableDataset[Batch]):
         refuse_fork(self.device.type == "cuda" and os.getpid() != self._process)
 
     def __getstate__(self) -> dict[str, Any]:
+        if self._find_rank and in_process_group():
+            # For a worker that is spawned: the process group may have been made after the stream.
+            self._take_rank(None, None)
         return {k: v for k, v in self.__dict__.items() if k != "_process"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
