@@ -72,6 +72,8 @@ def generate(
     """
     target = Path(path)
     folder = layout.part_of(target)
+    # The manifest takes no number of NumPy's.
+    count, shard = int(count), None if shard is None else int(shard)
     if count < 1:
         raise SDMError(f"a dataset of {count} samples was asked for; give at least 1")
     if shard is not None and shard < 1:

@@ -70,7 +70,7 @@ class Maker:
         self.family, self.grid, self.seed = family, grid, int(seed)
         self.sampler = as_sampler(sampler)
         self.device = choose_device(device)
-        self.dtype, self.truncate = dtype, truncate
+        self.dtype, self.truncate = dtype, None if truncate is None else float(truncate)
         require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
         self.sampler.size(family)
         self._prepare()

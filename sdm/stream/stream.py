@@ -87,7 +87,7 @@ class SDMStream(IterableDataset[Batch]):
         if ahead < 1:
             raise SDMError(f"{ahead} batches ahead were asked for; give at least 1")
         self.batch_size, self._ahead = int(batch_size), int(ahead)
-        self._start, self.stop = int(start), stop
+        self._start, self.stop = int(start), None if stop is None else int(stop)
         self._find_rank = rank is None and world_size is None
         self._take_rank(rank, world_size)
         self._maker = Maker(family, grid, seed=seed, sampler=sampler, device=device, dtype=dtype, truncate=truncate)
