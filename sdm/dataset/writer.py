@@ -16,7 +16,7 @@ from sdm.dataset.job import Job
 from sdm.dataset.pool import run_here
 from sdm.errors import FormatError, SDMError
 from sdm.grid import Grid
-from sdm.shapes import Family
+from sdm.shapes import Family, MeshFolder
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.maker import Maker
 
@@ -94,8 +94,8 @@ def generate(
         "shard": shard or layout.samples_of_a_shard(sample_bytes, count),
         "compression": compression,
         "parameters": [{"name": p.name, "low": p.low, "high": p.high, "unit": p.unit} for p in family.parameters],
-        "transforms": bool(getattr(family, "meshes", ())),
-        "rejected": [list(pair) for pair in getattr(family, "rejected", ())],
+        "transforms": isinstance(family, MeshFolder),
+        "rejected": [list(pair) for pair in family.rejected] if isinstance(family, MeshFolder) else [],
         "sdm_version": version(),
         "device": None if ray is not None else device_kind(devices[0]),
         "source": source,
