@@ -19,7 +19,7 @@ from sdm.stream import Batch, SDMStream, TensorGrid
 
 FAMILIES = {
     "cochlea": lambda: Cochlea(600),
-    "solids": lambda: GeometricShapes(triangles=108),
+    "solids": lambda: GeometricShapes(triangles=108, sizes=(0.5, 0.8)),
     "folder": lambda: MeshFolder([demo_mesh(rings=41, segments=16, cap_rings=3), Cochlea(600).mesh([3, 0.5, 0.1, 0])]),
 }
 
