@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from sdm.dataset import layout
+from sdm.dataset.atomic import alone
 from sdm.dataset.cluster import run_on_ray
 from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.job import Job
@@ -64,7 +65,8 @@ def generate(
         The path.
 
     Raises:
-        FormatError: The path is taken, the unfinished dataset is another one, or the disk cannot be written.
+        FormatError: The path is taken, the unfinished dataset is another one or another process writes it, or the disk
+            cannot be written.
         SDMError: A number that makes no sense.
 
     Killed at any moment it loses the shards in flight; `resume` finishes it to the identical dataset on the same kind
@@ -107,8 +109,9 @@ def generate(
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
-    fill(job, devices, ray, progress)
-    finish(folder, target)
+    with alone(folder):
+        fill(job, devices, ray, progress)
+        finish(folder, target)
     return target
 
 
@@ -122,8 +125,11 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str
         try:
             layout.create(folder, manifest)
         except OSError as error:
-            raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
-        return manifest
+            # Another process may have begun it in the meantime.
+            if not folder.exists():
+                raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+        else:
+            return manifest
     if wanted is None:
         raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
     found = layout.read_manifest(folder)
