@@ -56,12 +56,13 @@ class SDMStream(IterableDataset[Batch]):
 
     Iterating again goes on where the last batch was given. `state_dict` and `load_state_dict` (as torchdata's
     StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks that lead to
-    `stop` in whole steps.
+    `stop` in whole steps, both from `start` and from where the state is.
 
     Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
     device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`. Workers are for
     the CPU alone, as a forked process cannot use CUDA; they keep the order, and start anew with each `iter` of a
-    DataLoader unless it has `persistent_workers`.
+    DataLoader. With `persistent_workers` each goes on after what it had made ahead: batches that a loop left behind are
+    lost, and those of the workers may change places.
     """
 
     def __init__(
