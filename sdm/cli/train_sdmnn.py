@@ -65,6 +65,7 @@ def sdmnn(
     """
     from dataclasses import asdict
 
+    from sdm.cli.inputs import refuse_inputs
     from sdm.device import choose_device
     from sdm.errors import FormatError
     from sdm.surrogate.settings import Settings
@@ -97,6 +98,8 @@ def sdmnn(
     except OSError as error:
         raise FormatError(f"the folder {out} cannot be made: {error.strerror}") from error
     name = f"{model}-{recipe}"
+    target = out / f"{name}.safetensors"
+    refuse_inputs([target], [start])
     trainer = Trainer(
         settings,
         device=choose_device(device),
@@ -105,7 +108,6 @@ def sdmnn(
         report=lambda line: print(line, flush=True),
     )
     trained = trainer.run()
-    target = out / f"{name}.safetensors"
     facts = {**asdict(settings), "start": start and start.name}
     facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
     before = {} if start is None else {"started_from": training_of(start)}

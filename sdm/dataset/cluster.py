@@ -8,6 +8,7 @@ import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from sdm.dataset import layout
@@ -66,7 +67,8 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
     try:
-        _Crew(ray, job, done).run(list(reversed(shards)))
+        # Workers are in folders of their own.
+        _Crew(ray, replace(job, folder=job.folder.absolute()), done).run(list(reversed(shards)))
     finally:
         if own:
             ray.shutdown()

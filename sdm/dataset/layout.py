@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import secrets
 import shutil
 import tempfile
 from pathlib import Path
@@ -54,11 +56,14 @@ def samples_of_a_shard(sample_bytes: int, count: int) -> int:
 
 def create(folder: Path, manifest: dict[str, Any]) -> None:
     """Make an empty dataset in `folder`, which must not be there."""
-    # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset.
-    fresh = folder.with_name(f".{folder.name}.new")
-    shutil.rmtree(fresh, ignore_errors=True)
-    _empty(fresh, manifest)
-    fresh.rename(folder)
+    # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset; under one
+    # of its own, since another process may begin the same.
+    fresh = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}.new")
+    try:
+        _empty(fresh, manifest)
+        fresh.rename(folder)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
 
 
 def _empty(fresh: Path, manifest: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 
 from sdm.dataset import layout
+from sdm.dataset.atomic import alone
 from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.job import Job
 from sdm.dataset.writer import remake, version
@@ -83,7 +84,8 @@ def verify(
         The numbers of the shards that were made again.
 
     Raises:
-        FormatError: Not a dataset, or one of another family, version or kind of device.
+        FormatError: Not a dataset, or one of another family, sampler, version or kind of device, or another
+            process writes it.
     """
     folder = Path(path)
     manifest = layout.read_manifest(folder)
@@ -94,8 +96,10 @@ def verify(
     recipe = manifest["recipe"]
     devices = ["cpu"] if ray is not None else devices_for(device)
     kind = manifest["device"] if ray is not None else device_kind(devices[0])
+    chosen = as_sampler(recipe["sampler"] if sampler is None else sampler)
     for what, there, here in (
         ("the family", recipe["fingerprint"], family.fingerprint),
+        ("the sampler", recipe["sampler"], str(chosen)),
         ("the version of sdm", manifest["sdm_version"], version()),
         ("the device", manifest["device"], kind),
     ):
@@ -106,7 +110,7 @@ def verify(
             )
     grid = Grid(**recipe["grid"])
     dtype = {name: kind for kind, name in DTYPES.items()}[recipe["dtype"]]
-    chosen = as_sampler(recipe["sampler"] if sampler is None else sampler)
     job = Job(folder, manifest, family, grid, chosen, recipe["seed"], dtype, recipe["truncate"])
-    remake(job, found, devices, ray, progress)
+    with alone(folder):
+        remake(job, found, devices, ray, progress)
     return found

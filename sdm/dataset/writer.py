@@ -10,13 +10,14 @@ from typing import Any
 import torch
 
 from sdm.dataset import layout
+from sdm.dataset.atomic import alone
 from sdm.dataset.cluster import run_on_ray
 from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.job import Job
 from sdm.dataset.pool import run_here
 from sdm.errors import FormatError, SDMError
 from sdm.grid import Grid
-from sdm.shapes import Family
+from sdm.shapes import Family, MeshFolder
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.maker import Maker
 
@@ -64,7 +65,8 @@ def generate(
         The path.
 
     Raises:
-        FormatError: The path is taken, the unfinished dataset is another one, or the disk cannot be written.
+        FormatError: The path is taken, the unfinished dataset is another one or another process writes it, or the disk
+            cannot be written.
         SDMError: A number that makes no sense.
 
     Killed at any moment it loses the shards in flight; `resume` finishes it to the identical dataset on the same kind
@@ -72,6 +74,8 @@ def generate(
     """
     target = Path(path)
     folder = layout.part_of(target)
+    # The manifest takes no number of NumPy's.
+    count, shard = int(count), None if shard is None else int(shard)
     if count < 1:
         raise SDMError(f"a dataset of {count} samples was asked for; give at least 1")
     if shard is not None and shard < 1:
@@ -92,8 +96,8 @@ def generate(
         "shard": shard or layout.samples_of_a_shard(sample_bytes, count),
         "compression": compression,
         "parameters": [{"name": p.name, "low": p.low, "high": p.high, "unit": p.unit} for p in family.parameters],
-        "transforms": bool(getattr(family, "meshes", ())),
-        "rejected": [list(pair) for pair in getattr(family, "rejected", ())],
+        "transforms": isinstance(family, MeshFolder),
+        "rejected": [list(pair) for pair in family.rejected] if isinstance(family, MeshFolder) else [],
         "sdm_version": version(),
         "device": None if ray is not None else device_kind(devices[0]),
         "source": source,
@@ -105,8 +109,9 @@ def generate(
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
-    fill(job, devices, ray, progress)
-    finish(folder, target)
+    with alone(folder):
+        fill(job, devices, ray, progress)
+        finish(folder, target)
     return target
 
 
@@ -120,8 +125,11 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str
         try:
             layout.create(folder, manifest)
         except OSError as error:
-            raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
-        return manifest
+            # Another process may have begun it in the meantime.
+            if not folder.exists():
+                raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+        else:
+            return manifest
     if wanted is None:
         raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
     found = layout.read_manifest(folder)

@@ -43,6 +43,10 @@ class Parameter:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
             raise MeshError(f"{self.name} runs from {self.low} to {self.high}; give finite ends, the lower first")
+        for end, value in (("low", self.low), ("high", self.high)):
+            # Numbers of NumPy's and torch's look different in a fingerprint, and a manifest does not take them.
+            if type(value) is not int:
+                object.__setattr__(self, end, float(value))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ FEWEST, MOST = 12, 4_000_000
 KINDS = ("cuboid", "rhomboid", "ellipsoid", "cylinder")
 ROTATION = ("u1", "u2", "u3")
 SHIFT = ("shift_x", "shift_y", "shift_z")
+# What float32 may put a vertex out of place by, as a share of how far it is.
+ROUNDING = 1e-6
 
 _solids_vertices = vertex_op(
     "solids_vertices",
@@ -64,6 +66,22 @@ class _Solids(Family):
             torch.from_numpy(column),
             torch.from_numpy(default),
         ]
+
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """Lowest and highest x, y, z (3,) over the whole box of parameters: reached, but for rounding.
+
+        A solid's farthest point may turn to any axis.
+        """
+        # The largest of each kind, in its own frame: half-lengths and shears at their upper ends.
+        own = [
+            [0.0 if p.name in (*ROTATION, *SHIFT) else k + 0.5 if p.name == "kind" else p.high for p in self.parameters]
+            for k in range(len(KINDS))
+        ]
+        shift = max((p.high for p in self.parameters if p.name in SHIFT), default=0.0)
+        with torch.no_grad():
+            points = self.vertices(torch.tensor(own, dtype=torch.float32, device="cpu"))
+        reach = ((points.norm(dim=-1).amax() + shift) * (1 + ROUNDING)).expand(3)
+        return -reach, reach
 
     def vertices(self, theta: Tensor) -> Tensor:
         """Vertices (B,V,3) for theta (B,P), differentiable in theta (not in which solid it is)."""

@@ -15,7 +15,7 @@ from sdm.engine import batch_maps
 from sdm.errors import DeviceError, SDMError
 from sdm.grid import Grid
 from sdm.memory import to_device
-from sdm.shapes import Family
+from sdm.shapes import Family, MeshFolder
 from sdm.stream.batch import Batch
 from sdm.stream.samplers import Sampler, as_sampler
 from sdm.stream.topology import Topology
@@ -70,7 +70,7 @@ class Maker:
         self.family, self.grid, self.seed = family, grid, int(seed)
         self.sampler = as_sampler(sampler)
         self.device = choose_device(device)
-        self.dtype, self.truncate = dtype, truncate
+        self.dtype, self.truncate = dtype, None if truncate is None else float(truncate)
         require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
         self.sampler.size(family)
         self._prepare()
@@ -104,7 +104,7 @@ class Maker:
     def at_once(self) -> int:
         """How many samples to make in one call, where there is a choice."""
         # A folder's meshes come about equally often, each with its own faces alone.
-        meshes = max(1, len(getattr(self.family, "meshes", ())))
+        meshes = len(self.family.meshes) if isinstance(self.family, MeshFolder) else 1
         triangles = max(1, len(self.family.faces) // meshes)
         return max(1, min(MOST_AT_ONCE, BYTES_AT_ONCE // self.grid.nbytes, TRIANGLES_AT_ONCE // triangles))
 

@@ -18,7 +18,7 @@ def rank_and_size(rank: int | None = None, world_size: int | None = None) -> tup
     if (rank is None) != (world_size is None):
         raise SDMError("give rank and world_size both, or neither")
     if rank is None or world_size is None:
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
+        if in_process_group():
             rank, world_size = torch.distributed.get_rank(), torch.distributed.get_world_size()
         else:
             rank, world_size = (
@@ -27,3 +27,8 @@ def rank_and_size(rank: int | None = None, world_size: int | None = None) -> tup
     if not 0 <= rank < world_size:
         raise SDMError(f"the rank is {rank} of {world_size}; ranks are numbered from 0")
     return rank, world_size
+
+
+def in_process_group() -> bool:
+    """Whether torch.distributed knows this process's rank."""
+    return torch.distributed.is_available() and torch.distributed.is_initialized()

@@ -32,7 +32,7 @@ class Sampler(ABC):
     def __str__(self) -> str: ...
 
     def size(self, family: Family) -> int | None:
-        """After how many samples they come again; None for never."""
+        """After how many samples they come again; None for never. Refuses a family that it has no parameters for."""
         return None
 
 
@@ -143,7 +143,7 @@ class Table(_Static):
     """A set of shapes of your own.
 
     Args:
-        theta: (N,P) parameters.
+        theta: (N,P) parameters in the family's box.
         shuffle: Whether each pass over the table has an order of its own, a function of the seed.
     """
 
@@ -154,7 +154,8 @@ class Table(_Static):
             raise SDMError(f"the table has shape {tuple(self.rows.shape)}; (N, P) with N > 0 is needed")
 
     def size(self, family: Family) -> int:
-        """Number of rows."""
+        """Number of rows, each of which must be in the family's box."""
+        family.check(self.rows)
         return self.rows.shape[0]
 
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
@@ -183,6 +184,12 @@ class Mixture(Sampler):
         self.share = Fraction(share).limit_denominator(FINEST_SHARE)
         if not 0 < self.share < 1:
             raise SDMError(f"the share of static samples is {share}; the least is {1 / FINEST_SHARE:g}")
+
+    def size(self, family: Family) -> int | None:
+        """Never the same again: online samples are among them."""
+        for part in (self.static, self.online):
+            part.size(family)
+        return None
 
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
         """As `Sampler.theta`."""

@@ -16,7 +16,7 @@ from sdm.grid import Grid
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.maker import Maker, refuse_fork
-from sdm.stream.ranks import rank_and_size
+from sdm.stream.ranks import in_process_group, rank_and_size
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 
@@ -56,12 +56,13 @@ class SDMStream(IterableDataset[Batch]):
 
     Iterating again goes on where the last batch was given. `state_dict` and `load_state_dict` (as torchdata's
     StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks that lead to
-    `stop` in whole steps.
+    `stop` in whole steps, both from `start` and from where the state is.
 
     Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
     device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`. Workers are for
     the CPU alone, as a forked process cannot use CUDA; they keep the order, and start anew with each `iter` of a
-    DataLoader unless it has `persistent_workers`.
+    DataLoader. With `persistent_workers` each goes on after what it had made ahead: batches that a loop left behind are
+    lost, and those of the workers may change places.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class SDMStream(IterableDataset[Batch]):
         if ahead < 1:
             raise SDMError(f"{ahead} batches ahead were asked for; give at least 1")
         self.batch_size, self._ahead = int(batch_size), int(ahead)
-        self._start, self.stop = int(start), stop
+        self._start, self.stop = int(start), None if stop is None else int(stop)
         self._find_rank = rank is None and world_size is None
         self._take_rank(rank, world_size)
         self._maker = Maker(family, grid, seed=seed, sampler=sampler, device=device, dtype=dtype, truncate=truncate)
@@ -129,8 +130,8 @@ class SDMStream(IterableDataset[Batch]):
     def __iter__(self) -> Iterator[Batch]:
         worker = get_worker_info()
         self._refuse_fork()
-        if self._find_rank and worker is None:
-            # A worker of a DataLoader is not in the process group; it has been given its rank with the stream.
+        if self._find_rank and (worker is None or in_process_group()):
+            # A spawned worker of a DataLoader is not in the process group; it was given its rank with the stream.
             self._take_rank(None, None)
             self._check_end(self._position)
         workers, first = (1, 0) if worker is None else (worker.num_workers, worker.id)
@@ -213,6 +214,9 @@ class SDMStream(IterableDataset[Batch]):
         refuse_fork(self.device.type == "cuda" and os.getpid() != self._process)
 
     def __getstate__(self) -> dict[str, Any]:
+        if self._find_rank and in_process_group():
+            # For a worker that is spawned: the process group may have been made after the stream.
+            self._take_rank(None, None)
         return {k: v for k, v in self.__dict__.items() if k != "_process"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

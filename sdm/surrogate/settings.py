@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,15 @@ class Settings:
             raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
         if min(self.modes, 1 if self.channels is None else self.channels) < 1:
             raise SDMError("modes and channels are at least 1")
+        for name in ("fill_share", "warm_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SDMError(f"{name} is {getattr(self, name)}; a share from 0 to 1 is needed")
+        for name in ("rate", "surface", "coarse", "eikonal", "sobolev"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise SDMError(f"{name} is {getattr(self, name)}; a number of 0 or more is needed")
+        maps = STATIC if self.recipe == "static" else self.store
+        if self.model == "sdmnn-plus" and self.start is None and self.modes >= maps:
+            raise SDMError(f"{self.modes} modes need a store of more than {self.modes} maps, but it has {maps}")
         check_budget(self.budget_s)
 
 

@@ -73,7 +73,7 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
         model.load_state_dict(_unpack(packed))
     except OSError as error:
         raise FormatError(f"{error.filename or source} cannot be read: {error.strerror or error}") from error
-    except (SafetensorError, KeyError, RuntimeError, TypeError, json.JSONDecodeError) as error:
+    except (SafetensorError, KeyError, RuntimeError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise FormatError(f"{source} is not a surrogate that sdm wrote, or it is damaged") from error
     return model.eval().requires_grad_(False).to(device), config
 

@@ -14,6 +14,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
+from sdm.io.atomic import try_to_write
 from sdm.io.torch_file import load_torch, save_torch
 from sdm.seeds import torch_seed
 from sdm.shapes import Cochlea
@@ -46,7 +47,7 @@ class Trainer:
 
     Raises:
         DeviceError: The device is not there.
-        FormatError: The checkpoint is of another training.
+        FormatError: The checkpoint is of another training, or cannot be written.
     """
 
     def __init__(
@@ -60,6 +61,9 @@ class Trainer:
         report: Callable[[str], None] = print,
     ) -> None:
         self.settings, self.checkpoint, self._report = settings, checkpoint, report
+        if checkpoint is not None:
+            # The store is filled before it is written to, which may take hours.
+            try_to_write(checkpoint)
         self.device = choose_device(device)
         self.family = Cochlea()
         with torch.random.fork_rng(devices=[]):

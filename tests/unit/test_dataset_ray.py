@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -32,7 +34,7 @@ def write(path, **options):
 
 
 def test_says_what_is_missing(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(SDMError, match=r"pip install 'warp-sdm\[ray\]'"):
         write(tmp_path / "d.zarr", ray="auto")
 
@@ -66,6 +68,24 @@ def ends_at(call: int) -> Family:
 
     family.vertices = vertices
     return family
+
+
+def test_workers_find_a_dataset_that_was_named_from_here(tmp_path, monkeypatch):
+    told = []
+
+    class Crew:
+        def __init__(self, ray: Any, job: Job, done: Any) -> None:
+            told.append(job.folder)
+
+        def run(self, todo: list[int]) -> None:
+            assert todo == [1, 0]
+
+    monkeypatch.setattr(cluster, "_Crew", Crew)
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: True))
+    monkeypatch.chdir(tmp_path)
+    Path("d.zarr.part").mkdir()
+    cluster.run_on_ray(job(FAMILY, Path("d.zarr.part")), [0, 1], "auto", lambda _: None)
+    assert told == [Path.cwd() / "d.zarr.part"]
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ import zarr
 
 from sdm.dataset import SDMDataset, damaged, generate, layout, verify
 from sdm.dataset import job as job_module
+from sdm.dataset.atomic import alone
 from sdm.dataset.repair import mend_arrays
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
@@ -246,6 +247,42 @@ def test_another_family_does_not_mend(copy):
     (copy / "sdm/c/1/0/0/0").unlink()
     with pytest.raises(FormatError, match="the family it was made with"):
         verify(copy, Cochlea(900), device="cpu")
+
+
+def test_another_sampler_does_not_mend(copy):
+    (copy / "sdm/c/1/0/0/0").unlink()
+    with pytest.raises(FormatError, match="the sampler it was made with was uniform, here it is sobol"):
+        verify(copy, FAMILY, sampler="sobol", device="cpu")
+
+
+def test_one_that_another_process_writes_is_left_alone(whole, copy):
+    part = copy.rename(layout.part_of(copy))
+    (part / "sdm/c/1/0/0/0").unlink()
+    before = contents(part)
+    with alone(part):
+        for use in (lambda: write(copy, resume=True), lambda: verify(part, FAMILY, device="cpu")):
+            with pytest.raises(FormatError, match="being written by another process"):
+                use()
+    assert contents(part) == before
+    write(copy, resume=True)
+    assert contents(copy) == contents(whole)
+
+
+def test_two_that_begin_at_once(whole, tmp_path, monkeypatch):
+    target = tmp_path / "d.zarr"
+    empty = layout._empty
+
+    def meanwhile(fresh, manifest):
+        monkeypatch.undo()
+        layout.create(layout.part_of(target), manifest)
+        empty(fresh, manifest)
+
+    monkeypatch.setattr(layout, "_empty", meanwhile)
+    with pytest.raises(FormatError, match="unfinished dataset: --resume"):
+        write(target)
+    assert [path.name for path in tmp_path.iterdir()] == ["d.zarr.part"]
+    write(target, resume=True)
+    assert contents(target) == contents(whole)
 
 
 @pytest.mark.slow

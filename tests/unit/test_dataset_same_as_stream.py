@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 import torch
 import zarr
@@ -13,7 +14,7 @@ import sdm
 from sdm.dataset import SDMDataset, freeze, generate
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
-from sdm.shapes import Cochlea, MeshFolder
+from sdm.shapes import Cochlea, Ellipsoid, MeshFolder
 from sdm.stream import SDMStream, Table
 
 COUNT = 10
@@ -133,6 +134,21 @@ def test_a_table_can_be_frozen(tmp_path):
     family = Cochlea(600)
     table = Table(family.sample(COUNT, device="cpu"), shuffle=False)
     assert torch.equal(write(tmp_path / "d.zarr", family, sampler=table).theta, table.rows)
+
+
+def test_numbers_may_be_numpys(tmp_path):
+    family = Ellipsoid(triangles=12, sizes=(np.float32(0.2), np.float32(0.8)))
+    stream = SDMStream(family, family.grid(4), 2, device="cpu")
+    data = SDMDataset(freeze(stream, np.int64(3), tmp_path / "d.zarr", shard=np.int64(2)))
+    assert torch.equal(data[2].sdm, stream.sample(2).sdm[0])
+
+
+def test_a_family_of_ones_own_may_have_meshes(tmp_path):
+    class Mine(Ellipsoid):
+        meshes = ("what it was", "made from")
+
+    family = Mine(triangles=12)
+    assert len(SDMDataset(generate(family, family.grid(4), 2, tmp_path / "d.zarr", device="cpu"))) == 2
 
 
 def test_other_folders_are_no_datasets(tmp_path):

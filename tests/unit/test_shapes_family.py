@@ -6,6 +6,7 @@ import pickle
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import trimesh
@@ -83,6 +84,12 @@ def test_fingerprint_tells_families_apart():
 def test_parameters_make_sense():
     with pytest.raises(MeshError, match="length runs from 2 to 1"):
         Parameter("length", 2, 1)
+
+
+def test_parameters_may_be_given_as_numbers_of_any_kind():
+    found = Parameter("x", np.float32(0.5), torch.tensor(2.0))  # pyright: ignore[reportArgumentType]
+    assert repr(found) == repr(Parameter("x", 0.5, 2.0))
+    assert repr(Parameter("x", 1, 2)) == "Parameter(name='x', low=1, high=2, unit='1')"
 
 
 def test_what_inference_mode_leaves_behind_can_be_trained_with():

@@ -97,6 +97,24 @@ def test_gradient_is_the_finite_difference():
         torch.testing.assert_close(slope.float(), theta.grad[:, column], atol=0.1, rtol=5e-3)
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.3])
+@pytest.mark.parametrize("kind", [Cuboid, Rhomboid, Ellipsoid, Cylinder, GeometricShapes])
+def test_bounds_hold_every_shape_and_little_more(kind, shift):
+    family = kind(triangles=300, shift=shift)
+    theta = family.sample(20_000, seed=2, device="cpu")
+    # The largest, turned at random.
+    for column, p in enumerate(family.parameters):
+        if p.name == "kind":
+            theta[:, column] = 1.5
+        elif p.name not in ("u1", "u2", "u3"):
+            theta[:, column] = p.high
+    vertices = torch.cat([family.vertices(part).amax((0, 1))[None] for part in theta.split(1000)]).amax(0)
+    low, high = family.bounds()
+    assert torch.equal(low, -high)
+    assert bool((vertices <= high).all())
+    assert bool((vertices > 0.99 * high).all())
+
+
 @pytest.mark.parametrize(
     "arguments", [{"sizes": (0, 1)}, {"sizes": (2, 1)}, {"shear": 0}, {"triangles": 3}, {"shift": -1}]
 )

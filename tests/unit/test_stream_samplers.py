@@ -9,7 +9,7 @@ import torch
 
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea
-from sdm.stream import Mixture, Table, TensorGrid, as_sampler
+from sdm.stream import Mixture, SDMStream, Table, TensorGrid, as_sampler
 
 FAMILY = Cochlea(600)
 INDEX = torch.arange(1300)
@@ -67,6 +67,18 @@ def test_table_gives_its_own_rows():
     assert str(Table(table)) != str(Table(table + 1))
     with pytest.raises(SDMError, match="N > 0"):
         Table(torch.zeros(0, 4))
+
+
+def test_a_table_must_be_of_the_family():
+    for row, message in (
+        ([3.0, 0.3, 0.1], r"cochlea needs \(B, 4\)"),
+        ([3.0, math.nan, 0.1, 0.0], r"alpha of theta\[1\] is nan"),
+        ([30.0, 0.3, 0.1, 0.0], r"a of theta\[1\] is 30; cochlea takes 2 to 5 mm"),
+    ):
+        table = Table(torch.tensor([[3.0, 0.3, 0.1, 0.0][: len(row)], row]))
+        for sampler in (table, Mixture(table)):
+            with pytest.raises(SDMError, match=message):
+                SDMStream(FAMILY, FAMILY.grid(4), 2, device="cpu", sampler=sampler)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.25, 0.9])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import itertools
+import json
 import pickle
 
+import numpy as np
 import pytest
 import torch
 
@@ -17,7 +19,7 @@ from sdm.stream import Batch, SDMStream, TensorGrid
 
 FAMILIES = {
     "cochlea": lambda: Cochlea(600),
-    "solids": lambda: GeometricShapes(triangles=108),
+    "solids": lambda: GeometricShapes(triangles=108, sizes=(0.5, 0.8)),
     "folder": lambda: MeshFolder([demo_mesh(rings=41, segments=16, cap_rings=3), Cochlea(600).mesh([3, 0.5, 0.1, 0])]),
 }
 
@@ -245,11 +247,21 @@ def test_refuses_what_makes_no_sense():
     ):
         with pytest.raises(SDMError, match=message):
             SDMStream(family, grid, **{"device": "cpu", **options})
-    with pytest.raises(SDMError, match="too large"):
-        SDMStream(FAMILIES["folder"](), grid, device="cpu", sampler=TensorGrid(5))
+    for sampler in (TensorGrid(5), "mixture:0.5"):
+        with pytest.raises(SDMError, match="too large"):
+            SDMStream(FAMILIES["folder"](), grid, device="cpu", sampler=sampler)
     if not torch.cuda.is_available():
         with pytest.raises(DeviceError, match="no CUDA device"):
             SDMStream(family, grid, device="cuda")
+
+
+def test_states_are_ready_for_json_whatever_numbers_were_given():
+    family = Cochlea(600)
+    source = SDMStream(
+        family, family.grid(8), 2, device="cpu", truncate=np.float32(0.5), start=np.int64(4), stop=np.int64(8)
+    )
+    assert [batch.index.tolist() for batch in source] == [[4, 5], [6, 7]]
+    assert json.loads(json.dumps(source.state_dict())) == source.state_dict()
 
 
 def test_state_of_another_stream_is_refused():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import pickle
 
 import pytest
 import torch
@@ -34,6 +35,24 @@ def test_loader_without_workers_passes_batches_on():
 def test_workers_share_out_the_steps_in_order():
     loader = DataLoader(stream(stop=14), batch_size=None, num_workers=2, multiprocessing_context="fork")
     assert numbers(loader, 99) == numbers(stream(stop=14), 99)
+
+
+def test_workers_have_the_rank_of_a_process_group_made_after_the_stream(monkeypatch):
+    source, other = stream(), stream()
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 1)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    loader = DataLoader(source, batch_size=None, num_workers=1, multiprocessing_context="fork")
+    assert numbers(loader, 2) == [[2, 3], [6, 7]]
+    # As a spawned worker gets it, which is not in the process group.
+    pickled = pickle.dumps(other)
+    monkeypatch.undo()
+
+    class Info:
+        id, num_workers = 0, 1
+
+    monkeypatch.setattr("sdm.stream.stream.get_worker_info", Info)
+    assert numbers(pickle.loads(pickled), 2) == [[2, 3], [6, 7]]
 
 
 def test_a_worker_goes_on_with_its_own_steps(monkeypatch):

@@ -59,3 +59,6 @@ def test_what_is_not_a_surrogate_is_refused(tmp_path):
     path.with_suffix(".json").write_text(json.dumps(config))
     with pytest.raises(FormatError, match="another grid"):
         load_weights(path)
+    path.with_suffix(".json").write_bytes(b"\xff\xfe{}")
+    with pytest.raises(FormatError, match="is not a surrogate that sdm wrote"):
+        load_weights(path)

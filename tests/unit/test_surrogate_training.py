@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 import torch
 
+from sdm.cli.app import main
 from sdm.errors import FormatError, SDMError
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
-from sdm.surrogate import GRID, Settings, Trainer
+from sdm.surrogate import GRID, SDMNN, Settings, Trainer
 from sdm.surrogate import training as module
 from sdm.surrogate.losses import eikonal, sobolev, surface_weighted
 from sdm.surrogate.replay import Replay
@@ -124,6 +126,22 @@ def test_what_is_no_checkpoint_is_one_sentence(tmp_path):
             train(1, checkpoint=file)
 
 
+def test_a_checkpoint_that_cannot_be_written_is_found_before_any_map_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "SDMStream", None)
+    with pytest.raises(FormatError, match=r"the folder .*none is not there; make it first"):
+        train(1, checkpoint=tmp_path / "none" / "a.checkpoint")
+
+
+def test_weights_to_begin_with_are_not_written_over(tmp_path, capsys):
+    weights = tmp_path / "sdmnn-online.safetensors"
+    save_weights(SDMNN(channels=2), weights)
+    before = weights.read_bytes()
+    words = ["--model", "sdmnn", "--recipe", "online", "--steps", "1", "--store", "2"]
+    assert main(["train", "sdmnn", "-o", str(tmp_path), *words, "--start", str(weights)]) == 2
+    assert "sdmnn-online.safetensors is an input too, and would be lost" in capsys.readouterr().err
+    assert weights.read_bytes() == before
+
+
 def test_a_training_ends_with_its_budget():
     assert train(10**9, budget_s=0.01).step <= 1
 
@@ -137,6 +155,14 @@ def test_a_training_ends_with_its_budget():
         {"batch_size": 0},
         {"modes": 0},
         {"channels": 0},
+        {"rate": -1e-3},
+        {"rate": math.inf},
+        {"fill_share": -0.1},
+        {"warm_share": math.nan},
+        {"sobolev": -1.0},
+        {"surface": math.nan},
+        {"modes": 30, "store": 30},
+        {"modes": 625, "recipe": "static"},
     ],
 )
 def test_wrong_settings_are_one_sentence(wrong):
