@@ -20,7 +20,8 @@ def evaluate(
 
     Dice, Jaccard, Dice near the contour (5 voxels), 95 percent Hausdorff distance, average and root mean square
     symmetric surface distance. An empty prediction is a failure: overlap 0, distances infinite; it is left out of the
-    means of distances, and counted there. Where both labels are empty nothing can be said, and no mean has the case.
+    means of distances, and counted there. Where both labels are empty nothing can be said, and no mean has the case. Of
+    a folder, truths without a prediction are named.
 
     Args:
         predictions: A NIfTI label, or a folder of them; files that end in _sdm are not looked at.
@@ -36,7 +37,7 @@ def evaluate(
     from sdm.io.atomic import replacing
     from sdm.io.formats import check_file
     from sdm.segmentation import scores_of, table
-    from sdm.segmentation.pairs import label_pairs, labels_of
+    from sdm.segmentation.pairs import label_pairs, labels_of, without_prediction
     from sdm.segmentation.scores import COLUMNS
 
     # Not only those that have a partner: what lies with labels may well be one.
@@ -64,4 +65,7 @@ def evaluate(
     nothing = [name for name, case in scores.items() if math.isnan(case["dice"])]
     if nothing:
         print(f"in no mean, for both labels are empty: {', '.join(nothing)}")
+    forgotten = without_prediction(predictions, truths)
+    if forgotten:
+        print(f"in no mean, for nothing was predicted: {', '.join(forgotten)}")
     return None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import re
+import socket
 import textwrap
 import time
 from collections import Counter
@@ -22,6 +24,8 @@ from sdm.stream import Maker
 LOOK, PATIENCE = 5.0, 120.0
 # How many workers a shard may lose, and how many may be lost in a row at one place.
 TRIES = 3
+# A machine and its port, and how long it has to answer [s].
+ADDRESS, KNOCK = re.compile(r"(?:ray://)?(\[.+\]|[^:/]+):(\d+)"), 10.0
 # Characters of what Ray says that a sentence has room for.
 LONGEST = 240
 
@@ -62,6 +66,7 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
         raise SDMError("--ray needs Ray, which is not installed: pip install 'warp-sdm[ray]'") from None
     own = not ray.is_initialized()
     if own:
+        _knock(address)
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -72,6 +77,18 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
     finally:
         if own:
             ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Ray itself waits minutes for an address where nothing answers, and says nothing."""
+    place = ADDRESS.fullmatch(address)
+    if place is None:
+        return
+    try:
+        socket.create_connection((place[1].strip("[]"), int(place[2])), timeout=KNOCK).close()
+    # A port beyond those that there are is an OverflowError.
+    except (OSError, OverflowError) as error:
+        raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
 
 
 class _Crew:

@@ -18,6 +18,7 @@ from nibabel.openers import ImageOpener
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
+from sdm.io.numbers import plain_numbers
 from sdm.io.packed import held
 from sdm.io.record import KEY, from_record, record
 
@@ -48,7 +49,7 @@ def read(path: Path) -> SDM:
         image = opened(path, holder)
         grid, count = _geometry(image, path)
         values = np.asanyarray(image.dataobj).reshape(grid.shape)
-        return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
+        return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
 
 
 def read_grid(path: Path) -> Grid:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 from sdm.errors import FormatError
 from sdm.field import SDM
 from sdm.grid import Grid
+from sdm.io.numbers import plain_numbers
 from sdm.io.record import KEY, from_text, to_text
 
 SPACE = "right-anterior-superior"
@@ -48,7 +50,7 @@ def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: values become float32."""
     values, header = nrrd.read(str(path), index_order="F")
     grid, count = _geometry(header, path)
-    return SDM(torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)), grid, count)
+    return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
 
 
 def read_grid(path: Path) -> Grid:
@@ -84,6 +86,9 @@ def _affine(header: Any, path: Path) -> np.ndarray:
         affine[:3, :3] = directions.T
     else:
         affine[:3, :3] = np.diag(header.get("spacings", (1.0, 1.0, 1.0)))
+    if "space origin" not in header and np.isfinite(np.asarray(header.get("axis mins", math.nan), np.float64)).any():
+        # Programs differ in whether that is a voxel's centre or its edge.
+        raise FormatError(f"{path} says by axis mins where it begins: give it a space origin instead")
     affine[:3, 3] = header.get("space origin", (0.0, 0.0, 0.0))
     space = str(header.get("space", "")).lower().removesuffix(WITH_TIME)
     affine[:3] *= np.array(FLIPPED.get(space, (1, 1, 1)))[:, None]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sdm.errors import FormatError
 from sdm.io.nifti import opened
+from sdm.io.numbers import plain_numbers
 from sdm.io.packed import held
 from sdm.io.sentence import one_line
 from sdm.segmentation.case import Case
@@ -72,10 +73,7 @@ def _volume(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
             shape = tuple(image.shape)
             if len(shape) < 3 or any(n != 1 for n in shape[3:]):
                 raise FormatError(f"{path} has the shape {shape}: an image of three dimensions is needed")
-            values = np.asanyarray(image.dataobj)
-            if values.dtype.kind not in "buif":
-                raise FormatError(f"{path} has values of type {values.dtype}: plain numbers are needed")
-            values = np.ascontiguousarray(values.reshape(shape[:3]), dtype=np.float32)
+            values = plain_numbers(np.asanyarray(image.dataobj).reshape(shape[:3]), path)
     except (OSError, EOFError, ImageFileError, HeaderDataError, ValueError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise

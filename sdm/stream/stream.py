@@ -177,6 +177,8 @@ class SDMStream(IterableDataset[Batch]):
     def sample(self, index: int | list[int] | torch.Tensor) -> Batch:
         """The samples with these global numbers, as the stream gives them, whatever its position."""
         numbers = torch.as_tensor(index, dtype=torch.int64, device="cpu").reshape(-1)
+        if not len(numbers):
+            raise SDMError("no sample was asked for; give the number of one, or more")
         if bool((numbers < 0).any()):
             raise SDMError(f"sample {int(numbers.min())} was asked for; they are numbered from 0")
         self._refuse_fork()

@@ -216,6 +216,18 @@ def test_where_both_labels_are_empty_nothing_has_failed(tmp_path, capsys):
     assert "| mean of 2 | 100.00 | 100.00 | 100.00 | 0.00 | 0.00 | 0.00 |" in said
     assert "failed" not in said
     assert "in no mean, for both labels are empty: none" in said
+    assert "nothing was predicted" not in said
+
+
+def test_truths_without_a_prediction_are_named(tmp_path, capsys):
+    for folder, names in (("p", ("a",)), ("t", ("a", "b", "c"))):
+        (tmp_path / folder).mkdir()
+        for name in names:
+            nib.save(nib.Nifti1Image(volume(0)[1], AFFINE), tmp_path / folder / f"{name}.nii.gz")
+    assert main(["evaluate", str(tmp_path / "p"), str(tmp_path / "t")]) == 0
+    assert "in no mean, for nothing was predicted: b, c" in capsys.readouterr().out
+    assert main(["evaluate", str(tmp_path / "p" / "a.nii.gz"), str(tmp_path / "t")]) == 0
+    assert "nothing was predicted" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["", "nowhere/scores.json", "folder"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import socket
 import sys
 import threading
 import time
@@ -37,6 +38,15 @@ def test_says_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(SDMError, match=r"pip install 'warp-sdm\[ray\]'"):
         write(tmp_path / "d.zarr", ray="auto")
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:{}", "ray://127.0.0.1:{}", "[::1]:{}", "127.0.0.1:6553600"])
+def test_an_address_where_nothing_answers(address, tmp_path, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        free = server.getsockname()[1]
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+    with pytest.raises(SDMError, match="there is no Ray cluster at"):
+        cluster.run_on_ray(job(FAMILY, tmp_path), [0], address.format(free), lambda _: None)
 
 
 def job(family: Family, folder: Path) -> Job:

@@ -116,6 +116,21 @@ def test_a_nrrd_that_says_its_spacings_alone(tmp_path):
     assert load(tmp_path / "a.nrrd").values.sum() == 24
 
 
+def test_a_nrrd_that_begins_at_axis_mins_is_refused(tmp_path):
+    nrrd.write(str(tmp_path / "a.nrrd"), np.ones((2, 3, 4), np.uint8), {"axis mins": [5.0, 6.0, 7.0]})
+    with pytest.raises(FormatError, match=r"a\.nrrd says by axis mins where it begins"):
+        grid_like(tmp_path / "a.nrrd")
+    nrrd.write(str(tmp_path / "b.nrrd"), np.ones((2, 3, 4), np.uint8), {"axis mins": [np.nan] * 3})
+    assert grid_like(tmp_path / "b.nrrd").origin == (0.0, 0.0, 0.0)
+
+
+def test_complex_numbers_are_refused(tmp_path):
+    nib.save(nib.Nifti1Image(np.ones((2, 3, 4), np.complex64), np.eye(4)), tmp_path / "a.nii")
+    with pytest.raises(FormatError, match=r"a\.nii has values of type complex64: plain numbers are needed"):
+        load(tmp_path / "a.nii")
+    assert grid_like(tmp_path / "a.nii").shape == (2, 3, 4)
+
+
 def test_images_of_other_dimensions_are_refused(tmp_path):
     nib.save(nib.Nifti1Image(np.zeros((2, 3, 4, 5), np.float32), np.eye(4)), tmp_path / "a.nii")
     nrrd.write(str(tmp_path / "a.nrrd"), np.zeros((2, 3, 4, 5), np.uint8))

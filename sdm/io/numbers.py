@@ -1,0 +1,20 @@
+"""Values of images as float32."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sdm.errors import FormatError
+
+
+def plain_numbers(values: np.ndarray, path: Path) -> np.ndarray:
+    """An image's values as contiguous float32.
+
+    Raises:
+        FormatError: They are colours or complex numbers, of which a part would be lost.
+    """
+    if values.dtype.kind not in "buif":
+        raise FormatError(f"{path} has values of type {values.dtype}: plain numbers are needed")
+    return np.ascontiguousarray(values, dtype=np.float32)
