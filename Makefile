@@ -5,7 +5,6 @@
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP_ARGS ?=
-RECORDS ?= bench/results
 ARGS ?=
 RECORDS ?= bench/results
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt

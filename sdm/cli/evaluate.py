@@ -37,11 +37,12 @@ def evaluate(
     from sdm.io.atomic import replacing
     from sdm.io.formats import check_file
     from sdm.segmentation import scores_of, table
-    from sdm.segmentation.pairs import label_pairs, labels_of, without_prediction
+    from sdm.segmentation.pairs import label_pairs, labels_of
     from sdm.segmentation.scores import COLUMNS
 
     # Not only those that have a partner: what lies with labels may well be one.
-    refuse_inputs([json], [*labels_of(predictions).values(), *labels_of(truths).values()])
+    known = labels_of(truths)
+    refuse_inputs([json], [*labels_of(predictions).values(), *known.values()])
     if json is not None:
         check_file(json)
     where = choose_device(device)
@@ -54,18 +55,18 @@ def evaluate(
     if json is not None:
         with replacing(json) as part:
             # JSON has no word for infinite.
-            known = {
+            plain = {
                 name: {key: value if math.isfinite(value) else None for key, value in case.items()}
                 for name, case in scores.items()
             }
-            part.write_text(dumps(known, indent=1, allow_nan=False) + "\n")
+            part.write_text(dumps(plain, indent=1, allow_nan=False) + "\n")
     failed = [name for name, case in scores.items() if case["failed"]]
     if failed:
         print(f"failed, for one of the two labels is empty: {', '.join(failed)}")
     nothing = [name for name, case in scores.items() if math.isnan(case["dice"])]
     if nothing:
         print(f"in no mean, for both labels are empty: {', '.join(nothing)}")
-    forgotten = without_prediction(predictions, truths)
+    forgotten = sorted({*known} - {*scores}) if predictions.is_dir() else []
     if forgotten:
         print(f"in no mean, for nothing was predicted: {', '.join(forgotten)}")
     return None

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from sdm.errors import FormatError
-
-LEFTOVER = ".part"
+from sdm.io.atomic import own_name
 
 
 @contextmanager
@@ -47,7 +45,7 @@ def put(target: Path, content: bytes | Path) -> None:
         _flush(content)
         content.replace(target)
     else:
-        part = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}{LEFTOVER}")
+        part = own_name(target)
         try:
             part.write_bytes(content)
             _flush(part)

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import secrets
 import shutil
 import tempfile
 from pathlib import Path
@@ -26,6 +24,7 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from sdm.dataset.atomic import put
 from sdm.errors import FormatError
+from sdm.io.atomic import own_name
 
 VERSION = 1
 KEY = "sdm"
@@ -58,7 +57,7 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
     """Make an empty dataset in `folder`, which must not be there."""
     # Under another name until the manifest is whole, so that a kill leaves nothing that looks like a dataset; under one
     # of its own, since another process may begin the same.
-    fresh = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}.new")
+    fresh = own_name(folder, ".new")
     try:
         _empty(fresh, manifest)
         fresh.rename(folder)

@@ -17,6 +17,7 @@ from sdm.deepsdf.settings import Settings
 from sdm.device import choose_device
 from sdm.errors import FormatError, SDMError
 from sdm.grid import Grid
+from sdm.io.torch_file import own_settings
 from sdm.mesh import as_tensor
 from sdm.sampling import UnitSphere
 
@@ -65,12 +66,8 @@ class DeepSDF:
         saved = checkpoint.read(Path(path), where)
         if "settings" not in saved:
             raise FormatError(f"{path} is the state of a training's optimizer; give the {checkpoint.MODEL} beside it")
-        try:
+        with own_settings(Path(path)):
             settings = Settings(**saved["settings"])
-        except TypeError as error:
-            raise FormatError(
-                f"{path} has settings that this program does not know: use the sdm that wrote it"
-            ) from error
         whole = AutoDecoder(settings, len(saved["names"])).to(where)
         whole.load_state_dict(saved["state"])
         spheres = [UnitSphere((x, y, z), radius) for x, y, z, radius in saved["spheres"]]

@@ -62,7 +62,12 @@ def _temporary(target: Path) -> Path:
         raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
     if not target.parent.is_dir():
         raise FormatError(f"{target} cannot be written: {target.parent} is not a folder")
-    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}{LEFTOVER}")
+    return own_name(target)
+
+
+def own_name(path: Path, ending: str = LEFTOVER) -> Path:
+    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN` and the ending."""
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{ending}")
 
 
 def _flush(path: Path) -> None:

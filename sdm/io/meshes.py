@@ -15,6 +15,7 @@ from sdm.io.atomic import replacing
 from sdm.io.mixed_ply import read_mixed
 from sdm.io.polygons import cut_ply, cut_text
 from sdm.io.sentence import one_line
+from sdm.io.visible import visible
 from sdm.io.whole import check_whole
 from sdm.mesh import TriangleMesh
 
@@ -71,8 +72,7 @@ def mesh_files(folder: str | Path) -> list[Path]:
     import trimesh
 
     endings = tuple(f".{ending}" for ending in trimesh.available_formats() - NOT_ALWAYS)
-    files = (path for path in Path(folder).iterdir() if path.is_file() and not path.name.startswith("."))
-    return sorted(path for path in files if path.name.lower().endswith(endings))
+    return [path for path in visible(Path(folder)) if path.is_file() and path.name.lower().endswith(endings)]
 
 
 def _check_file(path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,19 @@ def load_torch(path: Path, otherwise: str, *, device: torch.device | str = "cpu"
     if not isinstance(content, dict):
         raise FormatError(f"{path} {otherwise}")
     return content
+
+
+@contextmanager
+def own_settings(path: Path) -> Iterator[None]:
+    """Settings are made of what a file has, which a newer sdm may have written.
+
+    Raises:
+        FormatError: There is one that this sdm does not have.
+    """
+    try:
+        yield
+    except TypeError as error:
+        raise FormatError(f"{path} has settings that this program does not know: use the sdm that wrote it") from error
 
 
 def _cause(error: BaseException) -> BaseException:

@@ -9,6 +9,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.io.sentence import one_line
+from sdm.io.visible import visible
 from sdm.segmentation.case import Case
 from sdm.segmentation.labels import foreground
 
@@ -17,8 +18,7 @@ ENDINGS = (".h5", ".hdf5")
 
 def hdf5_files(folder: Path) -> list[Path]:
     """The folder's HDF5 files, by name; no hidden ones."""
-    found = folder.iterdir() if folder.is_dir() else ()
-    return sorted(p for p in found if p.suffix.lower() in ENDINGS and not p.name.startswith("."))
+    return [p for p in visible(folder) if p.suffix.lower() in ENDINGS] if folder.is_dir() else []
 
 
 def read_hdf5(path: Path) -> Case:

@@ -16,6 +16,7 @@ from sdm.io.nifti import opened
 from sdm.io.numbers import plain_numbers
 from sdm.io.packed import held
 from sdm.io.sentence import one_line
+from sdm.io.visible import visible
 from sdm.segmentation.case import Case
 from sdm.segmentation.labels import foreground
 
@@ -27,9 +28,8 @@ MILLIMETRES = {1: 1e3, 3: 1e-3}
 
 
 def nifti_files(folder: Path) -> list[Path]:
-    """The folder's NIfTI files, by name; no hidden ones, such as macOS lays beside others."""
-    found = folder.iterdir() if folder.is_dir() else ()
-    return sorted(p for p in found if p.name.endswith(ENDINGS) and not p.name.startswith("."))
+    """The folder's NIfTI files, by name; no hidden ones."""
+    return [p for p in visible(folder) if p.name.endswith(ENDINGS)] if folder.is_dir() else []
 
 
 def stem_of(path: Path) -> str:

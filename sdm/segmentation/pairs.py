@@ -52,11 +52,6 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
         yield name, first, second, prediction.spacing
 
 
-def without_prediction(predictions: Path, truths: Path) -> list[str]:
-    """Names of the labels in a folder of truths that nothing was predicted for; none where a file was given."""
-    return [] if truths.is_file() or predictions.is_file() else sorted({*labels_of(truths)} - {*labels_of(predictions)})
-
-
 def labels_of(place: Path) -> dict[str, Path]:
     """A label's file, or those of a folder, by name; see `named`."""
     return named([place] if place.is_file() else nifti_files(place) or hdf5_files(place))

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from sdm.errors import FormatError
-from sdm.io.torch_file import load_torch, save_torch
+from sdm.io.torch_file import load_torch, own_settings, save_torch
 from sdm.segmentation.model import SegmentationModel
 from sdm.segmentation.settings import Settings
 
@@ -61,10 +61,8 @@ def load_settings(path: Path) -> Settings:
 
 
 def _settings(path: Path, state: dict[str, Any]) -> Settings:
-    try:
+    with own_settings(path):
         return Settings.of_record(state["settings"])
-    except TypeError as error:
-        raise FormatError(f"{path} has settings that this program does not know: use the sdm that wrote it") from error
 
 
 def _state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
