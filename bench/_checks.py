@@ -20,11 +20,15 @@ INSIDE = 0.5
 
 
 def voxel_centres(grid: sdm.Grid, which: np.ndarray | None = None) -> np.ndarray:
-    """Centres (n,3) float32 of the voxels of an axis-aligned grid with these numbers: rows of `grid.points()`."""
+    """Centres (n,3) float32 of the voxels of a grid with these numbers: rows of `grid.points()`."""
     if which is None:
         return grid.points().numpy().reshape(-1, 3)
-    index = np.stack(np.unravel_index(which, grid.shape), -1)
-    return (np.asarray(grid.origin) + np.asarray(grid.spacing) * index).astype(np.float32)
+    i, j, k = np.unravel_index(which, grid.shape)
+    rows = np.asarray(grid.direction) * np.asarray(grid.spacing)
+    # Added in the order of `grid.points()`, as each sum is rounded.
+    return np.stack(
+        [origin + (row[0] * i + row[1] * j + row[2] * k) for origin, row in zip(grid.origin, rows, strict=True)], -1
+    ).astype(np.float32)
 
 
 def rounding(case: Case, points: np.ndarray) -> np.ndarray:

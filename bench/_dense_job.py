@@ -254,11 +254,6 @@ def call_parts(peer: Peer, parts: list[sdm.Grid]) -> float:
     return sum(call_part(peer, part)[0] for part in parts)
 
 
-def cube_around(case: Case, resolution: int) -> sdm.Grid:
-    """The cube of voxels around a mesh."""
-    return sdm.Grid.around(sdm.TriangleMesh(case.vertices, case.faces, case.name), resolution=resolution)
-
-
 def geometric_mean(values: list[float]) -> float:
     """Of positive numbers."""
     return statistics.geometric_mean(values)

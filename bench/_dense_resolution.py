@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bench._dense_job import Job, Ours, as_dict, cube_around, exponent, peak_mib, time_ours, time_peer
+from bench._dense_job import Job, Ours, as_dict, exponent, peak_mib, time_ours, time_peer
+from bench._grids import cube_around
 from bench._timing import median, once
 from bench.meshes import load_case, missing_note
 from bench.peers import StockWarp

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 import sdm
-from bench._dense_job import Job, Ours, as_dict, cube_around, recorded
+from bench._dense_job import Job, Ours, as_dict, recorded
+from bench._grids import cube_around
 from bench._timing import median
 from bench.meshes import Case
 from sdm.kernels import dense

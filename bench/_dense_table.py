@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bench._dense_job import Job, Ours, check_map, cube_around, geometric_mean, time_ours, time_peer
+from bench._dense_job import Job, Ours, check_map, geometric_mean, time_ours, time_peer
+from bench._grids import cube_around
 from bench.peers import LibiglWinding, Open3D, Peer, StockWarp, SweptVolume
 
 MESHES = {

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bench._dense_job import Job, Ours, check_map, cube_around, exponent, time_ours, time_peer
+from bench._dense_job import Job, Ours, check_map, exponent, time_ours, time_peer
+from bench._grids import cube_around
 from bench.meshes import load_case
 from bench.peers import StockWarp
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bench._dense_job import Job, Ours, check_map, cube_around, time_ours
+from bench._dense_job import Job, Ours, check_map, time_ours
+from bench._grids import cube_around, turned_around
 from bench._shapes import Arrays, cube, joined, moved, sphere, torus
 from bench.meshes import Case, load_case
 
 TRIANGLES = 1_000_000
 RESOLUTION = 128
-CHECKED = 400
+CHECKED = 4000
 # At most so many times the ordinary mesh's time.
 LIMIT = 20
+# The ordinary mesh on a turned grid of voxels twice as long as wide: half the voxels, boxes around cells much larger.
+LONG_VOXELS = "turned, long voxels"
 # A tiny sphere's diameter as a share of a voxel's edge, and its centre's place in the box of the cube around it.
 TINY, PLACE = 0.8, (0.31, 0.17, -0.23)
 
@@ -43,25 +46,27 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
     """One row for each mesh, with its ratio to an ordinary one of as many triangles."""
     count = 1_000 if job.quick else TRIANGLES if job.gpu else TRIANGLES // 20
     resolution = 16 if job.quick else RESOLUTION if job.gpu else RESOLUTION // 2
+    ordinary = load_case(f"torus-{count}")
     made = {
         "centre of a sphere": lambda: ball(count),
         "all in one voxel": lambda: one_voxel(count, resolution),
         "2 coincident shells": lambda: coincident(count, 2),
         "64 coincident shells": lambda: coincident(count, 64),
+        LONG_VOXELS: lambda: (ordinary.vertices, ordinary.faces),
     }
-    ordinary = load_case(f"torus-{count}")
     each = job.budget_s / 20
     usual, _ = time_ours(job, Ours(ordinary, job.device), cube_around(ordinary, resolution), each)
     for name, make in made.items():
         if not job.has_time(name):
             continue
         case = Case(name, *make(), frozenset())
-        grid = cube_around(case, resolution)
+        grid = turned_around(case, resolution) if name == LONG_VOXELS else cube_around(case, resolution)
         row, values = time_ours(job, Ours(case, job.device), grid, each)
         yield {
             "mesh": name,
             "triangles": len(case),
             "resolution": resolution,
+            "shape": list(grid.shape),
             **row,
             "ordinary": {"mesh": ordinary.name, "triangles": len(ordinary), **usual},
             "ratio_to_ordinary": row["new_mesh"]["ms"] / usual["new_mesh"]["ms"],

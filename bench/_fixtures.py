@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-import sdm
 from bench import _sampling as sampling
 from bench._checks import LIMIT, compare
 from bench.brute import Brute
@@ -43,11 +42,6 @@ def built(peer: Peer, mesh: str) -> Case:
     case = load_case(mesh)
     peer.build(case)
     return case
-
-
-def grid_of(case: Case, resolution: int) -> sdm.Grid:
-    """The cube of voxels around a mesh."""
-    return sdm.Grid.around(sdm.TriangleMesh(case.vertices, case.faces, case.name), resolution=resolution)
 
 
 def scattered(case: Case, count: int) -> np.ndarray:

@@ -9,7 +9,8 @@ import sys
 
 import torch
 
-from bench._dense_job import Ours, cube_around
+from bench._dense_job import Ours
+from bench._grids import cube_around
 from bench.meshes import load_case
 
 

@@ -24,6 +24,7 @@ import numpy as np
 import sdm
 from bench import _sampling as sampling
 from bench._checks import LIMIT, Tally, compare, rounding
+from bench._grids import cube_around, turned_around
 from bench._machine import ROOT, describe
 from bench._record import put, write
 from bench._report import accuracy_markdown
@@ -35,8 +36,6 @@ SHARES = {"uniform": 0.35, "near": 0.35, "surface": 0.12, "far": 0.06, "voxels":
 # Larger meshes get fewer points, so that the brute force stays within seconds on a GPU.
 FULL_COUNT_TRIANGLES = 200_000
 MILLION = "torus-1000000"
-# Columns of a turn about no axis of the grid, to full float64 precision.
-TURN = np.linalg.qr(np.array([[0.8, -0.6, 0.1], [0.5, 0.7, -0.4], [0.2, 0.3, 0.9]]))[0]
 
 
 def check(case: Case, points: int, resolution: int, device: str) -> dict[str, Any]:
@@ -69,7 +68,7 @@ def check(case: Case, points: int, resolution: int, device: str) -> dict[str, An
         for what, error in _hit_errors(case, brute, at, distance, *found).items():
             hits[what] = max(hits[what], error)
 
-    straight, turned = _grid(mesh, resolution), _turned_grid(mesh, resolution)
+    straight, turned = cube_around(case, resolution), turned_around(case, resolution)
     for kind, grid, method in (
         ("voxels", straight, "cells"),
         ("voxels, search", straight, "search"),
@@ -130,20 +129,6 @@ def computed_by(method: str) -> Iterator[None]:
         yield
     finally:
         ops.DENSE_METHOD = usual
-
-
-def _grid(mesh: sdm.TriangleMesh, resolution: int) -> sdm.Grid:
-    return sdm.Grid.around(mesh, resolution=resolution)
-
-
-def _turned_grid(mesh: sdm.TriangleMesh, resolution: int) -> sdm.Grid:
-    """Unequal spacing along axes that are turned against the mesh's, around its middle."""
-    low, high = mesh.bounds
-    extent = 1.2 * (high - low).max()
-    shape = np.array([resolution, resolution * 3 // 4, resolution // 2])
-    spacing = extent / (shape - 1)
-    origin = (low + high) / 2 - TURN @ (spacing * (shape - 1) / 2)
-    return sdm.Grid(origin, spacing, shape, TURN)
 
 
 def main(argv: list[str] | None = None) -> int:

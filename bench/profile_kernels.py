@@ -52,7 +52,8 @@ def kernel_times(name: str, resolution: int) -> dict[str, Any]:
     import torch
     from torch.profiler import ProfilerActivity, profile
 
-    from bench._dense_job import Ours, cube_around
+    from bench._dense_job import Ours
+    from bench._grids import cube_around
     from bench._timing import median
     from bench.meshes import load_case
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bench import _fixtures as shared
+from bench._grids import cube_around
 from bench.peers import Peer
 
 # trimesh takes minutes for what the others do in a second.
@@ -19,7 +20,7 @@ def test_dense(benchmark, peer: Peer, mesh: str) -> None:
     case = shared.built(peer, mesh)
     resolution = SLOW.get(peer.name, RESOLUTION[peer.device])
     benchmark.group = f"{mesh} at {resolution}^3 on {peer.device}"
-    grid = shared.grid_of(case, resolution)
+    grid = cube_around(case, resolution)
     peer.prepare(grid)
     at = grid.points().numpy().reshape(-1, 3)
     shared.check_then_time(benchmark, peer, case, at, lambda: peer.signed_distance_map(grid))

@@ -21,6 +21,7 @@ from sdm.kernels.effort import (
     search_is_faster,
     shares_of,
     slice_for,
+    uneven_room,
 )
 from sdm.kernels.grid import Output, Slab
 from sdm.kernels.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
@@ -110,6 +111,7 @@ def query_slab(
     slice_length = slice_for(tree.count, tree.depth, 8 * total) if gpu else NO_SLICES
     lists.region_shares, lists.shares = shares_of(tree.count, shape, lists.cell) if gpu else (1, 1)
     expected = expected_entries(tree.count, shape, lists.cell, lists.region_shares, lists.shares)
+    expected *= uneven_room(slab.spacing, slab.turned != 0)
     room = pool_for(expected, total, values.device)
     passes = passes_for(expected, total, room)
     most = -(-total // passes)
@@ -129,6 +131,7 @@ def query_slab(
     lists.whole = empty(LENGTHS * slices, wp.int32)
     lists.coarse = empty(slices, wp.int32)
     lists.sliced = empty(8 * most, wp.int32)
+    lists.lacking = empty(8 * most, wp.int32)
     lists.part_heads = empty(9 * slices, wp.int32)
     lists.part_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)

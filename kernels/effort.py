@@ -20,6 +20,9 @@ CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 3 << 29
 POOL_SHARE = 16
 # More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
 POOL_ROOM = 1.6
+# So many times as much where a cell's box is long, or wider than its voxels: on a grid that is turned, or whose
+# spacings differ by this factor or more.
+UNEVEN_ROOM, UNEVEN = 3.0, 1.5
 MOST_REGIONS = 1 << (CELL_BITS - 3)
 # Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
 # cell, for that. Of a batch's maps they are as many as of one alone, so that the batch does not matter to a map's bits.
@@ -63,6 +66,12 @@ def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region:
     leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
     half = CHUNK / 2
     return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half))
+
+
+def uneven_room(spacing: Sequence[float], turned: bool) -> float:
+    """How many times as many entries of the pool cells of a grid like this take."""
+    shortest, longest = float(min(spacing)), float(max(spacing))
+    return UNEVEN_ROOM if turned or longest >= UNEVEN * shortest else 1.0
 
 
 def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:

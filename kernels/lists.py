@@ -65,6 +65,7 @@ class Lists:
     slices: wp.int32  # room for so many blocks of each length
     coarse: wp.array(dtype=wp.int32)
     sliced: wp.array(dtype=wp.int32)  # (8 * count) the cells whose lists are cut into several slices
+    lacking: wp.array(dtype=wp.int32)  # (8 * count) of those, 1 where the pool ran out for one of the slices
     part_heads: wp.array(dtype=wp.int32)  # of each block the parts that matter to it
     part_lengths: wp.array(dtype=wp.int32)
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)

@@ -173,6 +173,7 @@ def share_out(lists: Lists, whole: bool, number: int, length: int, slice_length:
     slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
     if slices > 1:
         lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
+        lists.lacking[number] = 0
     code = number | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
     if whole:
         kind = length_class(wp.min(length, slice_length))

@@ -253,6 +253,9 @@ def _select_parts(
                     lanes,
                 )
         if lane == 0:
+            if chain.chunk >= lists.chunks and block.slices > 1 and is_within(slab, block.start):
+                # What the other slices come to is not all.
+                lists.lacking[number] = 1
             lists.part_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
             lists.part_lengths[item] = chain.length
         item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)

@@ -1,6 +1,7 @@
 """Voxels of cells whose list of parts is cut into slices: several blocks measure them, and each lessens what is there.
 
-So before the blocks they are infinite, and only after the last is it known what they came to.
+So before the blocks they are infinite, and only after the last is it known what they came to. If one of the slices
+found no room, that is nothing: the least of the others may not be the least.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ def sliced_voxels(lists: Lists):
 
 @wp.func
 def sliced_voxel(slab: Slab, lists: Lists, number: int):
-    """The mesh and the index of one of them; -1 if it is beyond the slab."""
+    """The mesh, the cell and the index of one of them; -1 if it is beyond the slab."""
     # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
     bits = wp.where(lists.cell == BLOCK, 3, 4)
     last = lists.cell - 1
-    mesh, start = noted_start(lists, lists.sliced[number >> (3 * bits)])
+    cell = lists.sliced[number >> (3 * bits)]
+    mesh, start = noted_start(lists, cell)
     at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
-    return mesh, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
+    return mesh, cell, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
 
 
 @wp.kernel
@@ -43,7 +45,7 @@ def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Outpu
     """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
-        mesh, index = sliced_voxel(slab, lists, number)
+        mesh, _cell, index = sliced_voxel(slab, lists, number)
         if index >= 0:
             winding = out.values[index]
             out.values[index] = with_sign(float(wp.inf), winding)
@@ -57,9 +59,11 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
     """What voxels that several slices measure come to nobody knows before the last is done."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
-        _mesh, index = sliced_voxel(slab, lists, number)
+        _mesh, cell, index = sliced_voxel(slab, lists, number)
         if index >= 0:
             distance = out.values[index]
+            if lists.lacking[cell] != 0:
+                distance = wp.where(distance < 0.0, -float(wp.inf), float(wp.inf))
             put_distance(distances_at(out), index, distance)
             if not wp.abs(distance) < float(wp.inf):
                 fetch_add(out.missed, 0, 1)

@@ -7,7 +7,10 @@ import pytest
 import torch
 
 import sdm
+import sdm.ops
 from bench.meshes import load_case
+from sdm.kernels import dense, effort
+from sdm.kernels.lists import SLICED
 from tests.exactness import ROUNDING, assert_exact
 
 pytestmark = pytest.mark.gpu
@@ -45,6 +48,35 @@ def test_a_torus_of_a_million_triangles():
     assert np.abs(values - expected).max() < 2e-5
     clear = np.abs(expected) > 2e-5
     assert ((values < 0) == (expected < 0))[clear].all()
+
+
+def test_slices_that_find_no_room(monkeypatch):
+    """Of a long list that several groups measure each has a part: where one finds no room, the others are not all."""
+    case = load_case("torus-300000")
+    index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cuda")
+    shape = np.array([96, 72, 48])
+    spacing = 2.1 / (shape - 1)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    grid = sdm.Grid(-turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "search")
+    expected = index.signed_distance_map(grid).values
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    measure, lacking = dense.measure_blocks, []
+
+    def spy(*inputs):
+        lists = inputs[3]
+        lacking.append(int(lists.lacking.numpy()[lists.sliced.numpy()[: lists.counts.numpy()[SLICED]]].sum()))
+        measure(*inputs)
+
+    monkeypatch.setattr(dense, "measure_blocks", spy)
+    for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
+        monkeypatch.setattr(effort, "LARGEST_POOL", most)
+        values = index.signed_distance_map(grid).values
+        assert (values.abs() - expected.abs()).abs().max() <= 8 * ROUNDING * 2
+        assert torch.equal(values < 0, expected < 0)
+    # With plenty there is room for all.
+    assert lacking[0] == 0
+    assert sum(lacking) > 0
 
 
 def test_a_map_in_slabs_takes_little_memory():

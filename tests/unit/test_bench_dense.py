@@ -14,6 +14,7 @@ from bench import _dense_signs as signs
 from bench import _dense_table as table
 from bench import _dense_worst as worst
 from bench import dense, plots
+from bench._grids import cube_around
 from bench.meshes import load_case
 from bench.peers import Peer
 
@@ -62,7 +63,7 @@ def test_what_a_sign_costs():
     assert [(row["closed"], row["boundary_edges"] > 0) for row in rows] == [(True, False), (False, True)]
     assert all(row["ratio"] == row["signed"]["ms"] / row["unsigned"]["ms"] for row in rows)
     case = load_case("torus-2000")
-    ours, grid = common.Ours(case, "cpu"), common.cube_around(case, 16)
+    ours, grid = common.Ours(case, "cpu"), cube_around(case, 16)
     with signs.unsigned():
         alone = ours.map(grid)
     assert bool((alone >= 0).all())
@@ -109,7 +110,7 @@ class Backwards(Peer):
 
 def test_a_peer_with_other_signs_is_noticed():
     case = load_case("cube")
-    grid = common.cube_around(case, 12)
+    grid = cube_around(case, 12)
     peer = Backwards()
     peer.build(case)
     values = sdm.signed_distance_map(sdm.TriangleMesh(case.vertices, case.faces), grid, device="cpu").values

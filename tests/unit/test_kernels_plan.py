@@ -17,7 +17,7 @@ from bench.meshes import load_case, sphere
 from sdm.kernels import dense, effort
 from sdm.kernels.atomics import shrink
 from sdm.kernels.launch import launch
-from sdm.kernels.lists import COARSE, LENGTHS, WHOLE
+from sdm.kernels.lists import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from tests.exactness import ROUNDING, assert_exact, scale_of
 
@@ -51,6 +51,8 @@ class Seen:
     coarse: list[np.ndarray] = field(default_factory=list)
     lengths: list[np.ndarray] = field(default_factory=list)
     without_room: int = 0
+    sliced_without_room: int = 0
+    used: int = 0
     count: int = 0
 
     def codes(self) -> np.ndarray:
@@ -79,6 +81,9 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
         found.coarse.append(coarse)
         found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[planned])
         found.without_room += int((lists.heads.numpy().reshape(-1, lists.shares)[planned] < 0).any(1).sum())
+        # Of some cells only a part of the slices found none, so that what the others come to is not all.
+        found.sliced_without_room += int(lists.lacking.numpy()[lists.sliced.numpy()[: counts[SLICED]]].sum())
+        found.used += int(CHUNK * (lists.given + counts[NEXT_CHUNK]))
         found.count += lists.count
         measure(*inputs)
 
@@ -276,7 +281,7 @@ def test_lists_of_larger_leaves(monkeypatch, seen, name, levels):
 
 
 @pytest.mark.parametrize("shares", [1, 4])
-@pytest.mark.parametrize("room", [1 << 11, 1 << 13])
+@pytest.mark.parametrize("room", [1 << 11, 1 << 13, 1 << 15, 1 << 16, 3 << 15])
 def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
     """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its slices."""
     mesh = mesh_of("overlapping shells")
@@ -287,10 +292,47 @@ def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
     slice_lists(monkeypatch, 13)
     share_lists(monkeypatch, shares)
     scarce = values_of(mesh, grid)
-    assert seen.without_room > 0
+    assert seen.without_room > 0 or seen.sliced_without_room > 0
     check(mesh, grid, scarce)
     assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
     assert torch.equal(plenty < 0, scarce < 0)
+
+
+@pytest.mark.parametrize("name", ["overlapping shells", "all alike"])
+@pytest.mark.parametrize("slice_length", [1, 4, 13])
+def test_slices_that_find_no_room(monkeypatch, seen, name, slice_length):
+    """The least of some slices may not be the least of all: pools of every size, so that any of them is the last."""
+    mesh = mesh_of(name)
+    grid = grid_of(name, mesh)
+    plenty = values_of(mesh, grid)
+    limit = 8 * ROUNDING * float(np.max(scale_of(*mesh.numpy(), grid.points().reshape(-1, 3).numpy())))
+    slice_lists(monkeypatch, slice_length)
+    for step in range(0, 34, 3):
+        monkeypatch.setattr(effort, "CPU_POOL", int(2048 * 1.25**step))
+        scarce = values_of(mesh, grid)
+        assert (plenty.abs() - scarce.abs()).abs().max() <= limit
+        assert torch.equal(plenty < 0, scarce < 0)
+    assert seen.sliced_without_room > 0
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("voxels", [(60, 60, 60), (60, 60, 30), (60, 24, 60)])
+def test_the_room_that_is_expected_is_enough(seen, turned, voxels):
+    """Also where voxels are long, or the grid is turned, so that the boxes around its cells are wider."""
+    case = load_case("torus-20000")
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    shape = np.array(voxels)
+    spacing = 2.1 / (shape - 1)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    turn = turn if turned else np.eye(3)
+    grid = sdm.Grid(-turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
+    centres = grid.points().reshape(-1, 3).numpy()
+    some = np.random.default_rng(0).permutation(len(centres))[:300]
+    values = values_of(mesh, grid)
+    assert_exact(case.vertices, case.faces, centres[some], values.reshape(-1)[torch.from_numpy(some)])
+    regions = int(np.prod(-(-shape // 16)))
+    expected = effort.expected_entries(len(case.faces), voxels, int(BLOCK), 1, 1) * regions
+    assert seen.used <= expected * effort.uneven_room(spacing, turned)
 
 
 def test_shrink_keeps_the_sign_and_the_least(monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 import sdm
 from bench import accuracy, run
 from bench._checks import compare, rounding, voxel_centres
+from bench._grids import TURN
 from bench.meshes import load_case
 from bench.peers import Sdm
 
@@ -86,8 +87,9 @@ def test_accuracy_report(tmp_path, monkeypatch, capsys):
     assert json.loads(out.read_text())["meshes"]["cube"]["kinds"]["near"]["wrong_signs"] > 100
 
 
-def test_voxel_centres_are_the_grids():
-    grid = sdm.Grid((0.1, -3.3, 1e4), (0.3, 0.07, 0.9), (7, 11, 5))
+@pytest.mark.parametrize("direction", [np.eye(3), TURN])
+def test_voxel_centres_are_the_grids(direction):
+    grid = sdm.Grid((0.1, -3.3, 1e4), (0.3, 0.07, 0.9), (7, 11, 5), direction)
     which = np.array([0, 5, 54, 200, 384])
     np.testing.assert_array_equal(voxel_centres(grid, which), grid.points().numpy().reshape(-1, 3)[which])
     np.testing.assert_array_equal(voxel_centres(grid), grid.points().numpy().reshape(-1, 3))
