@@ -88,7 +88,7 @@ def _curves(axes: Axes, rows: Rows, x: str, build: bool) -> None:
             color=colour_of(OURS, []),
             linewidth=1.4,
             linestyle="--",
-            label="of which topology and build",
+            label="topology and build, called alone",
         )
 
 
