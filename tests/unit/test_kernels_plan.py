@@ -20,6 +20,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.lists import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from tests.exactness import ROUNDING, assert_exact, scale_of
+from tests.sharing import leave_levels_out, share_lists, slice_lists
 
 wp.set_module_options({"enable_backward": False})
 
@@ -90,33 +91,6 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     monkeypatch.setattr(dense, "measure_blocks", spy)
     monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
     return found
-
-
-def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
-    """As many groups for each list on this CPU as a GPU might have: all that they share is made larger."""
-    find = dense.find_witnesses
-
-    def shared(*inputs: Any) -> None:
-        lists = inputs[3]
-        if lists.shares != shares:
-            lists.region_shares, lists.shares = 2 * shares, shares
-            lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
-            for name in ("region_heads", "region_lengths", "heads", "lengths", "nearest"):
-                before = getattr(lists, name)
-                times = lists.region_shares if name.startswith("region") else shares
-                setattr(lists, name, wp.full(times * before.shape[0], -7, dtype=before.dtype, device="cpu"))
-        find(*inputs)
-
-    monkeypatch.setattr(dense, "find_witnesses", shared)
-
-
-def leave_levels_out(monkeypatch: pytest.MonkeyPatch, levels: int) -> None:
-    """Lists of larger leaves, as long ones have."""
-    monkeypatch.setattr(dense, "levels_left_out", lambda _triangles, depth, _shape: min(levels, depth))
-
-
-def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
-    monkeypatch.setattr(dense, "NO_SLICES", slice_length)
 
 
 NAMES = ["overlapping shells", "random soup", "needle fan"]
