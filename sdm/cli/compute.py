@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -57,6 +58,7 @@ def compute(
     from sdm.device import choose_device
     from sdm.errors import GridError
     from sdm.io import grid_like as read_grid
+    from sdm.io.maps import is_placed
 
     given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
     both = [name for name, value in given.items() if value is not None]
@@ -74,6 +76,12 @@ def compute(
         orient=orient,
         resume=resume,
     )
+    if grid_like is not None and not is_placed(grid_like):
+        print(
+            f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
+            "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
+            file=sys.stderr,
+        )
     jobs = plan(meshes, out, format)
     # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like

@@ -73,6 +73,18 @@ def grid_like(path: str | Path) -> Grid:
         return chosen.module.read_grid(source)
 
 
+def is_placed(path: str | Path) -> bool:
+    """Whether an image says how it lies in space: a NIfTI image with neither qform nor sform does not.
+
+    Raises:
+        FormatError: As `load`.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS | HEADERS)
+    with _reading(source):
+        return not hasattr(chosen.module, "is_placed") or chosen.module.is_placed(source)
+
+
 def made_from(path: str | Path) -> str | None:
     """What `write_streamed` was told that a map is made from; None where it was not, and of other images.
 

@@ -57,6 +57,12 @@ def read_grid(path: Path) -> Grid:
     return _geometry(opened(path), path)[0]
 
 
+def is_placed(path: Path) -> bool:
+    """Whether the image says how it lies in space. Where it does not, nibabel and ITK place it differently."""
+    header = opened(path).header
+    return int(header["qform_code"]) > 0 or int(header["sform_code"]) > 0
+
+
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
     kept = (_said(extension.get_content()) for extension in opened(path).header.extensions)

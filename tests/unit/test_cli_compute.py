@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import nibabel as nib
 import numpy as np
 import pytest
 import trimesh
@@ -73,6 +74,17 @@ def test_grids(ball, tmp_path):
     save(signed_distance_map(mesh, grid), tmp_path / "image.nii.gz")
     assert run(ball, "-o", out, "--grid-like", tmp_path / "image.nii.gz") == 0
     assert load(out).grid == grid
+
+
+def test_an_image_that_does_not_say_how_it_lies(ball, tmp_path, capsys):
+    image = nib.Nifti1Image(np.zeros((5, 6, 7), np.float32), np.diag([0.4, 0.5, 0.6, 1.0]))
+    for code in (1, 0):
+        image.set_qform(image.affine, code)
+        image.set_sform(image.affine, code)
+        nib.save(image, tmp_path / f"code-{code}.nii.gz")
+        assert run(ball, "-o", tmp_path / "map.npz", "--grid-like", tmp_path / f"code-{code}.nii.gz") == 0
+        said = capsys.readouterr().err
+        assert ("code-0.nii.gz does not say how it lies in space" in said) == (code == 0)
 
 
 def test_the_default_resolution(ball, tmp_path):
