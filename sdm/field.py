@@ -14,12 +14,13 @@ from sdm.grid import Grid
 from sdm.mesh import TriangleMesh
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class SDM:
     """A signed distance map: negative inside, zero on the surface, in the mesh's unit.
 
     Args:
-        values: (nx,ny,nz) float32; `values[i,j,k]` belongs to `grid.origin + grid.spacing * (i,j,k)`.
+        values: (nx,ny,nz) float32, a tensor or an array, which is copied; `values[i,j,k]` belongs to
+            `grid.origin + grid.spacing * (i,j,k)`.
         grid: Where the values live.
         ambiguous_voxels: How many voxels have a winding number within a quarter of 0.5, so that the mesh does
             not clearly say whether they are inside. 0 for closed meshes; None where nobody counted.
@@ -27,11 +28,18 @@ class SDM:
 
     values: Tensor
     grid: Grid
-    ambiguous_voxels: int | None = None
+    ambiguous_voxels: int | None
 
-    def __post_init__(self) -> None:
-        if tuple(self.values.shape) != self.grid.shape:
-            raise GridError(f"values of shape {tuple(self.values.shape)} do not fit a grid of shape {self.grid.shape}")
+    def __init__(self, values: Tensor | np.ndarray, grid: Grid, ambiguous_voxels: int | None = None) -> None:
+        if isinstance(values, np.ndarray):
+            # What NumPy computed is a map too; float64 is rounded, as the engine's own values are.
+            if values.dtype.kind not in "fiu":
+                raise SDMError(f"values of a map are real numbers, not {values.dtype}")
+            values = torch.from_numpy(np.array(values, np.float32))
+        if tuple(values.shape) != grid.shape:
+            raise GridError(f"values of shape {tuple(values.shape)} do not fit a grid of shape {grid.shape}")
+        for name, value in (("values", values), ("grid", grid), ("ambiguous_voxels", ambiguous_voxels)):
+            object.__setattr__(self, name, value)
 
     def numpy(self) -> np.ndarray:
         """The values on the host, (nx,ny,nz) float32."""

@@ -8,6 +8,7 @@ import sdm
 from sdm.errors import GridError, SDMError
 from sdm.field import SDM
 from sdm.grid import Grid
+from sdm.io import load
 
 CENTRE = np.array([0.3, -0.2, 0.1])
 
@@ -62,6 +63,20 @@ def test_no_surface_is_said():
 def test_values_must_fit_the_grid():
     with pytest.raises(GridError, match="do not fit"):
         SDM(torch.zeros(2, 2, 2), Grid((0, 0, 0), (1, 1, 1), (2, 2, 3)))
+
+
+def test_values_of_numpy(tmp_path):
+    """A map that somebody computed otherwise is saved and read as any other, in whatever order its memory is."""
+    grid = Grid((0, 0, 0), (1, 2, 1), (2, 3, 4))
+    values = np.asfortranarray(np.arange(24.0).reshape(2, 3, 4) - 7.5)
+    field = SDM(values, grid)
+    assert field.values.dtype == torch.float32
+    field.save(tmp_path / "map.nii.gz")
+    np.testing.assert_array_equal(load(tmp_path / "map.nii.gz").numpy(), values)
+    values[:] = 0
+    assert field.numpy()[0, 0, 0] == -7.5
+    with pytest.raises(SDMError, match="real numbers, not complex128"):
+        SDM(values * 1j, grid)
 
 
 def test_numpy_detaches():
