@@ -84,6 +84,11 @@ def without(logs: Logs, case: str) -> Logs:
     return [{**log, **{p: {c: v for c, v in log[p].items() if c != case} for p in parts}} for log in logs]
 
 
+def _trained(logs: Logs) -> set[tuple[str, int]]:
+    """Method and seed of each training."""
+    return {(log["job"]["settings"]["method"], log["job"]["settings"]["seed"]) for log in logs}
+
+
 def other_protocols(logs: Logs, trials: Path) -> list[str]:
     """Trainings that are not of the table."""
     designs, others = designs_and_others(trials)
@@ -96,12 +101,14 @@ def other_protocols(logs: Logs, trials: Path) -> list[str]:
         title = f"Effects of settings in the {len(design)} trainings of {name}, the mean of one half less the other's:"
         parts += [title, "", effects_table(design, most_moved([*logs, *design])), ""]
     for name, own in others.items():
-        seeds = {log["job"]["settings"]["seed"] for log in own}
         methods = {log["job"]["settings"]["method"] for log in own}
-        whole = len(seeds) > 1 or set(MA_ROWS) <= methods
-        if whole and "baseline" in methods and len(methods) > 1 and len(own) == len(seeds) * len(methods):
+        # Some rows have more seeds than others: what all have is compared.
+        seeds = set.intersection(*({seed for method, seed in _trained(own) if method == of} for of in methods))
+        whole = len(seeds) > 1 or (len(seeds) == 1 and set(MA_ROWS) <= methods)
+        if whole and "baseline" in methods and len(methods) > 1:
             count = f"means of {len(seeds)} seeds" if len(seeds) > 1 else "one seed"
-            parts += [f"Against the baseline, case by case, {count} of {name}:", "", against_baseline(own), ""]
+            same = [log for log in own if log["job"]["settings"]["seed"] in seeds]
+            parts += [f"Against the baseline, case by case, {count} of {name}:", "", against_baseline(same), ""]
     return parts
 
 
