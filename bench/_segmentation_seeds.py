@@ -47,15 +47,35 @@ def spread_of(values: np.ndarray) -> Spread:
     return Spread(deviation, *limits)
 
 
-def rows_of(logs: Logs, without: str | None = None) -> Rows:
-    """The rows that have every seed of the baseline, which comes first; none if it is not there."""
-    found: dict[str, dict[int, Logs]] = {}
+def by_method(logs: Logs) -> dict[str, dict[int, dict[str, Any]]]:
+    """Method -> seed -> log."""
+    found: dict[str, dict[int, dict[str, Any]]] = {}
     for log in logs:
         settings = log["job"]["settings"]
-        found.setdefault(settings["method"], {})[settings["seed"]] = [log]
+        found.setdefault(settings["method"], {})[settings["seed"]] = log
+    return found
+
+
+def shared_seeds(logs: Logs) -> list[int]:
+    """Those that all methods have."""
+    return sorted(set.intersection(*(set(seeds) for seeds in by_method(logs).values()))) if logs else []
+
+
+def of_shared_seeds(logs: Logs) -> Logs:
+    """The logs by which all methods can be compared: of the seeds that all have, or all logs if these are not two."""
+    seeds = shared_seeds(logs)
+    return [log for log in logs if log["job"]["settings"]["seed"] in seeds] if len(seeds) > 1 else logs
+
+
+def rows_of(logs: Logs, without: str | None = None) -> Rows:
+    """The rows that have every seed of the baseline, which comes first; none if it is not there.
+
+    Where all rows share two seeds or more, these alone.
+    """
+    found = by_method(of_shared_seeds(logs))
     seeds = sorted(found.get("baseline", {}))
     names = [name for name in METHODS if seeds and set(seeds) <= set(found.get(name, {}))]
-    return {name: {seed: means(found[name][seed], without) for seed in seeds} for name in names}
+    return {name: {seed: means([found[name][seed]], without) for seed in seeds} for name in names}
 
 
 def spreads(rows: Rows) -> tuple[Spread, Spread] | None:

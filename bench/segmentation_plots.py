@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from bench import segmentation_juhl, segmentation_ma
 from bench._figure import COLOURS, OURS, drawing
 from bench._segmentation_jobs import read_logs
-from bench._segmentation_seeds import rows_of, spreads
+from bench._segmentation_seeds import of_shared_seeds, rows_of, spreads
 from bench._segmentation_trials import Logs, most_moved
-from bench.segmentation_report import differences, half_width, protocol, values_of
+from bench.segmentation_report import WHOLE, differences, half_width, protocol, values_of
 from sdm.segmentation import METHODS
 
 if TYPE_CHECKING:
@@ -35,12 +35,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ma", type=Path, default=segmentation_ma.LOGS)
     parser.add_argument("--juhl", type=Path, default=segmentation_juhl.LOGS)
+    parser.add_argument("--whole", type=Path, default=WHOLE)
     parser.add_argument("--out", type=Path, default=Path("docs"))
     options = parser.parse_args()
     if logs := read_logs(options.juhl):
         draw_shapes(logs, options.out / "segmentation-shapes.png")
     if logs := read_logs(options.ma):
-        draw_atrium(logs, options.out / "segmentation-atrium.png")
+        draw_atrium(logs, options.out / "segmentation-atrium.png", "Left atrium, patches: each row beside the baseline")
+    if logs := read_logs(options.whole):
+        title = "Left atrium, whole volumes: each row beside the baseline"
+        draw_atrium(logs, options.out / "segmentation-atrium-whole.png", title)
 
 
 def draw_shapes(logs: Logs, target: Path) -> None:
@@ -69,8 +73,12 @@ def draw_shapes(logs: Logs, target: Path) -> None:
         axes.set_title("Simple shapes: regression of distances keeps the contour", x=-0.66)
 
 
-def draw_atrium(logs: Logs, target: Path) -> None:
-    """How much each row's Dice differs from the baseline's, case by case, and its 95HD with and without one case."""
+def draw_atrium(logs: Logs, target: Path, title: str) -> None:
+    """How much each row's Dice differs from the baseline's, case by case, and its 95HD with and without one case.
+
+    By the seeds that all rows have.
+    """
+    logs = of_shared_seeds(logs)
     dice, moved = values_of(logs, "dice"), most_moved(logs)
     rows, rest = rows_of(logs), rows_of(logs, moved)
     hues = {name: hue for names, hue in zip(FAMILIES.values(), HUES, strict=True) for name in names}
@@ -113,7 +121,7 @@ def draw_atrium(logs: Logs, target: Path) -> None:
             one.locator_params(axis="x", integer=True, nbins=8)
             one.set_ylim(-len(names) + 0.4, 1.3)
         _explain(axes, far, moved[:4])
-        axes.set_title("Left atrium: each row beside the baseline", x=-0.35, pad=44)
+        axes.set_title(title, x=-0.35, pad=44)
 
 
 def _explain(axes: Axes, far: Axes, moved: str) -> None:

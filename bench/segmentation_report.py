@@ -6,8 +6,9 @@ A method is compared with the baseline case by case, each case being the mean ov
 difference with its 95 % confidence interval (Student's t over the cases), and Wilcoxon's signed-rank test. With the 8
 validation cases only differences that nearly all cases share can be told from chance. "Hard" is the half of the cases
 in which the baseline has the lower Dice. The same follows without the case in whose 95HD the trainings differ most, and
-seed by seed, with what chance does to a table like this. Trainings by other protocols (`--trials`) follow in tables of
-their own, and so do ensembles, the mean over the seeds of a method.
+seed by seed, with what chance does to a table like this. The same rows on whole volumes (`--whole`) follow, then
+trainings by other protocols (`--trials`) in tables of their own, and ensembles, the mean over the seeds of a method.
+Where some rows have more seeds than others, they are compared by those that all have.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from bench import segmentation_juhl, segmentation_ma
 from bench._record import put
 from bench._segmentation_ensemble_tables import ensembles_tables, mixtures_tables
 from bench._segmentation_jobs import read_logs
-from bench._segmentation_seeds import repeats_table, seeds_table
+from bench._segmentation_seeds import of_shared_seeds, repeats_table, seeds_table, shared_seeds
 from bench._segmentation_trials import Logs, designs_and_others, effects_table, most_moved, trials_table
 from sdm.segmentation import MA_ROWS, METHODS
 
 OUT = Path(__file__).parent / "results" / "segmentation.md"
+WHOLE = Path(__file__).parent / "results" / "segmentation_ma_whole"
 TRIALS = Path(__file__).parent / "results" / "segmentation_ma_trials"
 Values = dict[str, dict[str, float]]
 
@@ -37,35 +39,47 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ma", type=Path, default=segmentation_ma.LOGS)
     parser.add_argument("--juhl", type=Path, default=segmentation_juhl.LOGS)
+    parser.add_argument("--whole", type=Path, default=WHOLE)
     parser.add_argument("--trials", type=Path, default=TRIALS)
     parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT.name}")
     options = parser.parse_args()
-    text = page(options.ma, options.juhl, options.trials)
+    text = page(options.ma, options.juhl, options.trials, options.whole)
     print(text)
     if options.out is not None:
         put(options.out, text + "\n")
 
 
-def page(ma: Path, juhl: Path, trials: Path) -> str:
+def page(ma: Path, juhl: Path, trials: Path, whole: Path | None = None) -> str:
     """The page in Markdown."""
     logs, shape_logs = read_logs(ma), read_logs(juhl)
+    further = {whole.name: whole} if whole is not None and read_logs(whole) else {}
     parts = ["# Segmentation guided by distance maps", ""]
     parts += ["Made by `python -m bench.segmentation_report --out bench/results/segmentation.md`; logs beside it.", ""]
     parts += ["## Left atrium (Ma et al.)", ""]
     if logs:
-        parts += [protocol(logs), "", "Largest connected component, mean (sd) over cases and seeds:", ""]
-        parts += [segmentation_ma.table_of(ma, "largest"), "", "As predicted, all components:", ""]
-        parts += [segmentation_ma.table_of(ma, "plain"), ""]
-        parts += ["Against the baseline, case by case (largest component):", "", against_baseline(logs), ""]
-        parts += by_seed(logs)
-        parts += other_protocols(logs, trials)
-        parts += ensembles(ma, trials, logs)
+        parts += study(ma)
+        for name, folder in further.items():
+            parts += [f"### Whole volumes: a patch holds nearly all of one (logs in {name})", "", *study(folder)]
+        parts += other_protocols(logs, trials, {name: read_logs(folder) for name, folder in further.items()})
+        parts += ensembles(ma, further, trials)
     parts += ["## Simple shapes (Juhl et al.)", ""]
     if shape_logs:
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
         parts += [segmentation_juhl.table_of(juhl), ""]
         parts += ["Published: PWC 92.38, 68.49, 1.573, 1.947; PWR 97.08, 87.69, 0.714, 1.018.", ""]
     return "\n".join(parts).rstrip()
+
+
+def study(folder: Path) -> list[str]:
+    """Ma's rows by one protocol: the tables, and each row beside the baseline."""
+    logs = read_logs(folder)
+    same = of_shared_seeds(logs)
+    told = "" if len(same) == len(logs) else f", by the {len(shared_seeds(logs))} seeds that all rows have"
+    parts = [protocol(logs), "", "Largest connected component, mean (sd) over cases and seeds:", ""]
+    parts += [segmentation_ma.table_of(folder, "largest"), "", "As predicted, all components:", ""]
+    parts += [segmentation_ma.table_of(folder, "plain"), ""]
+    parts += [f"Against the baseline, case by case (largest component){told}:", "", against_baseline(same), ""]
+    return [*parts, *by_seed(same)]
 
 
 def by_seed(logs: Logs) -> list[str]:
@@ -84,26 +98,20 @@ def without(logs: Logs, case: str) -> Logs:
     return [{**log, **{p: {c: v for c, v in log[p].items() if c != case} for p in parts}} for log in logs]
 
 
-def _trained(logs: Logs) -> set[tuple[str, int]]:
-    """Method and seed of each training."""
-    return {(log["job"]["settings"]["method"], log["job"]["settings"]["seed"]) for log in logs}
-
-
-def other_protocols(logs: Logs, trials: Path) -> list[str]:
-    """Trainings that are not of the table."""
+def other_protocols(logs: Logs, trials: Path, further: Mapping[str, Logs]) -> list[str]:
+    """Trainings that are not of the table; `further` is looked through for repetitions alone."""
     designs, others = designs_and_others(trials)
     if not others:
         return []
     parts = [f"### Other protocols (largest component; logs in {trials.name})", "", trials_table(logs, others), ""]
-    if again := repeats_table({"the table": logs, **others}, most_moved(logs)):
-        parts += ["The same settings and the same seed twice (other commits, at times another GPU):", "", again, ""]
+    if again := repeats_table({"the table": logs, **further, **others}, most_moved(logs)):
+        parts += ["The same settings and the same seed twice (other commits, at times another machine):", "", again, ""]
     for name, design in designs.items():
         title = f"Effects of settings in the {len(design)} trainings of {name}, the mean of one half less the other's:"
         parts += [title, "", effects_table(design, most_moved([*logs, *design])), ""]
     for name, own in others.items():
         methods = {log["job"]["settings"]["method"] for log in own}
-        # Some rows have more seeds than others: what all have is compared.
-        seeds = set.intersection(*({seed for method, seed in _trained(own) if method == of} for of in methods))
+        seeds = shared_seeds(own)
         whole = len(seeds) > 1 or (len(seeds) == 1 and set(MA_ROWS) <= methods)
         if whole and "baseline" in methods and len(methods) > 1:
             count = f"means of {len(seeds)} seeds" if len(seeds) > 1 else "one seed"
@@ -112,16 +120,18 @@ def other_protocols(logs: Logs, trials: Path) -> list[str]:
     return parts
 
 
-def ensembles(ma: Path, trials: Path, logs: Logs) -> list[str]:
-    """Those of the table's trainings and of other protocols, then those over networks of several protocols."""
-    folders = sorted(path for path in trials.iterdir() if path.is_dir()) if trials.is_dir() else []
-    places, moved = {"the table": ma, **{path.name: path for path in folders}}, most_moved(logs)
+def ensembles(main: Path, further: Mapping[str, Path], trials: Path) -> list[str]:
+    """Those of the tables' trainings and of other protocols, then those over networks of several protocols."""
+    logs = read_logs(main)
+    others = {path.name: path for path in sorted(trials.iterdir()) if path.is_dir()} if trials.is_dir() else {}
+    table, moved = {"the table": main}, most_moved(logs)
     parts = {
         "### Ensembles: the mean of what networks say that differ in their seed (largest component)": (
-            ensembles_tables(places, moved)
+            ensembles_tables({**table, **further, **others}, moved)
         ),
+        # A training of other protocols may have been done again for a further table; its networks are not those mixed.
         "### Ensembles of several protocols, those of the first + those of the next (largest component)": (
-            mixtures_tables(places, logs, moved)
+            mixtures_tables({**table, **others}, logs, moved)
         ),
     }
     return [line for title, found in parts.items() if found for line in (title, "", found, "")]
@@ -139,8 +149,10 @@ def protocol(logs: Logs) -> str:
         f", mirrored along {'xyz' if axes is True else axes}, prediction the mean over mirror images" if axes else ""
     )
     told = ", told positions" if settings.get("position") else ""
+    # So has what came with coarser voxels.
+    coarse = f" of voxels {factor} times as large" if (factor := settings.get("coarsen", 1)) != 1 else ""
     return (
-        f"{settings['architecture']}, patches {patch}, batch {settings['batch']}, {settings['steps']} steps of "
+        f"{settings['architecture']}, patches {patch}{coarse}, batch {settings['batch']}, {settings['steps']} steps of "
         f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
         f"{settings['targets']}{told}{mirrors}; a training took {seconds:.0f} s (median; several may share a GPU) on "
         f"{', '.join(machines)}."
