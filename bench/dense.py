@@ -4,7 +4,7 @@
 
 Parts: `table` (four meshes against the faster of the peers, geometric means), `batch` (maps a second), `points`,
 `triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph), `signs`
-(what the sign costs).
+(what the sign costs), `slices` (thick ones).
 
 sdm's time is that of a mesh never seen before, from vertices and faces on the device to the map: topology, structure
 and query. A peer's is its query alone. Medians of warm calls; spread is slowest less fastest, of the median. A peer
@@ -40,6 +40,7 @@ BUDGETS_S = {
     "worst": 30.0,
     "graph": 15.0,
     "signs": 20.0,
+    "slices": 30.0,
 }
 QUICK_S = 6.0
 PACKAGES = ("warp-lang", "torch", "numpy", "libigl", "open3d")

@@ -26,6 +26,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
 from sdm.memory import as_warp, on_current_stream, scratch_on
 from sdm.placing import current_place
+from sdm.thick import Slices, finer, largest_scale, measured_finer
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -252,27 +253,37 @@ def distance_map(
     meshes = vertices.shape[0]
     if not hierarchy:
         hierarchy, kind = build(vertices, faces)
-    values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
-    ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
-    place = current_place()
-    address = None if place is None else as_warp(place.take(values), wp.int64)
+    slices = Slices(tuple(spacing), tuple(shape), first)
     with on_current_stream(vertices, hierarchy[0]):
-        tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
-        dense.query_slab(
-            tree,
-            frames,
-            parts,
-            cones,
-            winding,
-            _slab(tuple(origin), tuple(spacing), tuple(shape), first, tuple(direction)),
-            as_warp(values, wp.float32),
-            as_warp(ambiguous, wp.int32),
-            address,
-            launch,
-            scratch_on(vertices.device),
-            partial(kernels_beside, vertices),
-            DENSE_METHOD,
-        )
+        views = unpack(hierarchy, kind, meshes)
+
+        def query(slices: Slices, values: Tensor, ambiguous: Tensor, address: Tensor | None) -> None:
+            tree, winding, frames, parts, cones = views
+            dense.query_slab(
+                tree,
+                frames,
+                parts,
+                cones,
+                winding,
+                _slab(tuple(origin), slices.spacing, slices.shape, slices.first, tuple(direction)),
+                as_warp(values, wp.float32),
+                as_warp(ambiguous, wp.int32),
+                None if address is None else as_warp(address, wp.int64),
+                launch,
+                scratch_on(vertices.device),
+                partial(kernels_beside, vertices),
+                DENSE_METHOD,
+            )
+
+        # Of a GPU's meshes the host does not know how large they are.
+        if vertices.device.type == "cpu" and DENSE_METHOD != "search":
+            times = finer(slices, largest_scale(views[0], meshes), views[0].count)
+            if times != (1, 1, 1):
+                return measured_finer(query, slices, times, meshes)
+        values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
+        ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
+        place = current_place()
+        query(slices, values, ambiguous, None if place is None else place.take(values))
     return values, ambiguous
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import warp as wp
 
+from sdm import thick
 from sdm.kernels import dense
 
 
@@ -35,3 +36,8 @@ def leave_levels_out(monkeypatch: pytest.MonkeyPatch, levels: int) -> None:
 
 def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
     monkeypatch.setattr(dense, "NO_SLICES", slice_length)
+
+
+def no_finer_grids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thick slices measured as they are, as on a GPU."""
+    monkeypatch.setattr(thick, "FACTORS", (1,))

@@ -17,7 +17,7 @@ from sdm.kernels import columns, dense, effort
 from sdm.kernels.lists import CHUNK, NEXT_CHUNK
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
-from tests.sharing import leave_levels_out, share_lists, slice_lists
+from tests.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
 
 # Fine ones have long lists, about their centres above all.
 fine = st.integers(6, 16).map(lambda rings: strategies.Arrays(*sphere(rings)))
@@ -32,6 +32,7 @@ efforts = st.fixed_dictionaries(
         "wide": st.booleans(),
         "regions": st.sampled_from([1, 3, 1 << 15]),
         "columns": st.sampled_from([1, 9, 1 << 30]),
+        "finer": st.booleans(),
     }
 )
 
@@ -68,6 +69,8 @@ def test_against_the_brute_force(mesh, shape, seed, turned, shared):
         patch.setattr(effort, "MOST_REGIONS", shared["regions"])
         patch.setitem(effort.SHORT_FOR_WIDE, "cpu", 1e9 if shared["wide"] else 0)
         patch.setitem(columns.MOST_COLUMNS, "cpu", shared["columns"])
+        if not shared["finer"]:
+            no_finer_grids(patch)
         slice_lists(patch, shared["slice_length"])
         leave_levels_out(patch, shared["levels"])
         share_lists(patch, shared["shares"])

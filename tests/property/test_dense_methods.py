@@ -14,17 +14,22 @@ from bench.meshes import cube, load_case, sphere
 from sdm.kernels import columns, effort
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
+from tests.sharing import no_finer_grids
 
 meshes = st.one_of(strategies.soups(40), strategies.slivers(), strategies.closed(), strategies.shells())
 METHODS = ["cells", "search"]
+# Cells of thick slices, as they are and on a grid that is finer.
+WAYS = ["thick cells", "cells", "search"]
 quiet = [HealthCheck.function_scoped_fixture]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("way", WAYS)
 @settings(max_examples=60, suppress_health_check=quiet)
 @given(mesh=strategies.anywhere(meshes), shape=st.tuples(*[st.integers(1, 19)] * 3), seed=strategies.seeds)
-def test_against_the_brute_force(monkeypatch, method, mesh, shape, seed):
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+def test_against_the_brute_force(monkeypatch, way, mesh, shape, seed):
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", way.removeprefix("thick "))
+    if way == "thick cells":
+        no_finer_grids(monkeypatch)
     rng = np.random.default_rng(seed)
     used = mesh.vertices[mesh.faces].astype(np.float64)
     low, high = used.min((0, 1)), used.max((0, 1))

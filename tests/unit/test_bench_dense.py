@@ -17,6 +17,7 @@ from bench import dense, plots
 from bench._grids import cube_around
 from bench.meshes import load_case
 from bench.peers import Peer
+from sdm import thick
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -55,6 +56,20 @@ def test_a_file_of_something_else_is_refused(tmp_path, capsys):
     assert plots.main([str(other)]) == 2
     assert capsys.readouterr().err.count("holds no results") == 2
     assert other.read_text() == "[1]"
+
+
+def test_thick_slices(capsys, tmp_path):
+    out = tmp_path / "dense.json"
+    assert dense.main(["--device", "cpu", "--quick", "--budget-s", "20", "--parts", "slices", "--out", str(out)]) == 0
+    part = json.loads(out.read_text())["parts"]["slices"]
+    assert [row["slices"] for row in part["rows"]] == [12, 6]
+    assert part["summary"]["wrong"] == 0
+    for row in part["rows"]:
+        assert row["ratio"] == row["as_they_are"]["ms"] / row["new_mesh"]["ms"]
+        assert row["checked"]["near_surface"] > 0
+    # The finer grid is for the map alone, and what was patched is back.
+    assert len(thick.FACTORS) > 1
+    assert "12 of 48^2" in capsys.readouterr().out
 
 
 def test_what_a_sign_costs():

@@ -20,7 +20,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.lists import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
 from sdm.kernels.plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from tests.exactness import ROUNDING, assert_exact, scale_of
-from tests.sharing import leave_levels_out, share_lists, slice_lists
+from tests.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
 
 wp.set_module_options({"enable_backward": False})
 
@@ -90,6 +90,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
 
     monkeypatch.setattr(dense, "measure_blocks", spy)
     monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    no_finer_grids(monkeypatch)
     return found
 
 

@@ -1,0 +1,86 @@
+"""Part `slices`: a mesh in slices thick and thin, as clinical images are, and what a finer grid is worth there.
+
+On a CPU maps of thick slices are measured on a finer grid (`sdm.thick`); beside that, the same without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+import sdm
+from bench._dense_job import Job, Ours, as_dict, check_map, time_ours
+from bench._timing import median
+from bench.meshes import Case
+from sdm import thick
+
+MESHES = ("rocker-arm", "nefertiti", "torus-20000")
+ACROSS, SLICES = 192, (96, 48, 24, 12, 6)
+CHECKED = 2000
+
+
+def rows(job: Job) -> Iterator[dict[str, Any]]:
+    """One row for each mesh and number of slices."""
+    across, slices = (48, (12, 6)) if job.quick else (ACROSS, SLICES)
+    for case in job.cases(("torus-2000",) if job.quick else MESHES):
+        ours = Ours(case, job.device)
+        for count in slices:
+            if not job.has_time(f"{case.name} in {count} slices"):
+                continue
+            grid = sliced(case, across, count)
+            each = job.budget_s / len(MESHES) / len(slices) / 4
+            row, values = time_ours(job, ours, grid, each)
+            with mock.patch.object(thick, "FACTORS", (1,)):
+                plain = median(lambda ours=ours, grid=grid: ours.map_new(grid), job.device, job.runs, 1e3 * each)
+            yield {
+                "mesh": case.name,
+                "triangles": len(case),
+                "resolution": across,
+                "slices": count,
+                **row,
+                "as_they_are": as_dict(plain),
+                "ratio": plain.ms / row["new_mesh"]["ms"],
+                "checked": check_map(job, case, grid, values, CHECKED),
+            }
+
+
+def sliced(case: Case, across: int, count: int) -> sdm.Grid:
+    """The cube of `sdm.Grid.around`, of as many voxels across, in so many slices."""
+    cube = sdm.Grid.around(sdm.TriangleMesh(case.vertices, case.faces, case.name), resolution=across)
+    shape = np.array([across, across, count])
+    spacing = np.array(cube.spacing) * across / shape
+    return sdm.Grid(np.array(cube.origin) + 0.5 * (spacing - cube.spacing), spacing, shape)
+
+
+def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """What was wrong, and what finer grids are worth at most and at least."""
+    ratios = [row["ratio"] for row in found]
+    return {
+        "largest_ratio": max(ratios, default=None),
+        "smallest_ratio": min(ratios, default=None),
+        "wrong": sum(row["checked"]["wrong_signs"] + row["checked"]["over_limit"] for row in found),
+    }
+
+
+def lines(found: list[dict[str, Any]], total: dict[str, Any]) -> list[list[str]]:
+    """A table to print: header first."""
+    table = [["mesh", "slices", "Mvoxel/s", "map ms", "± %", "as they are ms", "ratio", "error", "wrong"]]
+    for row in found:
+        error = row["checked"]["max_error"]
+        table.append(
+            [
+                row["mesh"],
+                f"{row['slices']} of {row['resolution']}^2",
+                f"{row['mvoxels_per_second']:,.4g}",
+                f"{row['new_mesh']['ms']:.4g}",
+                f"{row['new_mesh']['spread_percent']:.0f}",
+                f"{row['as_they_are']['ms']:.4g}",
+                f"{row['ratio']:.2f}",
+                "not finite" if error is None else f"{error:.2f}",
+                str(row["checked"]["wrong_signs"]),
+            ]
+        )
+    return table

@@ -1,0 +1,129 @@
+"""Maps of thick slices on a CPU: measured on a finer grid, the same values in the same places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+import sdm.ops
+from bench.meshes import load_case
+from sdm import thick
+from sdm.thick import Slices, finer
+from tests.exactness import ROUNDING, assert_exact, scale_of
+
+# Across a mesh that is 2 wide: 100 and 20 slices.
+THIN, THICK = 0.02, 0.1
+TURN = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+
+
+def test_as_many_as_make_cells_narrow():
+    fine = Slices((THIN, THIN, THICK), (96, 96, 19), 0)
+    assert finer(fine, 1.0, 20_000) == (1, 1, 4)
+    assert finer(Slices((THICK, THIN, THIN), (19, 96, 96), 0), 1.0, 20_000) == (4, 1, 1)
+    # A mesh twice as large, a slab of the same grid, and an axis where there is nothing between.
+    assert finer(fine, 0.5, 20_000) == (1, 1, 2)
+    assert finer(Slices(fine.spacing, (32, 96, 19), 64), 1.0, 20_000) == (1, 1, 4)
+    assert finer(Slices(fine.spacing, (96, 96, 1), 0), 1.0, 20_000) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    "slices",
+    [
+        Slices((THIN,) * 3, (96, 96, 96), 0),
+        # Too many more voxels: all axes are coarse.
+        Slices((THICK,) * 3, (20, 20, 20), 0),
+        # Slices so thick that a sixteenth is still wide.
+        Slices((THIN, THIN, 100 * THICK), (96, 96, 3), 0),
+        Slices((THICK, THIN, THIN), (2**28, 96, 96), 0),
+        Slices((THIN, THIN, float("nan")), (96, 96, 19), 0),
+    ],
+)
+def test_none_where_it_would_not_be_faster(slices):
+    assert finer(slices, 1.0, 20_000) == (1, 1, 1)
+
+
+def test_none_where_all_is_searched():
+    assert finer(Slices((THIN, THIN, THICK), (96, 96, 19), 0), 1.0, 10**8) == (1, 1, 1)
+
+
+def grid_of(axis: int, turn: np.ndarray) -> sdm.Grid:
+    """45 voxels and 9 or so slices through a mesh of size 2, off its middle."""
+    spacing, shape = np.full(3, 0.05), np.full(3, 45)
+    spacing[axis], shape[axis] = 0.23, 9
+    return sdm.Grid([0.03, -0.02, 0.011] - turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
+
+
+def both_ways(monkeypatch: pytest.MonkeyPatch, mesh: sdm.TriangleMesh, grid: sdm.Grid) -> tuple[sdm.SDM, sdm.SDM]:
+    """On a finer grid, in several slabs, and one search a voxel."""
+    calls = []
+    measured = sdm.ops.measured_finer
+
+    def spy(*inputs):
+        calls.append(inputs[2])
+        return measured(*inputs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sdm.ops, "measured_finer", spy)
+        patch.setattr(thick, "MOST_VOXELS", 1)
+        found = sdm.signed_distance_map(mesh, grid, device="cpu")
+        assert calls
+        assert max(calls[0]) > 1
+        patch.setattr(sdm.ops, "DENSE_METHOD", "search")
+        return found, sdm.signed_distance_map(mesh, grid, device="cpu")
+
+
+@pytest.mark.parametrize("name", ["torus-20000", "open hemisphere", "overlapping shells", "random soup"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["straight", "turned"])
+def test_the_same_map(monkeypatch, name, axis, turn):
+    case = load_case(name)
+    mesh, grid = sdm.TriangleMesh(case.vertices, case.faces), grid_of(axis, turn)
+    found, searched = both_ways(monkeypatch, mesh, grid)
+    centres = grid.points().reshape(-1, 3).numpy()
+    limit = torch.from_numpy(8 * ROUNDING * scale_of(case.vertices, case.faces, centres)).reshape(grid.shape)
+    assert ((found.values.abs() - searched.values.abs()).abs() <= limit).all()
+    assert torch.equal(found.values < 0, searched.values < 0)
+    assert found.ambiguous_voxels == searched.ambiguous_voxels
+    some = np.random.default_rng(0).permutation(len(centres))[:300]
+    assert_exact(case.vertices, case.faces, centres[some], found.values.reshape(-1)[torch.from_numpy(some)])
+
+
+def test_a_mesh_that_leaves_inside_unclear(monkeypatch):
+    """Ambiguous voxels are counted of those that are kept, once each."""
+    case = load_case("open hemisphere")
+    found, searched = both_ways(monkeypatch, sdm.TriangleMesh(case.vertices, case.faces), grid_of(2, np.eye(3)))
+    assert found.ambiguous_voxels == searched.ambiguous_voxels > 0
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_slabs_are_the_whole_bit_for_bit(axis):
+    case = load_case("torus-20000")
+    index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cpu")
+    shape, spacing = [100, 30, 30], [0.02, 0.08, 0.08]
+    shape[axis], spacing[axis] = (100, 0.17) if axis == 0 else (12, 0.2)
+    grid = sdm.Grid(-np.array(spacing) * (np.array(shape) - 1) / 2, spacing, shape)
+    whole = index.signed_distance_map(grid).values
+    slabs = list(index.slabs(grid, max_bytes=1))
+    assert len(slabs) == 4
+    assert torch.equal(torch.cat([values for _, _, values in slabs]), whole)
+
+
+def test_batches_and_gradients(monkeypatch):
+    case = load_case("torus")
+    grid = grid_of(2, np.eye(3))
+    vertices = np.stack([case.vertices, 0.9 * case.vertices, 0.3 * case.vertices])
+    batch = torch.tensor(vertices, requires_grad=True)
+    maps = sdm.signed_distance_maps(batch, case.faces, grid, device="cpu")
+    maps.square().sum().backward()
+    gradient = batch.grad
+    for one, values in zip(vertices, maps.detach(), strict=True):
+        alone = sdm.signed_distance_map(sdm.TriangleMesh(one, case.faces), grid, device="cpu").values
+        assert (values - alone).abs().max() <= 8 * ROUNDING * 2
+    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "search")
+    batch.grad = None
+    sdm.signed_distance_maps(batch, case.faces, grid, device="cpu").square().sum().backward()
+    assert gradient is not None
+    assert batch.grad is not None
+    torch.testing.assert_close(gradient, batch.grad, rtol=1e-3, atol=1e-3)
