@@ -51,6 +51,8 @@ def deepsdf(
         resume: Go on from OUT/checkpoint if it is there. Without it an unfinished training is never replaced.
         compile: Compile the network first.
     """
+    from contextlib import nullcontext
+
     from sdm.budget import check_budget
     from sdm.cli.meter import Meter
     from sdm.deepsdf import train
@@ -58,6 +60,7 @@ def deepsdf(
     from sdm.deepsdf.ranks import is_first, process_group
     from sdm.deepsdf.settings import VARIANTS
     from sdm.errors import SDMError
+    from sdm.io.alone import alone
     from sdm.io.formats import check_file
     from sdm.sampling import ShapeSet
 
@@ -73,7 +76,8 @@ def deepsdf(
         # Before the training, not at its first checkpoint.
         out.mkdir(parents=True, exist_ok=True)
         check_file(out / MODEL)
-        with Meter("steps") as meter:
+        # Of several ranks the first writes.
+        with alone(out) if is_first() else nullcontext(), Meter("steps") as meter:
             path = train(
                 found,
                 settings,

@@ -68,6 +68,7 @@ def sdmnn(
     from sdm.cli.inputs import refuse_inputs
     from sdm.device import choose_device
     from sdm.errors import FormatError
+    from sdm.io.alone import alone
     from sdm.surrogate.settings import Settings
     from sdm.surrogate.store import save_weights, training_of
     from sdm.surrogate.training import Trainer
@@ -93,24 +94,27 @@ def sdmnn(
         start=None if start is None else str(start),
         seed=seed,
     )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"the folder {out} cannot be made: {error.strerror}") from error
     name = f"{model}-{recipe}"
+    curves = out / name
+    try:
+        curves.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"the folder {curves} cannot be made: {error.strerror}") from error
     target = out / f"{name}.safetensors"
     refuse_inputs([target], [start])
-    trainer = Trainer(
-        settings,
-        device=choose_device(device),
-        checkpoint=out / f"{name}.checkpoint" if checkpoint is None else checkpoint,
-        curves=out / name,
-        report=lambda line: print(line, flush=True),
-    )
-    trained = trainer.run()
-    facts = {**asdict(settings), "start": start and start.name}
-    facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
-    before = {} if start is None else {"started_from": training_of(start)}
-    save_weights(trained, target, training=facts, **before)
+    # The checkpoint is gone on with without being asked for.
+    with alone(curves):
+        trainer = Trainer(
+            settings,
+            device=choose_device(device),
+            checkpoint=out / f"{name}.checkpoint" if checkpoint is None else checkpoint,
+            curves=curves,
+            report=lambda line: print(line, flush=True),
+        )
+        trained = trainer.run()
+        facts = {**asdict(settings), "start": start and start.name}
+        facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
+        before = {} if start is None else {"started_from": training_of(start)}
+        save_weights(trained, target, training=facts, **before)
     print(f"wrote {target}, {target.stat().st_size / 1e6:.1f} MB")
     return None

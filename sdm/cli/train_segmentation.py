@@ -82,6 +82,7 @@ def segmentation(
     from sdm.cli.meter import Meter
     from sdm.device import choose_device
     from sdm.errors import FormatError
+    from sdm.io.alone import alone
     from sdm.io.formats import check_file
     from sdm.segmentation import (
         Patches,
@@ -133,21 +134,22 @@ def segmentation(
     check_file(out / "model.pt")
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
-    with Meter("steps") as meter:
-        training = train(
-            patches,
-            settings,
-            checkpoint=checkpoint,
-            deadline=deadline,
-            compiled=compile,
-            bfloat16=bfloat16 or None,
-            progress=meter,
-        )
-    if training.step < steps:
-        print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
-        return None
-    save_model(TrainedModel(training.model, settings, cases[0].spacing), out / "model.pt")
-    checkpoint.unlink(missing_ok=True)
+    with alone(out):
+        with Meter("steps") as meter:
+            training = train(
+                patches,
+                settings,
+                checkpoint=checkpoint,
+                deadline=deadline,
+                compiled=compile,
+                bfloat16=bfloat16 or None,
+                progress=meter,
+            )
+        if training.step < steps:
+            print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
+            return None
+        save_model(TrainedModel(training.model, settings, cases[0].spacing), out / "model.pt")
+        checkpoint.unlink(missing_ok=True)
     print(f"{out / 'model.pt'}: {method}, {steps:,} steps on {len(cases)} cases, {training.seconds:,.0f} s")
     if others:
         scores = [largest for _, _, largest in validate(training.model, others, patch)]

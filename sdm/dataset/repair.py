@@ -8,12 +8,12 @@ from pathlib import Path
 import torch
 
 from sdm.dataset import layout
-from sdm.dataset.atomic import alone
 from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.job import Job
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
 from sdm.grid import Grid
+from sdm.io.alone import alone
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.maker import DTYPES

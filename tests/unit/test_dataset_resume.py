@@ -20,10 +20,10 @@ import zarr
 
 from sdm.dataset import SDMDataset, damaged, generate, layout, verify
 from sdm.dataset import job as job_module
-from sdm.dataset.atomic import alone
 from sdm.dataset.repair import mend_arrays
 from sdm.demo_mesh import demo_mesh
 from sdm.errors import FormatError, SDMError
+from sdm.io.alone import alone
 from sdm.shapes import Cochlea, MeshFolder
 
 FAMILY = Cochlea(600)

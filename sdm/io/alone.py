@@ -1,0 +1,38 @@
+"""A folder that one process at a time writes to."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sdm.errors import FormatError
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Keep other processes of this machine from writing to a folder at the same time, if they ask so too.
+
+    Of two trainings each would go on from the other's checkpoint; of two that fill a dataset the one that finished it
+    would take it away under the hands of the other. The lock goes with its process, however that ends; a file system
+    that has no locks does without.
+
+    Raises:
+        FormatError: Another process has it, or it is not there.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise FormatError(f"{folder} cannot be written: {error.strerror or error}") from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FormatError(f"{folder} is being written by another process: wait for it, or end it") from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(handle)
