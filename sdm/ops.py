@@ -26,7 +26,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
 from sdm.memory import as_warp, on_current_stream, scratch_on
 from sdm.placing import current_place
-from sdm.thick import Slices, finer, largest_scale, measured_finer
+from sdm.thick import AS_IT_IS, Query, Slices, finer, measured_finer, scales_of
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -254,37 +254,62 @@ def distance_map(
     if not hierarchy:
         hierarchy, kind = build(vertices, faces)
     slices = Slices(tuple(spacing), tuple(shape), first)
-    with on_current_stream(vertices, hierarchy[0]):
-        views = unpack(hierarchy, kind, meshes)
+    query = partial(_query_slices, tuple(origin), tuple(direction), kind)
+    # Of a GPU's meshes the host does not know how large they are.
+    if vertices.device.type != "cpu" or DENSE_METHOD == "search":
+        return _measured(partial(query, hierarchy, meshes), slices, meshes, vertices.device)
+    tree = unpack(hierarchy, kind, meshes)[0]
+    wanted = [finer(slices, scale, tree.count) for scale in scales_of(tree, meshes)]
+    if all(times == AS_IT_IS for times in wanted):
+        return _measured(partial(query, hierarchy, meshes), slices, meshes, vertices.device)
+    # One by one, so that what a mesh's map is does not depend on the others of the batch.
+    found = []
+    for mesh, times in enumerate(wanted):
+        alone = partial(query, one_of(hierarchy, mesh, meshes), 1)
+        plain = times == AS_IT_IS
+        found.append(_measured(alone, slices, 1, vertices.device) if plain else measured_finer(alone, slices, times))
+    values, ambiguous = zip(*found, strict=True)
+    return torch.cat(values), torch.cat(ambiguous)
 
-        def query(slices: Slices, values: Tensor, ambiguous: Tensor, address: Tensor | None) -> None:
-            tree, winding, frames, parts, cones = views
-            dense.query_slab(
-                tree,
-                frames,
-                parts,
-                cones,
-                winding,
-                _slab(tuple(origin), slices.spacing, slices.shape, slices.first, tuple(direction)),
-                as_warp(values, wp.float32),
-                as_warp(ambiguous, wp.int32),
-                None if address is None else as_warp(address, wp.int64),
-                launch,
-                scratch_on(vertices.device),
-                partial(kernels_beside, vertices),
-                DENSE_METHOD,
-            )
 
-        # Of a GPU's meshes the host does not know how large they are.
-        if vertices.device.type == "cpu" and DENSE_METHOD != "search":
-            times = finer(slices, largest_scale(views[0], meshes), views[0].count)
-            if times != (1, 1, 1):
-                return measured_finer(query, slices, times, meshes)
-        values = torch.empty((meshes, *shape), dtype=torch.float32, device=vertices.device)
-        ambiguous = torch.zeros(meshes, dtype=torch.int32, device=vertices.device)
-        place = current_place()
-        query(slices, values, ambiguous, None if place is None else place.take(values))
+def _measured(query: Query, slices: Slices, meshes: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """What `distance_map` returns, of the voxels themselves."""
+    values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
+    ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
+    place = current_place()
+    query(slices, values, ambiguous, None if place is None else place.take(values))
     return values, ambiguous
+
+
+def _query_slices(
+    origin: tuple[float, ...],
+    direction: tuple[float, ...],
+    kind: int,
+    hierarchy: list[Tensor],
+    meshes: int,
+    slices: Slices,
+    values: Tensor,
+    ambiguous: Tensor,
+    address: Tensor | None,
+) -> None:
+    """Fill `values`, or use them and write to an address; see `sdm.kernels.dense.query_slab`."""
+    with on_current_stream(values, hierarchy[0]):
+        tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
+        dense.query_slab(
+            tree,
+            frames,
+            parts,
+            cones,
+            winding,
+            _slab(origin, slices.spacing, slices.shape, slices.first, direction),
+            as_warp(values, wp.float32),
+            as_warp(ambiguous, wp.int32),
+            None if address is None else as_warp(address, wp.int64),
+            launch,
+            scratch_on(values.device),
+            partial(kernels_beside, values),
+            DENSE_METHOD,
+        )
 
 
 @distance_map.register_fake

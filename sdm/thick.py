@@ -12,7 +12,7 @@ Divisions by powers of two are exact, so the voxels that are kept are where they
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, TypeAlias
@@ -29,12 +29,15 @@ from sdm.kernels.tree import FRAME_SIZE, SCALE
 CELL, BRICK, SEARCH = 1.0, 5.0, 36.0
 WORTH_IT = 0.7
 FACTORS = (1, 2, 4, 8, 16)
-# Voxels of a slab of the finer grid, which bounds memory; it has as many layers as whole regions at least.
+# Voxels of a slab of the finer grid, which bounds memory; it has as many layers as whole regions at least, and with
+# these never more voxels than the third number.
 MOST_VOXELS = 1 << 23
 LAYERS = 32
+LARGEST = 1 << 27
 MOST_LAYERS = (1 << 31) // max(FACTORS) - LAYERS
 
-Triple = tuple[int, int, int]
+Triple: TypeAlias = tuple[int, int, int]
+AS_IT_IS: Triple = (1, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -51,67 +54,76 @@ Query: TypeAlias = Callable[[Slices, Tensor, Tensor, Tensor | None], None]
 
 
 def finer(slices: Slices, scale: float, triangles: int) -> Triple:
-    """How many times as many slices along each axis the grid should have that is measured: (1,1,1) if none.
+    """How many times as many slices along each axis the grid should have that is measured, or `AS_IT_IS`.
 
     Args:
-        slices: Their number along the first axis does not matter, so that slabs are treated as the whole map is.
+        slices: Of slabs of one grid their number along the first axis does not matter, so that all are treated alike.
         scale: What a mesh's coordinates are multiplied by, so that it is at most 2 wide.
         triangles: Of the mesh.
     """
+    usual = _cost(slices, AS_IT_IS, scale)
     # Layers are counted with 32 bits.
-    if search_is_faster(triangles, slices.shape, gpu=False) or slices.first + slices.shape[0] > MOST_LAYERS:
-        return 1, 1, 1
-    usual = _cost(slices.spacing, (1, 1, 1), scale)
-    # A single voxel across is not between any.
-    along = (FACTORS if n > 1 else FACTORS[:1] for n in (2, *slices.shape[1:]))
-    found: list[Triple] = [(x, y, z) for x, y, z in product(*along)]
-    times = min(found, key=lambda times: _cost(slices.spacing, times, scale))
-    return times if _cost(slices.spacing, times, scale) <= WORTH_IT * usual else (1, 1, 1)
+    if usual == CELL or slices.first + slices.shape[0] > MOST_LAYERS:
+        return AS_IT_IS
+    if search_is_faster(triangles, slices.shape, gpu=False):
+        return AS_IT_IS
+    found: list[Triple] = [(x, y, z) for x, y, z in product(FACTORS, repeat=3)]
+    room = [times for times in found if LAYERS * math.prod(_across(slices, times)) <= LARGEST]
+    times = min(room, key=lambda times: _cost(slices, times, scale), default=AS_IT_IS)
+    return times if _cost(slices, times, scale) <= WORTH_IT * usual else AS_IT_IS
 
 
-def largest_scale(tree: Any, meshes: int) -> float:
-    """What the smallest mesh of a `Tree` is multiplied by; waits for the device."""
-    return float(tree.frame.numpy().reshape(meshes, FRAME_SIZE)[:, SCALE].max())
+def scales_of(tree: Any, meshes: int) -> list[float]:
+    """What each mesh of a `Tree` is multiplied by; waits for the device."""
+    return tree.frame.numpy().reshape(meshes, FRAME_SIZE)[:, SCALE].tolist()
 
 
-def _cost(spacing: Sequence[float], times: Sequence[int], scale: float) -> float:
+def _across(slices: Slices, times: Triple) -> tuple[int, ...]:
+    """Voxels of the finer grid along the second and the third axis."""
+    return tuple(k * (n - 1) + 1 for k, n in zip(times[1:], slices.shape[1:], strict=True))
+
+
+def _cost(slices: Slices, times: Triple, scale: float) -> float:
     """Of a voxel that is kept, in those of a cell."""
-    widest = scale * max(s / n for s, n in zip(spacing, times, strict=True))
-    one = CELL if _fits(int(BLOCK), widest) else BRICK if _fits(int(BLOCK) // 2, widest) else SEARCH
+    size = int(BLOCK)
+    one = CELL if _fits(size, slices, times, scale) else BRICK if _fits(size // 2, slices, times, scale) else SEARCH
     return math.prod(times) * one
 
 
-def _fits(voxels: int, widest: float) -> bool:
-    """Whether a box of so many voxels along its edge is narrow enough to be measured."""
+def _fits(size: int, slices: Slices, times: Triple, scale: float) -> bool:
+    """Whether boxes of up to so many voxels along their edges are narrow enough to be measured."""
+    # The first slab is the whole grid if it has less layers than one.
+    count = (slices.shape[0] if slices.first == 0 else size), *slices.shape[1:]
     # A little less, as the kernels round.
-    return 0.5005 * (voxels - 1) * widest <= float(COARSEST)
+    return all(
+        0.5005 * (min(size, k * (n - 1) + 1) - 1) * (scale * s / k) <= float(COARSEST)
+        for n, s, k in zip(count, slices.spacing, times, strict=True)
+    )
 
 
-def measured_finer(query: Query, slices: Slices, times: Triple, meshes: int) -> tuple[Tensor, Tensor]:
-    """Distances (B,n,ny,nz) in slices of which a grid has `times` as many, and how many are ambiguous (B,).
+def measured_finer(query: Query, slices: Slices, times: Triple) -> tuple[Tensor, Tensor]:
+    """A mesh's distances (1,n,ny,nz) in slices of which a grid has `times` as many; how many are ambiguous (1,).
 
     Args:
         query: Measures slices: writes distances to an address, and uses `values` for winding numbers.
         slices: Those that are wanted.
         times: See `finer`.
-        meshes: B.
     """
-    found = torch.empty((meshes, *slices.shape), dtype=torch.float32)
-    ambiguous = torch.zeros(meshes, dtype=torch.int32)
+    found = torch.empty((1, *slices.shape), dtype=torch.float32)
+    ambiguous = torch.zeros(1, dtype=torch.int32)
     # Along the first axis as far as to the next slab, so that slabs together are the whole map.
-    layers = times[0] * slices.shape[0]
-    across = [n * (length - 1) + 1 for n, length in zip(times[1:], slices.shape[1:], strict=True)]
-    spacing = tuple(s / n for s, n in zip(slices.spacing, times, strict=True))
-    room = max(LAYERS, MOST_VOXELS // (meshes * math.prod(across)) // LAYERS * LAYERS)
+    layers, across = times[0] * slices.shape[0], _across(slices, times)
+    spacing = tuple(s / k for s, k in zip(slices.spacing, times, strict=True))
+    room = max(LAYERS, MOST_VOXELS // math.prod(across) // LAYERS * LAYERS)
     for begin in range(0, layers, room):
         shape = min(room, layers - begin), *across
-        distances, winding = (torch.empty((meshes, *shape), dtype=torch.float32) for _ in range(2))
+        distances, winding = (torch.empty((1, *shape), dtype=torch.float32) for _ in range(2))
         # Counted below, of the voxels that are kept.
         unused = torch.zeros_like(ambiguous)
         at = Slices(spacing, shape, times[0] * slices.first + begin)
         query(at, winding, unused, torch.tensor([distances.data_ptr()]))
         kept = slice(begin // times[0], (begin + shape[0]) // times[0])
-        every = (slice(None), *(slice(None, None, n) for n in times))
+        every = (slice(None), *(slice(None, None, k) for k in times))
         found[:, kept] = distances[every]
-        ambiguous += ((winding[every] - 0.5).abs() < 0.25).flatten(1).sum(1, dtype=torch.int32)
+        ambiguous += int(((winding[every] - 0.5).abs() < 0.25).sum())
     return found, ambiguous

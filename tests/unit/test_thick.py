@@ -22,10 +22,20 @@ def test_as_many_as_make_cells_narrow():
     fine = Slices((THIN, THIN, THICK), (96, 96, 19), 0)
     assert finer(fine, 1.0, 20_000) == (1, 1, 4)
     assert finer(Slices((THICK, THIN, THIN), (19, 96, 96), 0), 1.0, 20_000) == (4, 1, 1)
-    # A mesh twice as large, a slab of the same grid, and an axis where there is nothing between.
+    # A mesh twice as large, and slabs of the same grid.
     assert finer(fine, 0.5, 20_000) == (1, 1, 2)
     assert finer(Slices(fine.spacing, (32, 96, 19), 64), 1.0, 20_000) == (1, 1, 4)
-    assert finer(Slices(fine.spacing, (96, 96, 1), 0), 1.0, 20_000) == (1, 1, 1)
+    assert finer(Slices(fine.spacing, (1, 96, 19), 96), 1.0, 20_000) == (1, 1, 4)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_of_one_slice_is_as_wide_as_a_point(axis):
+    shape, spacing = [96, 96, 96], [THIN] * 3
+    shape[axis], spacing[axis] = 1, 100.0
+    assert finer(Slices(tuple(spacing), tuple(shape), 0), 1.0, 20_000) == (1, 1, 1)
+    other = (axis + 1) % 3
+    spacing[other] = THICK
+    assert finer(Slices(tuple(spacing), tuple(shape), 0), 1.0, 20_000)[other] == 4
 
 
 @pytest.mark.parametrize(
@@ -108,6 +118,22 @@ def test_slabs_are_the_whole_bit_for_bit(axis):
     slabs = list(index.slabs(grid, max_bytes=1))
     assert len(slabs) == 4
     assert torch.equal(torch.cat([values for _, _, values in slabs]), whole)
+
+
+def test_a_map_does_not_depend_on_the_rest_of_its_batch():
+    """Bit for bit: meshes of several sizes, whose slices are thick, thin, and too thick."""
+    case, grid = load_case("torus"), grid_of(2, np.eye(3))
+    vertices = np.stack([size * case.vertices for size in (1.0, 20.0, 0.3, 0.01)])
+    together = sdm.signed_distance_maps(vertices, case.faces, grid, device="cpu")
+    for one, values in zip(vertices, together, strict=True):
+        assert torch.equal(sdm.signed_distance_maps(one[None], case.faces, grid, device="cpu")[0], values)
+
+
+def test_large_sections_are_left_as_they_are():
+    """Where 32 layers of the finer grid would take more than a GiB."""
+    wanted = {300: 4, 600: 2, 2000: 1}
+    for n, times in wanted.items():
+        assert finer(Slices((THIN, THIN, THICK), (40, 2000, n), 0), 1.0, 20_000) == (1, 1, times)
 
 
 def test_batches_and_gradients(monkeypatch):
