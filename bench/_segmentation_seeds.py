@@ -154,14 +154,22 @@ def repeats_table(folders: Mapping[str, Logs], case: str) -> str:
 
 
 def _apart(groups: Sequence[Sequence[tuple[str, dict[str, Any]]]], case: str) -> str:
-    """How far trainings of a group are from each other, in a sentence."""
-    (dice, distance), (rest, near) = (
-        deviations([[means([log], without) for _, log in group] for group in groups]) for without in (None, case)
-    )
-    return (
-        f"Standard deviation of a training among those with its settings and seed: {dice:.2f} % Dice and "
-        f"{distance:.2f} voxels ({rest:.2f} and {near:.2f} without {case[:4]})."
-    )
+    """How far trainings of a group are from each other, of all and by the size of their voxels, in sentences."""
+
+    def told(some: Sequence[Sequence[tuple[str, dict[str, Any]]]]) -> str:
+        (dice, distance), (rest, near) = (
+            deviations([[means([log], without) for _, log in group] for group in some]) for without in (None, case)
+        )
+        return f"{dice:.2f} % Dice and {distance:.2f} voxels ({rest:.2f} and {near:.2f} without {case[:4]})"
+
+    by_size: dict[int, list[Sequence[tuple[str, dict[str, Any]]]]] = {}
+    for group in groups:
+        by_size.setdefault(settings_of(group[0][1])["coarsen"], []).append(group)
+    parts = [f"Standard deviation of a training among those with its settings and seed: {told(groups)}"]
+    if len(by_size) > 1:
+        parts += [f"of voxels {n} times as large {told(some)}" for n, some in sorted(by_size.items()) if n > 1]
+        parts += [f"of the images' own {told(by_size[1])}"] if 1 in by_size else []
+    return "; ".join(parts) + "."
 
 
 def deviations(groups: Sequence[Sequence[tuple[float, float]]]) -> tuple[float, float]:

@@ -50,7 +50,7 @@ def query_slab(
     frames: wp.array,
     parts: Parts,
     cones: Cones,
-    winding: Winding,
+    winding: Winding | None,
     slab: Slab,
     values: wp.array,
     ambiguous: wp.array,
@@ -67,7 +67,7 @@ def query_slab(
         frames: Its triangles' frames.
         parts: Their parts and neighbours.
         cones: Their cones of normals, and those of the hierarchy's nodes.
-        winding: How winding numbers are found.
+        winding: How winding numbers are found; None for distances without a sign.
         slab: Which voxels.
         values: (meshes, n, ny, nz) float32, filled: negative inside.
         ambiguous: (meshes,) int32: the number of voxels whose winding number is within 0.25 of 0.5 is added.
@@ -80,8 +80,11 @@ def query_slab(
             faster. Both are exact.
     """
     with beside() as join:
-        # This is bound by memory, and making lists is not.
-        slab_winding(tree, winding, slab, values, launch, empty)
+        if winding is None:
+            values.zero_()
+        else:
+            # This is bound by memory, and making lists is not.
+            slab_winding(tree, winding, slab, values, launch, empty)
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":

@@ -183,10 +183,10 @@ def signed_distance_map(
         DeviceError: The device is not there.
         GridError: The map does not fit into memory.
 
-    Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, 64 more where slices are
-    thick (`sdm.thick`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more for finer ones, at most a
-    14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU calls of one kind are
-    recorded and replayed, which keeps some of that memory: see `sdm.replay`.
+    Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, and up to 128 more where
+    slices are thick (`sdm.thick`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more for finer ones,
+    at most a 14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU calls of one
+    kind are recorded and replayed, which keeps some of that memory: see `sdm.replay`.
     """
     if orient == "keep":
         mesh = mesh.to(choose_device(device, mesh.vertices))

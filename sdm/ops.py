@@ -24,9 +24,10 @@ from sdm.kernels import dense
 from sdm.kernels.grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.points import query_points, query_winding, sort_points
+from sdm.kernels.scan import slab_winding
 from sdm.memory import as_warp, on_current_stream, scratch_on
 from sdm.placing import current_place
-from sdm.thick import AS_IT_IS, Query, Slices, finer, measured_finer, scales_of
+from sdm.thick import AS_IT_IS, Slices, Triple, finer, has_room, measured_finer, scales_of
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -257,28 +258,17 @@ def distance_map(
     query = partial(_query_slices, tuple(origin), tuple(direction), kind)
     # Of a GPU's meshes the host does not know how large they are.
     if vertices.device.type != "cpu" or DENSE_METHOD == "search":
-        return _measured(partial(query, hierarchy, meshes), slices, meshes, vertices.device)
+        return query(hierarchy, meshes, slices, AS_IT_IS)
     tree = unpack(hierarchy, kind, meshes)[0]
-    wanted = [finer(slices, scale, tree.count) for scale in scales_of(tree, meshes)]
-    if all(times == AS_IT_IS for times in wanted):
-        return _measured(partial(query, hierarchy, meshes), slices, meshes, vertices.device)
+    scales = scales_of(tree, meshes)
+    wanted = {scale: finer(slices, scale, tree.count) for scale in set(scales)}
+    times = [wanted[scale] for scale in scales]
+    if len(set(times)) == 1 and has_room(slices, times[0], meshes):
+        return query(hierarchy, meshes, slices, times[0])
     # One by one, so that what a mesh's map is does not depend on the others of the batch.
-    found = []
-    for mesh, times in enumerate(wanted):
-        alone = partial(query, one_of(hierarchy, mesh, meshes), 1)
-        plain = times == AS_IT_IS
-        found.append(_measured(alone, slices, 1, vertices.device) if plain else measured_finer(alone, slices, times))
+    found = [query(one_of(hierarchy, mesh, meshes), 1, slices, times[mesh]) for mesh in range(meshes)]
     values, ambiguous = zip(*found, strict=True)
     return torch.cat(values), torch.cat(ambiguous)
-
-
-def _measured(query: Query, slices: Slices, meshes: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """What `distance_map` returns, of the voxels themselves."""
-    values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
-    ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
-    place = current_place()
-    query(slices, values, ambiguous, None if place is None else place.take(values))
-    return values, ambiguous
 
 
 def _query_slices(
@@ -288,28 +278,39 @@ def _query_slices(
     hierarchy: list[Tensor],
     meshes: int,
     slices: Slices,
-    values: Tensor,
-    ambiguous: Tensor,
-    address: Tensor | None,
-) -> None:
-    """Fill `values`, or use them and write to an address; see `sdm.kernels.dense.query_slab`."""
+    times: Triple,
+) -> tuple[Tensor, Tensor]:
+    """What `distance_map` returns, measured on a grid with `times` as many slices."""
+    device = hierarchy[0].device
+    values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
     with on_current_stream(values, hierarchy[0]):
         tree, winding, frames, parts, cones = unpack(hierarchy, kind, meshes)
-        dense.query_slab(
-            tree,
-            frames,
-            parts,
-            cones,
-            winding,
-            _slab(origin, slices.spacing, slices.shape, slices.first, direction),
-            as_warp(values, wp.float32),
-            as_warp(ambiguous, wp.int32),
-            None if address is None else as_warp(address, wp.int64),
-            launch,
-            scratch_on(values.device),
-            partial(kernels_beside, values),
-            DENSE_METHOD,
-        )
+
+        def measure(slices: Slices, values: Tensor, signed: bool) -> Tensor:
+            ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
+            place = current_place()
+            dense.query_slab(
+                tree,
+                frames,
+                parts,
+                cones,
+                winding if signed else None,
+                _slab(origin, slices.spacing, slices.shape, slices.first, direction),
+                as_warp(values, wp.float32),
+                as_warp(ambiguous, wp.int32),
+                None if place is None else as_warp(place.take(values), wp.int64),
+                launch,
+                scratch_on(device),
+                partial(kernels_beside, values),
+                DENSE_METHOD,
+            )
+            return ambiguous
+
+        if times == AS_IT_IS:
+            return values, measure(slices, values, True)
+        slab = _slab(origin, slices.spacing, slices.shape, slices.first, direction)
+        slab_winding(tree, winding, slab, as_warp(values, wp.float32), launch, scratch_on(device))
+        return values, measured_finer(values, slices, times, measure)
 
 
 @distance_map.register_fake

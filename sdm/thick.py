@@ -20,20 +20,23 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from sdm.kernels.effort import search_is_faster
+from sdm.kernels.effort import expected_list, search_is_faster
 from sdm.kernels.lists import BLOCK, COARSEST
 from sdm.kernels.tree import FRAME_SIZE, SCALE
 
-# What a voxel takes in a cell, in a brick, and searched (measured, see bench/NOTES.md); in a grid that is finer a map
-# takes at most so much of what it took.
-CELL, BRICK, SEARCH = 1.0, 5.0, 36.0
+# What a voxel takes in a cell and in a brick with short lists, which take twice as long with so many triangles, and
+# searched (measured, see bench/NOTES.md); in a grid that is finer a map takes at most so much of what it took.
+CELL, BRICK, SEARCH = 1.0, 5.0, 40.0
+SHORT = 900
 WORTH_IT = 0.7
+# So few triangles are searched as fast.
+FEWEST = 200
 FACTORS = (1, 2, 4, 8, 16)
 # Voxels of a slab of the finer grid, which bounds memory; it has as many layers as whole regions at least, and with
 # these never more voxels than the third number.
 MOST_VOXELS = 1 << 23
 LAYERS = 32
-LARGEST = 1 << 27
+LARGEST = 1 << 25
 MOST_LAYERS = (1 << 31) // max(FACTORS) - LAYERS
 
 Triple: TypeAlias = tuple[int, int, int]
@@ -49,10 +52,6 @@ class Slices:
     first: int
 
 
-# Fills values (B,n,ny,nz) and counts of ambiguous voxels (B,), or uses the values and writes to an address (1,).
-Query: TypeAlias = Callable[[Slices, Tensor, Tensor, Tensor | None], None]
-
-
 def finer(slices: Slices, scale: float, triangles: int) -> Triple:
     """How many times as many slices along each axis the grid should have that is measured, or `AS_IT_IS`.
 
@@ -61,16 +60,17 @@ def finer(slices: Slices, scale: float, triangles: int) -> Triple:
         scale: What a mesh's coordinates are multiplied by, so that it is at most 2 wide.
         triangles: Of the mesh.
     """
-    usual = _cost(slices, AS_IT_IS, scale)
     # Layers are counted with 32 bits.
-    if usual == CELL or slices.first + slices.shape[0] > MOST_LAYERS:
+    if triangles < FEWEST or slices.first + slices.shape[0] > MOST_LAYERS:
         return AS_IT_IS
-    if search_is_faster(triangles, slices.shape, gpu=False):
+    if _fits(int(BLOCK), slices, AS_IT_IS, scale) or search_is_faster(triangles, slices.shape, gpu=False):
         return AS_IT_IS
+    length = expected_list(triangles, slices.shape, int(BLOCK))
+    usual = _cost(slices, AS_IT_IS, scale, length)
     found: list[Triple] = [(x, y, z) for x, y, z in product(FACTORS, repeat=3)]
-    room = [times for times in found if LAYERS * math.prod(_across(slices, times)) <= LARGEST]
-    times = min(room, key=lambda times: _cost(slices, times, scale), default=AS_IT_IS)
-    return times if _cost(slices, times, scale) <= WORTH_IT * usual else AS_IT_IS
+    room = [times for times in found if has_room(slices, times, 1)]
+    times = min(room, key=lambda times: _cost(slices, times, scale, length))
+    return times if _cost(slices, times, scale, length) <= WORTH_IT * usual else AS_IT_IS
 
 
 def scales_of(tree: Any, meshes: int) -> list[float]:
@@ -83,11 +83,13 @@ def _across(slices: Slices, times: Triple) -> tuple[int, ...]:
     return tuple(k * (n - 1) + 1 for k, n in zip(times[1:], slices.shape[1:], strict=True))
 
 
-def _cost(slices: Slices, times: Triple, scale: float) -> float:
-    """Of a voxel that is kept, in those of a cell."""
+def _cost(slices: Slices, times: Triple, scale: float, length: float) -> float:
+    """Of a voxel that is kept, in those of a cell with a short list; lists have so many triangles."""
+    longer = 1 + length / SHORT
     size = int(BLOCK)
-    one = CELL if _fits(size, slices, times, scale) else BRICK if _fits(size // 2, slices, times, scale) else SEARCH
-    return math.prod(times) * one
+    if _fits(size, slices, times, scale):
+        return math.prod(times) * CELL * longer
+    return math.prod(times) * (BRICK * longer if _fits(size // 2, slices, times, scale) else SEARCH)
 
 
 def _fits(size: int, slices: Slices, times: Triple, scale: float) -> bool:
@@ -101,29 +103,33 @@ def _fits(size: int, slices: Slices, times: Triple, scale: float) -> bool:
     )
 
 
-def measured_finer(query: Query, slices: Slices, times: Triple) -> tuple[Tensor, Tensor]:
-    """A mesh's distances (1,n,ny,nz) in slices of which a grid has `times` as many; how many are ambiguous (1,).
+def has_room(slices: Slices, times: Triple, meshes: int) -> bool:
+    """Whether the thinnest slab of so many meshes' finer grids is not too large."""
+    return times == AS_IT_IS or meshes * LAYERS * math.prod(_across(slices, times)) <= LARGEST
+
+
+def measured_finer(
+    values: Tensor, slices: Slices, times: Triple, measure: Callable[[Slices, Tensor, bool], Tensor]
+) -> Tensor:
+    """Distances in slices of which a grid has `times` as many, with their signs; how many are ambiguous (B,).
 
     Args:
-        query: Measures slices: writes distances to an address, and uses `values` for winding numbers.
+        values: (B,n,ny,nz) float32, winding numbers, which become signed distances.
         slices: Those that are wanted.
         times: See `finer`.
+        measure: Fills values in the finer grid's slices, here with distances without a sign: for an open mesh signs are
+            most of the work.
     """
-    found = torch.empty((1, *slices.shape), dtype=torch.float32)
-    ambiguous = torch.zeros(1, dtype=torch.int32)
+    ambiguous = ((values - 0.5).abs() < 0.25).flatten(1).sum(1, dtype=torch.int32)
     # Along the first axis as far as to the next slab, so that slabs together are the whole map.
-    layers, across = times[0] * slices.shape[0], _across(slices, times)
+    meshes, layers, across = values.shape[0], times[0] * slices.shape[0], _across(slices, times)
     spacing = tuple(s / k for s, k in zip(slices.spacing, times, strict=True))
-    room = max(LAYERS, MOST_VOXELS // math.prod(across) // LAYERS * LAYERS)
+    room = max(LAYERS, MOST_VOXELS // (meshes * math.prod(across)) // LAYERS * LAYERS)
     for begin in range(0, layers, room):
         shape = min(room, layers - begin), *across
-        distances, winding = (torch.empty((1, *shape), dtype=torch.float32) for _ in range(2))
-        # Counted below, of the voxels that are kept.
-        unused = torch.zeros_like(ambiguous)
-        at = Slices(spacing, shape, times[0] * slices.first + begin)
-        query(at, winding, unused, torch.tensor([distances.data_ptr()]))
-        kept = slice(begin // times[0], (begin + shape[0]) // times[0])
-        every = (slice(None), *(slice(None, None, k) for k in times))
-        found[:, kept] = distances[every]
-        ambiguous += int(((winding[every] - 0.5).abs() < 0.25).sum())
-    return found, ambiguous
+        fine = torch.empty((meshes, *shape), dtype=torch.float32)
+        measure(Slices(spacing, shape, times[0] * slices.first + begin), fine, False)
+        distances = fine[(slice(None), *(slice(None, None, k) for k in times))]
+        kept = values[:, begin // times[0] : (begin + shape[0]) // times[0]]
+        kept.copy_(torch.where(kept > 0.5, -distances, distances))
+    return ambiguous

@@ -121,8 +121,12 @@ def segmentation(
     if budget_s:
         check_budget(budget_s)
     checkpoint = out / "checkpoint.pt"
-    if not resume and checkpoint.exists():
-        raise FormatError(f"{checkpoint} keeps an unfinished training: --resume goes on with it; or remove it")
+
+    def refuse_unfinished() -> None:
+        if not resume and checkpoint.exists():
+            raise FormatError(f"{checkpoint} keeps an unfinished training: --resume goes on with it; or remove it")
+
+    refuse_unfinished()
     where = choose_device(device)
     cases = read_cases(data, "train")
     check_cases(cases, spacing=spacing)
@@ -135,6 +139,8 @@ def segmentation(
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with alone(out):
+        # Another process may have left one while the cases were read.
+        refuse_unfinished()
         with Meter("steps") as meter:
             training = train(
                 patches,

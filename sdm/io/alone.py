@@ -16,8 +16,8 @@ def alone(folder: Path) -> Iterator[None]:
     """Keep other processes of this machine from writing to a folder at the same time, if they ask so too.
 
     Of two trainings each would go on from the other's checkpoint; of two that fill a dataset the one that finished it
-    would take it away under the hands of the other. The lock goes with its process, however that ends; a file system
-    that has no locks does without.
+    would take it away under the hands of the other. The lock goes with its process and those forked meanwhile, however
+    they end; a file system that has no locks does without.
 
     Raises:
         FormatError: Another process has it, or it is not there.

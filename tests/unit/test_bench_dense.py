@@ -62,11 +62,10 @@ def test_thick_slices(capsys, tmp_path):
     out = tmp_path / "dense.json"
     assert dense.main(["--device", "cpu", "--quick", "--budget-s", "20", "--parts", "slices", "--out", str(out)]) == 0
     part = json.loads(out.read_text())["parts"]["slices"]
-    assert [row["slices"] for row in part["rows"]] == [12, 6]
+    meshes = ["torus-2000"] * 2 + ["torus-2000 with holes"] * 2
+    assert [(row["mesh"], row["slices"]) for row in part["rows"]] == list(zip(meshes, [12, 6, 12, 6], strict=True))
     assert part["summary"]["wrong"] == 0
-    for row in part["rows"]:
-        assert row["ratio"] == row["as_they_are"]["ms"] / row["new_mesh"]["ms"]
-        assert row["checked"]["near_surface"] > 0
+    assert all(row["checked"]["near_surface"] > 0 for row in part["rows"])
     # The finer grid is for the map alone, and what was patched is back.
     assert len(thick.FACTORS) > 1
     assert "12 of 48^2" in capsys.readouterr().out
