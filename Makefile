@@ -40,11 +40,11 @@ bench: $(VENV)/.installed-bench ## Compare with the other libraries on this mach
 
 records: $(VENV)/.installed-bench ## On a GPU, about ten minutes: its tests, then its records in RECORDS, all of one commit
 	$(BIN)/python -m pytest -m "not slow" tests/gpu
-	$(BIN)/python -m bench.dense --device cuda --out $(RECORDS)/dense-cuda.json
-	$(BIN)/python -m bench.sanitize --out $(RECORDS)/sanitizer.json
-	$(BIN)/python -m bench.stream --parts rates training loader --out $(RECORDS)/stream.json
-	$(BIN)/python -m bench.edt --device cuda --out $(RECORDS)/edt-cuda.json
-	$(BIN)/python -m bench.accuracy --device cuda --out $(RECORDS)/accuracy-cuda.json
+	$(BIN)/python -m sdm.bench.dense --device cuda --out $(RECORDS)/dense-cuda.json
+	$(BIN)/python -m sdm.bench.gpu.sanitize --out $(RECORDS)/sanitizer.json
+	$(BIN)/python -m sdm.bench.stream --parts rates training loader --out $(RECORDS)/stream.json
+	$(BIN)/python -m sdm.bench.edt --device cuda --out $(RECORDS)/edt-cuda.json
+	$(BIN)/python -m sdm.bench.dense.accuracy --device cuda --out $(RECORDS)/accuracy-cuda.json
 
 install: $(VENV)/.installed ## Make the environment alone
 

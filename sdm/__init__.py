@@ -9,43 +9,52 @@ if TYPE_CHECKING:
     from sdm import fit as fit
     from sdm import losses as losses
     from sdm import metrics as metrics
-    from sdm import replay as replay
     from sdm import shapes as shapes
+    from sdm.core.grid import Grid
+    from sdm.core.mesh import TriangleMesh
+    from sdm.core.signed_distance_map import SDM
     from sdm.dataset import SDMDataset
-    from sdm.distance_transform import euclidean_distance_transform
-    from sdm.engine import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
+    from sdm.engine.api import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
+    from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
-    from sdm.field import SDM
-    from sdm.grid import Grid
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save
-    from sdm.mesh import TriangleMesh
+    from sdm.runtime import cuda_graphs as replay  # noqa: F401
     from sdm.stream import SDMStream
 
 __version__ = "0.1.0"
 
+# Packages that are part of the library's face.
+_PACKAGES = {
+    "fit": "fit",
+    "losses": "losses",
+    "metrics": "metrics",
+    "replay": "runtime.cuda_graphs",
+    "shapes": "shapes",
+}
+
 # Where each name comes from. A name is imported when it is first used, so that `sdm --help` waits for no torch.
 _HOMES = {
-    "SDM": "field",
+    "SDM": "core.signed_distance_map",
     "DeviceError": "errors",
     "FormatError": "errors",
-    "Grid": "grid",
+    "Grid": "core.grid",
     "GridError": "errors",
     "MeshError": "errors",
-    "MeshIndex": "engine",
+    "MeshIndex": "engine.api",
     "MeshReport": "inspect",
     "SDMDataset": "dataset",
     "SDMError": "errors",
     "SDMStream": "stream",
-    "TriangleMesh": "mesh",
-    "euclidean_distance_transform": "distance_transform",
+    "TriangleMesh": "core.mesh",
+    "euclidean_distance_transform": "engine.distance_transform",
     "inspect_mesh": "inspect",
     "load": "io",
     "load_mesh": "io",
     "save": "io",
-    "signed_distance": "engine",
-    "signed_distance_map": "engine",
-    "signed_distance_maps": "engine",
+    "signed_distance": "engine.api",
+    "signed_distance_map": "engine.api",
+    "signed_distance_maps": "engine.api",
 }
 
 __all__ = [
@@ -73,8 +82,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("fit", "losses", "metrics", "replay", "shapes"):
-        return import_module(f"sdm.{name}")
+    if name in _PACKAGES:
+        return import_module(f"sdm.{_PACKAGES[name]}")
     if name not in _HOMES:
         raise AttributeError(f"module 'sdm' has no attribute {name!r}")
     value = getattr(import_module(f"sdm.{_HOMES[name]}"), name)

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 import warp as wp
 
-from sdm import thick
-from sdm.kernels import dense
+from sdm.engine import thick_slices
+from sdm.kernels.dense import query
 
 
 def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
     """As many groups for each list on this CPU as a GPU might have: all that they share is made larger."""
-    find = dense.find_witnesses
+    find = query.find_witnesses
 
     def shared(*inputs: Any) -> None:
         lists = inputs[3]
@@ -26,18 +26,18 @@ def share_lists(monkeypatch: pytest.MonkeyPatch, shares: int) -> None:
                 setattr(lists, name, wp.full(times * before.shape[0], -7, dtype=before.dtype, device="cpu"))
         find(*inputs)
 
-    monkeypatch.setattr(dense, "find_witnesses", shared)
+    monkeypatch.setattr(query, "find_witnesses", shared)
 
 
 def leave_levels_out(monkeypatch: pytest.MonkeyPatch, levels: int) -> None:
     """Lists of larger leaves, as long ones have."""
-    monkeypatch.setattr(dense, "levels_left_out", lambda _triangles, depth, _shape: min(levels, depth))
+    monkeypatch.setattr(query, "levels_left_out", lambda _triangles, depth, _shape: min(levels, depth))
 
 
 def slice_lists(monkeypatch: pytest.MonkeyPatch, slice_length: int) -> None:
-    monkeypatch.setattr(dense, "NO_SLICES", slice_length)
+    monkeypatch.setattr(query, "NO_SLICES", slice_length)
 
 
 def no_finer_grids(monkeypatch: pytest.MonkeyPatch) -> None:
     """Thick slices measured as they are, as on a GPU."""
-    monkeypatch.setattr(thick, "FACTORS", (1,))
+    monkeypatch.setattr(thick_slices, "FACTORS", (1,))

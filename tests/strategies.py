@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from bench.meshes import cube, sphere
+from sdm.bench.common.meshes import cube, sphere
 
 
 class Arrays(NamedTuple):

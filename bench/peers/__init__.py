@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from bench.peers._base import Peer
-from bench.peers._libigl import LibiglPseudonormal, LibiglWinding
-from bench.peers._open3d import Open3D
-from bench.peers._pcu import PointCloudUtils
-from bench.peers._sdm import Sdm
-from bench.peers._swept_volume import SweptVolume
-from bench.peers._trimesh import Trimesh
-from bench.peers._warp import StockWarp
+from sdm.bench.peers.base import Peer
+from sdm.bench.peers.libigl import LibiglPseudonormal, LibiglWinding
+from sdm.bench.peers.open3d import Open3D
+from sdm.bench.peers.point_cloud_utils import PointCloudUtils
+from sdm.bench.peers.sdm import Sdm
+from sdm.bench.peers.swept_volume import SweptVolume
+from sdm.bench.peers.trimesh import Trimesh
+from sdm.bench.peers.warp import StockWarp
 
 __all__ = ["LibiglWinding", "Open3D", "Peer", "StockWarp", "SweptVolume", "all_peers"]
 

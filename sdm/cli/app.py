@@ -13,7 +13,7 @@ from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.errors import sentence_of
+from sdm.cli.common.errors import sentence_of
 
 # In the order of the help text.
 COMMANDS = (
@@ -103,7 +103,7 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     from tyro.extras import subcommand_cli_from_dict
 
     brief = not (words and words[0] in COMMANDS)
-    modules = {name: importlib.import_module(f"sdm.cli.{name}") for name in COMMANDS}
+    modules = {name: importlib.import_module(f"sdm.cli.commands.{name}") for name in COMMANDS}
     commands = {name: _later(getattr(module, name), brief) for name, module in modules.items()}
     said = io.StringIO()
     try:

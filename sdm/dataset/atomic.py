@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from sdm.io.atomic import own_name
+from sdm.io.files.atomic import own_name
 
 
 def put(target: Path, content: bytes | Path) -> None:

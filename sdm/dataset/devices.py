@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from sdm.device import choose_device
+from sdm.core.device import choose_device
 
 
 def devices_for(wanted: str | torch.device | None) -> list[str]:

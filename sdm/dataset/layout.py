@@ -24,7 +24,7 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from sdm.dataset.atomic import put
 from sdm.errors import FormatError
-from sdm.io.atomic import own_name
+from sdm.io.files.atomic import own_name
 
 VERSION = 1
 KEY = "sdm"

@@ -12,11 +12,11 @@ import zarr
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
 from sdm.dataset import layout
 from sdm.errors import FormatError, SDMError
-from sdm.field import SDM
-from sdm.grid import Grid
-from sdm.io.sentence import one_line
+from sdm.io.files.one_line import one_line
 from sdm.shapes import Parameter
 from sdm.stream import Batch
 

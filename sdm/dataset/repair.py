@@ -7,16 +7,16 @@ from pathlib import Path
 
 import torch
 
+from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.job import Job
+from sdm.dataset.shard_job import Job
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
-from sdm.grid import Grid
-from sdm.io.alone import alone
+from sdm.io.files.lock import alone
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
-from sdm.stream.maker import DTYPES
+from sdm.stream.sample_maker import DTYPES
 
 
 def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None) -> list[int]:

@@ -9,17 +9,17 @@ from typing import Any
 
 import torch
 
+from sdm.core.grid import Grid
 from sdm.dataset import layout
-from sdm.dataset.cluster import run_on_ray
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.job import Job
-from sdm.dataset.pool import run_here
+from sdm.dataset.process_pool import run_here
+from sdm.dataset.ray_cluster import run_on_ray
+from sdm.dataset.shard_job import Job
 from sdm.errors import FormatError, SDMError
-from sdm.grid import Grid
-from sdm.io.alone import alone
+from sdm.io.files.lock import alone
 from sdm.shapes import Family, MeshFolder
 from sdm.stream import Sampler, as_sampler
-from sdm.stream.maker import Maker
+from sdm.stream.sample_maker import Maker
 
 Progress = Callable[[int, int], None]
 

@@ -4,18 +4,18 @@ J. Park, P. Florence, J. Straub, R. Newcombe, S. Lovegrove, "DeepSDF: Learning c
 for shape representation", CVPR 2019. Negative inside; lengths inside a model are radii of each shape's unit sphere.
 """
 
-from sdm.deepsdf.code_file import ShapeCode, load_code, save_code
-from sdm.deepsdf.decoders import LocalDecoder, PublishedDecoder
-from sdm.deepsdf.encode import encode_meshes, encode_scan
-from sdm.deepsdf.estimate import Estimate, estimate_codes
-from sdm.deepsdf.label_surface import label_surface
-from sdm.deepsdf.model import DeepSDF
-from sdm.deepsdf.render import interpolation_strip, render, save_picture, sphere_trace
-from sdm.deepsdf.scan import Scan, half_of
-from sdm.deepsdf.scores import ShapeScores, box_diagonal, chamfer_distance, score_shape
-from sdm.deepsdf.settings import Settings, local, published
-from sdm.deepsdf.surface import decode_mesh, decode_near_surface
-from sdm.deepsdf.training import train
+from sdm.deepsdf.infer.code_file import ShapeCode, load_code, save_code
+from sdm.deepsdf.infer.encode import encode_meshes, encode_scan
+from sdm.deepsdf.infer.estimate_codes import Estimate, estimate_codes
+from sdm.deepsdf.infer.marching_bricks import decode_mesh, decode_near_surface
+from sdm.deepsdf.infer.scan import Scan, half_of
+from sdm.deepsdf.infer.scores import ShapeScores, box_diagonal, chamfer_distance, score_shape
+from sdm.deepsdf.infer.sphere_trace import interpolation_strip, render, save_picture, sphere_trace
+from sdm.deepsdf.networks.decoders import LocalDecoder, PublishedDecoder
+from sdm.deepsdf.networks.model import DeepSDF
+from sdm.deepsdf.samples.label_surface import label_surface
+from sdm.deepsdf.train.settings import Settings, local, published
+from sdm.deepsdf.train.training import train
 
 __all__ = [
     "DeepSDF",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from sdm.mesh import TriangleMesh
-from sdm.topology import boundary_edges
+from sdm.core.mesh import TriangleMesh
+from sdm.topology.boundary_edges import boundary_edges
 
 # Solid angles that the search for inside-out components may cost.
 MOST_SOLID_ANGLES = 20_000_000

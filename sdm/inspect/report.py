@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from sdm.core.mesh import TriangleMesh
 from sdm.inspect.degenerate import zero_area
 from sdm.inspect.edges import Edges, edges_of
 from sdm.inspect.orientation import VOLUME_ROUNDING, inside_out
 from sdm.inspect.positions import first_and_group, first_at_position
 from sdm.inspect.problems import problems_of
-from sdm.mesh import TriangleMesh
 
 
 @dataclass(frozen=True)

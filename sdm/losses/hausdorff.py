@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdm.distance_transform import euclidean_distance_transform
+from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.losses.pair import pair
 from sdm.losses.targets import Spacing, foreground_distance
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from sdm.distance_transform import euclidean_distance_transform
+from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.errors import SDMError
 
 Spacing = float | Sequence[float]

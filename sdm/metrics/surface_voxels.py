@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from sdm.distance_transform import euclidean_distance_transform, spacing_of
+from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
 from sdm.metrics.masks import masks
 
 

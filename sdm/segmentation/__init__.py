@@ -3,22 +3,22 @@
 Images and labels are (x,y,z), batches (B,1,x,y,z); distances are in mm and negative inside.
 """
 
-from sdm.segmentation.case import Case
-from sdm.segmentation.checks import check_cases
-from sdm.segmentation.ensemble import check_ensemble, predict_ensemble
-from sdm.segmentation.folder import has_part, read_cases
-from sdm.segmentation.methods import MA_ROWS, METHODS, Method, method_called
-from sdm.segmentation.model import SegmentationModel
-from sdm.segmentation.patches import Patches
-from sdm.segmentation.predict import Prediction, label_distance_map, largest_component, predict
-from sdm.segmentation.scores import cell, scores_of, table
-from sdm.segmentation.settings import Settings
-from sdm.segmentation.sliding import sliding_window
-from sdm.segmentation.targets import distance_map
-from sdm.segmentation.trained import TrainedModel, load_model, load_settings, save_model
-from sdm.segmentation.training import Training, train
-from sdm.segmentation.validate import validate, validate_ensemble
-from sdm.segmentation.write import write_prediction
+from sdm.segmentation.data.case import Case
+from sdm.segmentation.data.checks import check_cases
+from sdm.segmentation.data.folder import has_part, read_cases
+from sdm.segmentation.data.patches import Patches
+from sdm.segmentation.data.targets import distance_map
+from sdm.segmentation.data.write_prediction import write_prediction
+from sdm.segmentation.infer.ensemble import check_ensemble, predict_ensemble
+from sdm.segmentation.infer.predict import Prediction, label_distance_map, largest_component, predict
+from sdm.segmentation.infer.scores import cell, scores_of, table
+from sdm.segmentation.infer.sliding_window import sliding_window
+from sdm.segmentation.infer.validate import validate, validate_ensemble
+from sdm.segmentation.networks.model import SegmentationModel
+from sdm.segmentation.train.checkpoint import TrainedModel, load_model, load_settings, save_model
+from sdm.segmentation.train.methods import MA_ROWS, METHODS, Method, method_called
+from sdm.segmentation.train.settings import Settings
+from sdm.segmentation.train.training import Training, train
 
 __all__ = [
     "MA_ROWS",

@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import shapes_cochlea
+from sdm.kernels.shapes import cochlea
 from sdm.shapes.cochlea_design import CochleaDesign
 from sdm.shapes.family import Family, Parameter, as_theta
 from sdm.shapes.tube import superellipse, tube
@@ -23,8 +23,8 @@ WIDENING = 0.1
 
 _cochlea_vertices = vertex_op(
     "cochlea_vertices",
-    shapes_cochlea.cochlea_vertices,
-    shapes_cochlea.cochlea_gradient,
+    cochlea.cochlea_vertices,
+    cochlea.cochlea_gradient,
     (wp.float32, wp.int32, wp.vec2, wp.float32),
 )
 
@@ -52,7 +52,7 @@ class Cochlea(Family):
 
     Vertices are smooth in theta. Fitted in theta and rigid pose, the family comes within 0.064 mm of the real mean
     scala tympani (mean distance both ways), at a = 3.59, alpha = 0.42, b = 0.140, phi = -0.21; at all corners and 1,000
-    random points of the box no surface meets itself. `python -m bench.cochlea_fit` measures both.
+    random points of the box no surface meets itself. `python -m sdm.bench.fit.cochlea_family` measures both.
 
     Raises:
         MeshError: A number of triangles out of range.

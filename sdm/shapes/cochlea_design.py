@@ -1,7 +1,7 @@
 """Constants of the cochlea family, tuned once to the mean of 15 real human scalae tympani.
 
-Source of the measurements: Froehlich 2024, Vianna research group, Hannover (CC BY 4.0). `python -m bench.cochlea_fit`
-measures how close the family comes with these constants.
+Source of the measurements: Froehlich 2024, Vianna research group, Hannover (CC BY 4.0). `python -m
+sdm.bench.fit.cochlea_family` measures how close the family comes with these constants.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def reference_vertices(theta: Tensor, tables: list[Tensor]) -> Tensor:
-    """Vertices (B,V,3) for theta (B,4) and the tables of `sdm.kernels.shapes_cochlea`, in theta's type."""
+    """Vertices (B,V,3) for theta (B,4) and the tables of `sdm.kernels.shapes.cochlea`, in theta's type."""
     stations, station, section, constants = (t.to(theta.dtype) if t.is_floating_point() else t for t in tables)
     rise, phase, fading, inner, share, power = constants
     t, hook, width, top, bottom, slope, cosine, sine = stations.T

@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from sdm.device import choose_device
+from sdm.core.device import choose_device
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError
-from sdm.grid import Grid
-from sdm.mesh import TriangleMesh
 from sdm.shapes import sampling
 
 # Shapes that decide how large a family's grid must be, besides the corners of its box.

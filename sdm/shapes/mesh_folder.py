@@ -13,9 +13,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError, SDMError
-from sdm.kernels import shapes_warped
-from sdm.mesh import TriangleMesh
+from sdm.kernels.shapes import warped
 from sdm.shapes.family import Family, Group, Parameter, as_theta
 from sdm.shapes.triage import reason_to_reject
 from sdm.shapes.vertex_op import vertex_op
@@ -31,8 +31,8 @@ ROUNDING = 1e-6
 
 _warped_vertices = vertex_op(
     "warped_vertices",
-    shapes_warped.warped_vertices,
-    shapes_warped.warped_gradient,
+    warped.warped_vertices,
+    warped.warped_gradient,
     (wp.vec3, wp.int32, wp.vec3, wp.float32, wp.float32),
 )
 
@@ -118,14 +118,14 @@ class MeshFolder(Family):
         Where rotations are limited, it is as if each could be about any axis.
         """
         high = [p.high for p in self.parameters]
-        turn = high[shapes_warped.ROTATION : shapes_warped.SHIFT]
+        turn = high[warped.ROTATION : warped.SHIFT]
         frames, constants = self._tables[3].double(), self._tables[4]
         angle = math.hypot(*turn) if float(constants[2]) > 0 else math.pi
         lows, highs = [], []
         for mesh, frame in zip(self.meshes, frames, strict=True):
             points = mesh.vertices[mesh.faces.unique().long()].double()
-            reach = _reach((points - frame[:3]) / frame[3], high[shapes_warped.SINES], angle)
-            reach = frame[7] * (high[shapes_warped.SCALE] * reach + high[shapes_warped.SHIFT])
+            reach = _reach((points - frame[:3]) / frame[3], high[warped.SINES], angle)
+            reach = frame[7] * (high[warped.SCALE] * reach + high[warped.SHIFT])
             lows.append(frame[4:7] - reach[1])
             highs.append(frame[4:7] + reach[0])
         ends = torch.stack([torch.stack(lows).amin(0), torch.stack(highs).amax(0)])

@@ -17,8 +17,8 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import shapes_random
-from sdm.memory import as_warp, on_current_stream
+from sdm.kernels.shapes import counter_random
+from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 SAMPLERS = ("uniform", "sobol")
 LARGEST_GRID = 1 << 28
@@ -52,7 +52,7 @@ def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
     values = torch.empty(numbers.shape[0], width, dtype=torch.float32, device=numbers.device)
     if values.numel():
         with on_current_stream(values, numbers) as device:
-            shapes_random.fill_uniform(_seed(seed), as_warp(numbers, wp.int64), as_warp(values, wp.float32), device)
+            counter_random.fill_uniform(_seed(seed), as_warp(numbers, wp.int64), as_warp(values, wp.float32), device)
     return values
 
 
@@ -75,7 +75,7 @@ def sobol(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
     if values.numel():
         directions = _directions(width, numbers.device)
         with on_current_stream(values, numbers, directions) as device:
-            shapes_random.fill_sobol(
+            counter_random.fill_sobol(
                 _seed(seed),
                 as_warp(numbers, wp.int64),
                 as_warp(directions, wp.int64),

@@ -10,8 +10,8 @@ import warp as wp
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.kernels import shapes_solids
-from sdm.kernels.shapes_solids import CUBOID, CYLINDER, ELLIPSOID, RHOMBOID, SLOTS
+from sdm.kernels.shapes import solids
+from sdm.kernels.shapes.solids import CUBOID, CYLINDER, ELLIPSOID, RHOMBOID, SLOTS
 from sdm.shapes.cube_sphere import cube_surface, unit_cylinder, unit_sphere
 from sdm.shapes.family import Family, Parameter, as_theta
 from sdm.shapes.vertex_op import vertex_op
@@ -25,8 +25,8 @@ ROUNDING = 1e-6
 
 _solids_vertices = vertex_op(
     "solids_vertices",
-    shapes_solids.solids_vertices,
-    shapes_solids.solids_gradient,
+    solids.solids_vertices,
+    solids.solids_gradient,
     (wp.vec3, wp.int32, wp.float32),
 )
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from sdm.core.mesh import TriangleMesh
 from sdm.inspect import inspect_mesh
-from sdm.mesh import TriangleMesh
 
 
 def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | None:

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.memory import as_warp, on_current_stream
+from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 VertexOp = Callable[[Tensor, list[Tensor], int], Tensor]
 

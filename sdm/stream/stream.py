@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
-from sdm.ahead import ahead
+from sdm.core.grid import Grid
 from sdm.errors import SDMError
-from sdm.grid import Grid
+from sdm.runtime.prefetch import ahead
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
-from sdm.stream.maker import Maker, refuse_fork
 from sdm.stream.ranks import in_process_group, rank_and_size
+from sdm.stream.sample_maker import Maker, refuse_fork
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 

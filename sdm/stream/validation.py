@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import torch
 from torch.utils.data import Dataset
 
+from sdm.core.grid import Grid
 from sdm.errors import SDMError
-from sdm.grid import Grid
 from sdm.stream.batch import Batch
-from sdm.stream.maker import Maker
+from sdm.stream.sample_maker import Maker
 from sdm.stream.samplers import Uniform, derived_seed
 
 # Samples that are looked at a time.

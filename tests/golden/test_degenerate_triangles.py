@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sdm
-from bench.meshes import cube
+from sdm.bench.common.meshes import cube
 
 # From the segment (0,0,0)-(4,0,0).
 SEGMENT = [([2, 3, 4], 5), ([-3, 4, 0], 5), ([7, 0, 4], 5), ([1, 0, 0], 0), ([4, 0, 0], 0), ([3, -5, 12], 13)]

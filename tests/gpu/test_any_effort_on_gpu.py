@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.ops
-from bench.meshes import load_case, sphere
-from sdm.kernels import dense, effort
-from sdm.kernels.lists import CHUNK, NEXT_CHUNK
+import sdm.engine.ops
+from sdm.bench.common.meshes import load_case, sphere
+from sdm.kernels.dense import cost_model, query
+from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
 from tests import strategies
 from tests.exactness import ROUNDING, scale_of
 
@@ -61,7 +61,7 @@ def test_against_the_search(mesh, shape, seed, turned, room):
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
     entries: list[int] = []
-    measure = dense.measure_blocks
+    measure = query.measure_blocks
 
     def spy(*inputs: Any) -> None:
         lists = inputs[3]
@@ -69,14 +69,14 @@ def test_against_the_search(mesh, shape, seed, turned, room):
         measure(*inputs)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sdm.ops, "DENSE_METHOD", "search")
+        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
         expected = index.signed_distance_map(grid).values
-        patch.setattr(sdm.ops, "DENSE_METHOD", "cells")
-        patch.setattr(dense, "measure_blocks", spy)
+        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
+        patch.setattr(query, "measure_blocks", spy)
         plenty = index.signed_distance_map(grid).values
         scarce = max(CHUNK, int(room * max(entries)))
-        patch.setattr(effort, "SMALLEST_POOL", scarce)
-        patch.setattr(effort, "LARGEST_POOL", scarce)
+        patch.setattr(cost_model, "SMALLEST_POOL", scarce)
+        patch.setattr(cost_model, "LARGEST_POOL", scarce)
         little = index.signed_distance_map(grid).values
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(mesh.vertices, mesh.faces, centres)).reshape(grid.shape).cuda()

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import sdm
-from bench.meshes import torus
+from sdm.bench.common.meshes import torus
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")]
 

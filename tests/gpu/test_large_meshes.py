@@ -7,10 +7,10 @@ import pytest
 import torch
 
 import sdm
-import sdm.ops
-from bench.meshes import load_case
-from sdm.kernels import dense, effort
-from sdm.kernels.lists import SLICED
+import sdm.engine.ops
+from sdm.bench.common.meshes import load_case
+from sdm.kernels.dense import cost_model, query
+from sdm.kernels.dense.workspace import SLICED
 from tests.exactness import ROUNDING, assert_exact
 
 pytestmark = pytest.mark.gpu
@@ -58,19 +58,19 @@ def test_slices_that_find_no_room(monkeypatch):
     spacing = 2.1 / (shape - 1)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     grid = sdm.Grid(-turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "search")
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
     expected = index.signed_distance_map(grid).values
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
-    measure, lacking = dense.measure_blocks, []
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
+    measure, lacking = query.measure_blocks, []
 
     def spy(*inputs):
         lists = inputs[3]
         lacking.append(int(lists.lacking.numpy()[lists.sliced.numpy()[: lists.counts.numpy()[SLICED]]].sum()))
         measure(*inputs)
 
-    monkeypatch.setattr(dense, "measure_blocks", spy)
+    monkeypatch.setattr(query, "measure_blocks", spy)
     for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
-        monkeypatch.setattr(effort, "LARGEST_POOL", most)
+        monkeypatch.setattr(cost_model, "LARGEST_POOL", most)
         values = index.signed_distance_map(grid).values
         assert (values.abs() - expected.abs()).abs().max() <= 8 * ROUNDING * 2
         assert torch.equal(values < 0, expected < 0)

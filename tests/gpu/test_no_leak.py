@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import sdm
-from bench.meshes import load_case, sphere
+from sdm.bench.common.meshes import load_case, sphere
 
 pytestmark = [pytest.mark.gpu, pytest.mark.usefixtures("whole_gpu")]
 

@@ -9,22 +9,22 @@ import pytest
 import torch
 
 import sdm
-from bench.meshes import load_case, sphere, torus
-from sdm import replay
-from sdm.recording import Recording
-from sdm.shelf import MOST_RECORDINGS
+from sdm.bench.common.meshes import load_case, sphere, torus
+from sdm.runtime import cuda_graphs
+from sdm.runtime.captured_call import Recording
+from sdm.runtime.graph_cache import MOST_RECORDINGS
 
 pytestmark = pytest.mark.gpu
 
 GRID = sdm.Grid([-1.2] * 3, [0.08] * 3, [31] * 3)
-CALLS = replay.CALLS
+CALLS = cuda_graphs.CALLS
 
 
 @pytest.fixture(autouse=True)
 def afresh():
-    replay.clear()
+    cuda_graphs.clear()
     yield
-    replay.clear()
+    cuda_graphs.clear()
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_batches(launches, shape):
     for step in range(6):
         batch = torch.tensor(np.stack(_shapes(case.vertices, 4)) * (1 - 0.1 * step)).float().cuda()
         found = sdm.signed_distance_maps(batch, faces, grid)
-        with replay.paused():
+        with cuda_graphs.paused():
             assert torch.equal(found, sdm.signed_distance_maps(batch, faces, grid))
     assert len(launches) == 6 - CALLS
 
@@ -108,7 +108,7 @@ def test_known_faces_by_turns_with_another_recording(launches, triangles):
     def calls(grid):
         return [sdm.signed_distance_map(sdm.TriangleMesh(v, known), grid) for v in moved]
 
-    with replay.paused():
+    with cuda_graphs.paused():
         expected = [calls(grid) for grid in grids]
     for grid in grids:
         calls(grid)
@@ -164,9 +164,9 @@ def test_different_grids_and_methods(launches, monkeypatch):
     turned = [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]
     grids.append(sdm.Grid([-1.2] * 3, [0.08] * 3, [31] * 3, turned))
     for method in ("cells", "search"):
-        monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+        monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
         # Recordings that make room for others after a single use would make these wait for longer.
-        replay.clear()
+        cuda_graphs.clear()
         for _ in range(CALLS + 1):
             for grid in grids:
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
@@ -187,7 +187,7 @@ def test_two_streams(launches):
     case = load_case("torus")
     faces = torch.tensor(case.faces).cuda()
     batches = [torch.tensor(np.stack([v] * 8)).cuda() for v in _shapes(case.vertices, 12)]
-    with replay.paused():
+    with cuda_graphs.paused():
         expected = [sdm.signed_distance_maps(batch, faces, GRID) for batch in batches]
     for _ in range(CALLS):
         sdm.signed_distance_maps(batches[0], faces, GRID)
@@ -237,11 +237,11 @@ def test_recordings_are_evicted(launches):
         for grid in grids:
             for _ in range(CALLS + 1):
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
-        (shelf,) = replay._shelves.values()
+        (shelf,) = cuda_graphs._shelves.values()
         assert len(shelf) == MOST_RECORDINGS
         assert 0 < shelf._room.nbytes <= shelf._most
     held = torch.cuda.memory_reserved()
-    replay.clear()
+    cuda_graphs.clear()
     torch.cuda.synchronize()
     torch.cuda.empty_cache()
     assert torch.cuda.memory_reserved() < held
@@ -250,7 +250,7 @@ def test_recordings_are_evicted(launches):
 def test_too_much_memory(monkeypatch, launches):
     vertices, faces = torus(600)
     sdm.signed_distance_map(_mesh(vertices, faces), GRID)
-    (shelf,) = replay._shelves.values()
+    (shelf,) = cuda_graphs._shelves.values()
     monkeypatch.setattr(shelf, "_most", 1 << 20)
     for _ in range(CALLS + 3):
         _same(sdm.signed_distance_map(_mesh(vertices, faces), GRID), _eager(_mesh(vertices, faces)))
@@ -283,12 +283,12 @@ def test_inference_mode():
 
 def test_off(launches):
     vertices, faces = torus(600)
-    replay.enable(False)
+    cuda_graphs.enable(False)
     try:
         for _ in range(CALLS + 2):
             sdm.signed_distance_map(_mesh(vertices, faces), GRID)
     finally:
-        replay.enable(True)
+        cuda_graphs.enable(True)
     assert not launches
 
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from sdm.deepsdf import local
-from sdm.deepsdf.training import Trainer
-from sdm.sampling import ShapeSet
+from sdm.deepsdf.samples import ShapeSet
+from sdm.deepsdf.train.training import Trainer
 from sdm.shapes import Cochlea
 
 pytestmark = pytest.mark.gpu

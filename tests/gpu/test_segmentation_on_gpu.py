@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sdm.segmentation import METHODS, Patches, Settings, predict, train
-from sdm.segmentation.scores import scores_of
+from sdm.segmentation.infer.scores import scores_of
 from tests.segmentation_cases import case
 
 pytestmark = pytest.mark.gpu

@@ -8,7 +8,7 @@ import multiprocessing
 import pytest
 import torch
 
-from sdm.demo_mesh import demo_mesh
+from sdm.core.demo_mesh import demo_mesh
 from sdm.errors import DeviceError
 from sdm.shapes import Cochlea, GeometricShapes, MeshFolder
 from sdm.stream import Batch, SDMStream

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sdm.dataset import SDMDataset, damaged, generate, verify
-from sdm.dataset import job as job_module
+from sdm.dataset import shard_job as job_module
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 

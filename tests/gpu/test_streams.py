@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import sdm
-from bench.meshes import load_case
+from sdm.bench.common.meshes import load_case
 
 pytestmark = pytest.mark.gpu
 

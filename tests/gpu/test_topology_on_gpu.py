@@ -10,8 +10,8 @@ import pytest
 import torch
 
 import sdm
-from bench.meshes import load_case, sphere
-from sdm.topology import boundary_edges, loops, neighbours
+from sdm.bench.common.meshes import load_case, sphere
+from sdm.topology.boundary_edges import boundary_edges, loops, neighbours
 
 pytestmark = pytest.mark.gpu
 
@@ -36,7 +36,7 @@ def test_as_on_the_cpu(monkeypatch, limit, seed):
     vertices, faces = _torn(seed)
     expected = boundary_edges(vertices, faces)
     assert len(expected) > 0
-    monkeypatch.setattr(sdm.topology, "MOST_ON_HOST", limit)
+    monkeypatch.setattr(sdm.topology.boundary_edges, "MOST_ON_HOST", limit)
     for batch in (vertices, vertices[0]):
         found = boundary_edges(batch.cuda(), faces.cuda())
         assert found.is_cuda

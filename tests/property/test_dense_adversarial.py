@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.ops
-from bench.meshes import cube, sphere
+import sdm.engine.ops
+from sdm.bench.common.meshes import cube, sphere
 from tests import strategies
 from tests.exactness import assert_exact
 
@@ -22,7 +22,7 @@ few = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scop
 
 @pytest.fixture(autouse=True)
 def fast_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
 
 
 def check(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, most: int = 500, seed: int = 0) -> None:

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.ops
-from bench.meshes import sphere
-from sdm.kernels import columns, dense, effort
-from sdm.kernels.lists import CHUNK, NEXT_CHUNK
+import sdm.engine.ops
+from sdm.bench.common.meshes import sphere
+from sdm.kernels.dense import cost_model, query
+from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
+from sdm.kernels.winding import scan_convert
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
 from tests.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
@@ -56,7 +57,7 @@ def test_against_the_brute_force(mesh, shape, seed, turned, shared):
     middle = rng.uniform(low, high + 1e-3 * size)
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     used_by_pass: list[int] = []
-    measure = dense.measure_blocks
+    measure = query.measure_blocks
 
     def spy(*inputs: Any) -> None:
         lists = inputs[3]
@@ -64,11 +65,11 @@ def test_against_the_brute_force(mesh, shape, seed, turned, shared):
         measure(*inputs)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sdm.ops, "DENSE_METHOD", "cells")
-        patch.setattr(dense, "measure_blocks", spy)
-        patch.setattr(effort, "MOST_REGIONS", shared["regions"])
-        patch.setitem(effort.SHORT_FOR_WIDE, "cpu", 1e9 if shared["wide"] else 0)
-        patch.setitem(columns.MOST_COLUMNS, "cpu", shared["columns"])
+        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
+        patch.setattr(query, "measure_blocks", spy)
+        patch.setattr(cost_model, "MOST_REGIONS", shared["regions"])
+        patch.setitem(cost_model.SHORT_FOR_WIDE, "cpu", 1e9 if shared["wide"] else 0)
+        patch.setitem(scan_convert.MOST_COLUMNS, "cpu", shared["columns"])
         if not shared["finer"]:
             no_finer_grids(patch)
         slice_lists(patch, shared["slice_length"])
@@ -76,7 +77,7 @@ def test_against_the_brute_force(mesh, shape, seed, turned, shared):
         share_lists(patch, shared["shares"])
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
         plenty = index.signed_distance_map(grid).values
-        patch.setattr(effort, "CPU_POOL", max(CHUNK, int(shared["room"] * max(used_by_pass))))
+        patch.setattr(cost_model, "CPU_POOL", max(CHUNK, int(shared["room"] * max(used_by_pass))))
         scarce = index.signed_distance_map(grid).values
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(mesh.vertices, mesh.faces, centres)).reshape(grid.shape)

@@ -9,9 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.ops
-from bench.meshes import cube, load_case, sphere
-from sdm.kernels import columns, effort
+import sdm.engine.ops
+from sdm.bench.common.meshes import cube, load_case, sphere
+from sdm.kernels.dense import cost_model
+from sdm.kernels.winding import scan_convert
 from tests import strategies
 from tests.exactness import ROUNDING, assert_exact, scale_of
 from tests.sharing import no_finer_grids
@@ -27,7 +28,7 @@ quiet = [HealthCheck.function_scoped_fixture]
 @settings(max_examples=60, suppress_health_check=quiet)
 @given(mesh=strategies.anywhere(meshes), shape=st.tuples(*[st.integers(1, 19)] * 3), seed=strategies.seeds)
 def test_against_the_brute_force(monkeypatch, way, mesh, shape, seed):
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", way.removeprefix("thick "))
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", way.removeprefix("thick "))
     if way == "thick cells":
         no_finer_grids(monkeypatch)
     rng = np.random.default_rng(seed)
@@ -53,7 +54,7 @@ def test_same_values(monkeypatch, name):
     some = np.random.default_rng(0).permutation(len(centres))[:1000]
     maps = []
     for method in METHODS:
-        monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+        monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
         maps.append(sdm.signed_distance_map(mesh, grid, device="cpu").values)
         assert_exact(case.vertices, case.faces, centres[some], maps[-1].reshape(-1)[torch.from_numpy(some)])
     limit = torch.from_numpy(8 * ROUNDING * scale_of(case.vertices, case.faces, centres)).reshape(grid.shape)
@@ -63,14 +64,14 @@ def test_same_values(monkeypatch, name):
 
 def test_when_the_pool_of_lists_runs_out(monkeypatch):
     """Cells that find it empty are searched voxel by voxel: never wrong."""
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", "cells")
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
     case = load_case("overlapping shells")
     mesh = sdm.TriangleMesh(case.vertices, case.faces)
     index = sdm.MeshIndex(mesh, "cpu")
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = index.signed_distance_map(grid).values
     for room in (1 << 13, 1 << 14, 1 << 16):
-        monkeypatch.setattr(effort, "CPU_POOL", room)
+        monkeypatch.setattr(cost_model, "CPU_POOL", room)
         scarce = index.signed_distance_map(grid).values
         assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
         assert torch.equal(plenty < 0, scarce < 0)
@@ -84,7 +85,7 @@ def test_large_triangles_are_the_work_of_many(monkeypatch, name):
     index, grid = sdm.MeshIndex(mesh, "cpu"), sdm.Grid.around(mesh, resolution=40)
     maps = []
     for most in (1 << 30, 9, 1):
-        monkeypatch.setitem(columns.MOST_COLUMNS, "cpu", most)
+        monkeypatch.setitem(scan_convert.MOST_COLUMNS, "cpu", most)
         maps.append(index.signed_distance_map(grid).values)
     assert (maps[0] < 0).any()
     assert all(torch.equal(maps[0], other) for other in maps[1:])
@@ -94,7 +95,7 @@ def test_large_triangles_are_the_work_of_many(monkeypatch, name):
 @pytest.mark.parametrize("step", [1e-8, 1e-5, 1e-2])
 def test_every_triangle_in_every_list(monkeypatch, method, step):
     """Around the centre of a sphere all its triangles are as near as each other."""
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
     vertices, faces = sphere(24)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     vertices = (vertices @ turn).astype(np.float32)
@@ -109,7 +110,7 @@ def test_every_triangle_in_every_list(monkeypatch, method, step):
     ("mesh_size", "grid_size"), [(1, 1e20), (1e-20, 1), (1e-30, 1e8), (1e-40, 1e-39), (1e28, 1e-8), (1e-38, 1e30)]
 )
 def test_sizes_far_apart(monkeypatch, method, mesh_size, grid_size):
-    monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
     vertices, faces = cube()
     grid = sdm.Grid([-4 * grid_size] * 3, [grid_size * 1.03] * 3, [9, 9, 9])
     mesh = sdm.TriangleMesh((vertices * mesh_size).astype(np.float32), faces)

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import sdm
-import sdm.ops
-from bench.meshes import load_case, missing_note, names
+import sdm.engine.ops
+from sdm.bench.common.meshes import load_case, missing_note, names
 from tests.exactness import ROUNDING, scale_of
 
 REAL = names(["real"])
@@ -24,7 +24,7 @@ def maps_of(monkeypatch, name, resolution, device):
     index = sdm.MeshIndex(mesh, device)
     found = []
     for method in ("cells", "search"):
-        monkeypatch.setattr(sdm.ops, "DENSE_METHOD", method)
+        monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
         found.append(index.signed_distance_map(grid))
     scale = scale_of(case.vertices, case.faces, grid.points().reshape(-1, 3).numpy())
     return found, torch.from_numpy(ROUNDING * scale).reshape(grid.shape)

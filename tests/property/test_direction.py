@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from bench.meshes import cube, load_case
+from sdm.bench.common.meshes import cube, load_case
 from tests import oracle, strategies
 from tests.exactness import ROUNDING, scale_of
 

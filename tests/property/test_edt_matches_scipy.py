@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from sdm.distance_transform import euclidean_distance_transform
-from sdm.kernels import edt
+from sdm.engine.distance_transform import euclidean_distance_transform
+from sdm.kernels.edt import transform as edt
 
 # Weights, their products and two sums are rounded before the root, which halves that; the root, the largest spacing
 # and their product after it.

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.hierarchy
-from bench.meshes import load_case
-from sdm.kernels import winding as kinds
+import sdm.engine.acceleration
+from sdm.bench.common.meshes import load_case
+from sdm.kernels.winding import winding_number as kinds
 from tests import strategies
 from tests.exactness import assert_exact
 
@@ -24,8 +24,8 @@ shared = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @pytest.fixture
 def many(monkeypatch):
     """Every open mesh counts as one with many boundary edges."""
-    monkeypatch.setattr(sdm.hierarchy, "MOST_BOUNDARY_EDGES", 0)
-    monkeypatch.setattr(sdm.hierarchy, "FEWEST_FACES_AN_EDGE", 0)
+    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.acceleration, "FEWEST_FACES_AN_EDGE", 0)
 
 
 @settings(shared, max_examples=60)
@@ -58,7 +58,7 @@ def test_signs_are_those_of_the_tree_of_dipoles(monkeypatch):
     assert index._kind == kinds.MANY
     values = index.signed_distance_map(grid)
     at = grid.points().reshape(-1, 3)
-    monkeypatch.setattr(sdm.hierarchy, "MOST_FOR_BLOCKS", 0)
+    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_BLOCKS", 0)
     other = sdm.MeshIndex(mesh, "cpu")
     assert other._kind == kinds.SOUP
     winding = other.winding_number(at).reshape(grid.shape)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sdm
-from bench.meshes import sphere
+from sdm.bench.common.meshes import sphere
 from tests.exactness import assert_exact
 
 

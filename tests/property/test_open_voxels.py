@@ -1,6 +1,7 @@
 """Winding numbers of open meshes on grids: at every voxel on the side of 0.25, 0.5 and 0.75 where the plain one is.
 
-What `kernels/holes.py` gives may be rounded; the plain one adds up every boundary edge for every point in float64.
+What `kernels/winding/near_holes.py` gives may be rounded; the plain one adds up every boundary edge for every point in
+float64.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ import torch
 import warp as wp
 
 import sdm
-from bench.meshes import sphere
-from sdm.hierarchy import as_warp, build, scratch_on, unpack
-from sdm.kernels.grid import Slab
+from sdm.bench.common.meshes import sphere
+from sdm.engine.acceleration import as_warp, build, scratch_on, unpack
+from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
-from sdm.kernels.scan import slab_winding
+from sdm.kernels.winding.column_sums import slab_winding
 from tests import oracle
 
 CPU = torch.device("cpu")

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.ops
-from bench.meshes import load_case, sphere
-from sdm.kernels.descent import MOST, OWN_ROOM
-from sdm.kernels.groups import GROUP
+import sdm.engine.ops
+from sdm.bench.common.meshes import load_case, sphere
+from sdm.kernels.points.group_descent import MOST, OWN_ROOM
+from sdm.kernels.points.groups import GROUP
 from tests import strategies
 from tests.exactness import assert_exact
 
@@ -37,7 +37,7 @@ def clusters(rng: np.random.Generator, vertices: np.ndarray, faces: np.ndarray, 
 @settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds)
 def test_against_the_brute_force(monkeypatch, method, mesh, seed):
-    monkeypatch.setattr(sdm.ops, "POINTS_METHOD", method)
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
     points = clusters(np.random.default_rng(seed), mesh.vertices, mesh.faces, 12)
     for device in DEVICES:
         values = sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device=device).cpu()
@@ -52,7 +52,7 @@ def test_named_meshes(monkeypatch, name):
         index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), device)
         signs = []
         for method in METHODS:
-            monkeypatch.setattr(sdm.ops, "POINTS_METHOD", method)
+            monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
             values = index.signed_distance(points).cpu()
             assert_exact(case.vertices, case.faces, points, values)
             signs.append(values < 0)
@@ -62,7 +62,7 @@ def test_named_meshes(monkeypatch, name):
 @pytest.mark.parametrize("reach", [1e-7, 1e-3, 0.3, 30.0])
 def test_lists_that_are_too_long(monkeypatch, reach):
     """Around the centre of a sphere all its triangles are as near as each other: too many for a group, or a point."""
-    monkeypatch.setattr(sdm.ops, "POINTS_METHOD", "lists")
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", "lists")
     rng = np.random.default_rng(2)
     for fineness, fewest in ((10, OWN_ROOM), (42, MOST)):
         vertices, faces = sphere(fineness)
@@ -76,7 +76,7 @@ def test_lists_that_are_too_long(monkeypatch, reach):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_closest_points(monkeypatch, method):
-    monkeypatch.setattr(sdm.ops, "POINTS_METHOD", method)
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
     case = load_case("nested shells")
     points = clusters(np.random.default_rng(3), case.vertices, case.faces, 40)
     points[7] = np.nan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sdm
-from bench.meshes import cube, sphere, torus
+from sdm.bench.common.meshes import cube, sphere, torus
 from tests.exactness import assert_exact, assert_winding
 
 turns = list(itertools.permutations(range(3)))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from bench.meshes import cube, sphere
+from sdm.bench.common.meshes import cube, sphere
 from tests import strategies
 from tests.exactness import ROUNDING
 

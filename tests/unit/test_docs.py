@@ -21,7 +21,7 @@ def place_with_demo_mesh(tmp_path, monkeypatch) -> Path:
     """A folder as `sdm demo` leaves it."""
     import trimesh
 
-    from sdm.demo_mesh import demo_mesh
+    from sdm.core.demo_mesh import demo_mesh
 
     (tmp_path / "demo").mkdir()
     vertices, faces = demo_mesh(rings=41, segments=16, cap_rings=3).numpy()

@@ -15,15 +15,16 @@ def project(root: Path) -> dict:
     return tomllib.loads((root / "pyproject.toml").read_text())
 
 
-def test_every_folder_with_code_is_installed(root):
-    """A folder that the list forgets works from the checkout and is missing from an installed copy."""
-    names = {".".join(path.parent.relative_to(root).parts) for path in (root / "sdm").rglob("*.py")}
-    names |= {".".join(("sdm", *path.parent.relative_to(root).parts)) for path in (root / "kernels").rglob("*.py")}
-    assert set(project(root)["tool"]["setuptools"]["packages"]) == names
+def test_every_folder_with_code_is_a_package(root):
+    """A folder without __init__.py works from the checkout and is missing from an installed copy."""
+    for top in ("sdm", "kernels", "bench"):
+        folders = {path.parent for path in (root / top).rglob("*.py")}
+        assert not [folder for folder in folders if not (folder / "__init__.py").is_file()]
 
 
-def test_the_kernels_are_found_beside_the_package_in_a_checkout(root):
-    assert (root / "sdm" / "kernels").resolve() == (root / "kernels").resolve()
+@pytest.mark.parametrize("name", ["kernels", "bench"])
+def test_folders_beside_the_package_are_found_in_a_checkout(root, name):
+    assert (root / "sdm" / name).resolve() == (root / name).resolve()
 
 
 def test_every_dependency_is_pinned_within_its_range(root):
@@ -55,7 +56,7 @@ def test_an_installed_copy_works_from_inside_the_checkout(root, tmp_path):
     """The wheel holds every module, and ./sdm, which hides it there, finds the kernels too."""
     source = tmp_path / "source"
     source.mkdir()
-    for name in ("sdm", "kernels"):
+    for name in ("sdm", "kernels", "bench"):
         shutil.copytree(root / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(root / name, source / name)
@@ -72,7 +73,9 @@ def test_an_installed_copy_works_from_inside_the_checkout(root, tmp_path):
     libraries = Path(pytest.__file__).parents[1]
     pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", str(wheel)]
     subprocess.run(pip, check=True)
-    program = f"import sys; sys.path.append({str(libraries)!r}); import sdm, sdm.kernels; print(sdm.__file__)"
+    program = (
+        f"import sys; sys.path.append({str(libraries)!r}); import sdm, sdm.kernels, sdm.bench; print(sdm.__file__)"
+    )
     for folder, expected in ((tmp_path, site), (source, source)):
         found = subprocess.check_output([python, "-W", "ignore", "-c", program], cwd=folder, text=True)
         assert found.strip().splitlines()[-1].startswith(str(expected))

@@ -1,0 +1,1 @@
+"""What benchmarks share: meshes, the float64 oracle, timing, records, tables."""

@@ -1,0 +1,1 @@
+"""DeepSDF: accuracy, recipes, peers."""

@@ -1,0 +1,1 @@
+"""Maps and points: speed against peers, accuracy against the oracle."""

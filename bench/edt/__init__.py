@@ -1,0 +1,1 @@
+"""The distance transform against SciPy and CuPy."""

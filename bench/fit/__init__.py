@@ -1,0 +1,1 @@
+"""Fits of shapes to images: cases, coverage, real data."""

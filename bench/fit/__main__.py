@@ -1,0 +1,56 @@
+"""Shapes from images: simulated cases with known truth, coverage of the intervals, speed, and a real shape.
+
+    python -m sdm.bench.fit cases [--quick]         nine cases, as in Table 2 of Wang et al., MIDL 2020
+    python -m sdm.bench.fit coverage --count 200    do 90 % intervals hold the truth in 90 % of cases? Resumable
+    python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
+    python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
+
+The first three write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
+(these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's
+distances and finite differences, as a method without our derivatives has it: `libigl` is asked about the points near
+the surface alone, which our search for them allows, `libigl-map` makes whole maps, as a mesh's signed distance map in
+the place of a surrogate. `warp` and `warp-map` are stock Warp's.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sdm.bench.fit.cases import cases
+from sdm.bench.fit.coverage import coverage
+from sdm.bench.fit.pictures import pictures
+from sdm.bench.fit.real import real
+
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+def main() -> None:
+    """Parse the command line and run one study."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    studies = parser.add_subparsers(dest="study", required=True)
+    each = {name: studies.add_parser(name) for name in ("cases", "coverage", "real", "pictures")}
+    for name, study in each.items():
+        study.add_argument("--out", type=Path, default=RESULTS / f"fit-{name}.json", help="results, JSON")
+        study.add_argument("--device", default="cpu", help="cpu, cuda or cuda:N, for our own backends")
+    for name in ("cases", "coverage", "real"):
+        each[name].add_argument("--weights", type=Path, default=None, help="a surrogate's; the shipped ones by default")
+    each["cases"].add_argument(
+        "--backends", default="exact,libigl", help="of exact,surrogate,hybrid,libigl,libigl-map,warp,warp-map"
+    )
+    each["cases"].add_argument("--count", type=int, default=9)
+    each["cases"].add_argument("--quick", action="store_true", help="two cases")
+    each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
+    each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
+    each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
+    each["coverage"].add_argument("--budget-s", type=float, default=float("inf"), help="begin no case after this long")
+    each["coverage"].add_argument("--workers", type=int, default=1, help="processes, one thread each")
+    each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
+    each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
+    each["pictures"].add_argument("--docs", type=Path, default=Path("docs"))
+    options = parser.parse_args()
+    {"cases": cases, "coverage": coverage, "real": real, "pictures": pictures}[options.study](options)
+
+
+if __name__ == "__main__":
+    main()

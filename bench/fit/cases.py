@@ -1,0 +1,97 @@
+"""Nine simulated cases: errors against the truth, and what other distances make of the same images.
+
+As Table 2 of Wang et al., MIDL 2020, which has nine cases and the difference of the parameters that its surrogate and
+its meshes find. Here the truth is known too.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from sdm.bench.common.json_file import write
+from sdm.bench.common.machine import describe
+from sdm.bench.fit.tools import STOCK, backends_by_name, case, fit_case, truth_backend
+from sdm.fit import FitResult, Image, State
+from sdm.shapes import Cochlea
+
+EDGE = 0.1
+WIDTHS = np.array([p.high - p.low for p in Cochlea.parameters])
+
+
+def cases(options: argparse.Namespace) -> None:
+    """Fit each case with each backend, print a line each, write all."""
+    names = options.backends.split(",")
+    if "exact" not in names:
+        names.insert(0, "exact")
+    truth = truth_backend()
+    backends = {name: backends_by_name(name, options.device, options.weights) for name in names}
+    rows: list[dict[str, Any]] = []
+    for number in range(2 if options.quick else options.count):
+        # Two thirds as a clinical scanner sees them, the others as a cone-beam scanner does.
+        scanner = "0.2" if number % 3 == 2 else "0.3"
+        state, image = case(truth, scanner, 1000 + number, edge=EDGE)
+        if number == 0:
+            # Kernels are compiled and libraries loaded before the clock runs.
+            for name in names:
+                _warm_up(backends[name], image, scanner)
+        found = {name: fit_case(image, scanner, backends[name]) for name in names}
+        row = {"case": number + 1, "voxel_mm": float(scanner), "image": list(image.grid.shape)}
+        row |= {name: _row(result, found["exact"], state) for name, result in found.items()}
+        rows.append(row | {"truth": dict(zip(("a", "alpha", "b", "phi"), state.theta.tolist(), strict=True))})
+        for name in names:
+            print(f"{number + 1} {scanner} mm {name:<10}", row[name], flush=True)
+        write(options.out, {"cases": rows, "summary": _summary(rows, names), "machine": describe(options.device)})
+    print(_summary(rows, names))
+
+
+def _warm_up(backends: Any, image: Image, scanner: str) -> None:
+    backend, finish = backends
+    for each in (backend, finish):
+        if each is None:
+            continue
+        middle = image.values.new_tensor([(p.low + p.high) / 2 for p in each.parameters]).double()
+        points = image.grid.points()[::8, ::8, ::8].reshape(-1, 3).double()
+        each.with_derivatives(middle.to(each.device), points.to(each.device))
+
+
+def _row(result: FitResult, exact: FitResult, truth: State) -> dict[str, Any]:
+    theta, reference = result.state.theta.cpu().numpy(), exact.state.theta.cpu().numpy()
+    names = [p.name for p in result.parameters]
+    shift = float((result.state.translation.cpu() - truth.translation.cpu()).norm())
+    return {
+        "trusted": result.trusted,
+        "error": dict(zip(names, (theta - truth.theta.cpu().numpy()).round(6).tolist(), strict=True)),
+        "deviation": dict(zip(names, result.posterior.deviations[:4].tolist(), strict=True)),
+        "shift_error_mm": round(shift, 5),
+        "relative_to_exact": float(np.abs((theta - reference) / reference).max()),
+        "in_deviations_of_exact": float(
+            np.abs((theta - reference) / exact.posterior.deviations[:4].cpu().numpy()).max()
+        ),
+        "shapes_built": result.evaluations,
+        "steps": result.steps,
+        "seconds": round(result.seconds, 2),
+    }
+
+
+def _summary(rows: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    summary: dict[str, Any] = {}
+    exact = np.array([list(row["exact"]["error"].values()) for row in rows])
+    for name in names:
+        found = [row[name] for row in rows]
+        errors = np.array([list(f["error"].values()) for f in found])
+        summary[name] = {
+            "mean_absolute_error": dict(zip(found[0]["error"], np.abs(errors).mean(0).round(6).tolist(), strict=True)),
+            "largest_relative_to_exact": max(f["relative_to_exact"] for f in found),
+            # phi has no natural zero: beside that, the difference as a share of the parameter's range.
+            "largest_share_of_range_from_exact": float((np.abs(errors - exact) / WIDTHS).max().round(7)),
+            "median_shapes_built": float(np.median([sum(f["shapes_built"].values()) for f in found])),
+            "median_seconds": float(np.median([f["seconds"] for f in found])),
+        }
+    for stock in (name for name in names if name in STOCK):
+        for name in (name for name in names if name not in STOCK):
+            ratios = [row[stock]["seconds"] / row[name]["seconds"] for row in rows]
+            summary[name][f"times_faster_than_{stock}"] = round(float(np.median(ratios)), 1)
+    return summary

@@ -1,0 +1,41 @@
+"""What the studies of the fit share: simulated cases, backends by name, and files that are whole or not there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sdm.bench.fit.stock_backend import StockBackend
+from sdm.bench.fit.stock_maps import StockMaps
+from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
+from sdm.fit.model.backend import Backend
+from sdm.fit.model.backends import make_backends
+from sdm.shapes import Cochlea
+
+# Meshes of simulated truth are four times as fine as those of the fit.
+TRUTH_TRIANGLES = 80_000
+STOCK = ("libigl", "warp", "libigl-map", "warp-map")
+
+
+def truth_backend(device: str = "cpu") -> ExactBackend:
+    """Exact distances from finer meshes than the fit's."""
+    return ExactBackend(Cochlea(TRUTH_TRIANGLES), device)
+
+
+def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -> tuple[State, Image]:
+    """A random shape and its image: a pure function of the scanner's name and the number."""
+    state = random_state(truth, number, edge=edge)
+    return state, simulate(truth, state, SCANNERS[scanner], seed=2 * number + (scanner == "0.2"))
+
+
+def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
+    """Ours by `make_backends`, or a stock library's."""
+    if name in STOCK:
+        library, *whole = name.split("-")
+        return (StockMaps(library) if whole else StockBackend(library)), None
+    return make_backends(name, weights=weights, device=device)
+
+
+def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None]) -> FitResult:
+    """Fit with the scanner's known blur and everything else as it comes."""
+    options = FitOptions(blur=SCANNERS[scanner].blur)
+    return fit_shape(image.values, image.grid, backends[0], finish=backends[1], options=options)

@@ -1,0 +1,1 @@
+"""The studies of Juhl et al. and Ma et al."""

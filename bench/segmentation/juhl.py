@@ -1,0 +1,208 @@
+"""Juhl's study of simple shapes: voxel-wise classification (PWC) against regression of a signed distance (PWR).
+
+    python -m sdm.bench.segmentation.juhl run --budget-s 200     # goes on where it was; all GPUs
+    python -m sdm.bench.segmentation.juhl table                  # the table from the logs
+
+K. Juhl et al., "Guiding 3D U-nets with signed distance fields for creating 3D models from images", MIDL 2019: cuboids,
+rhomboids, ellipsoids and cylinders in 512^3 voxels, 19 of each to train on and 6 to test on; networks of 64^3. Labels
+of PWC are enlarged by the nearest voxel, PWR's distances linearly and then cut at zero. Beside that, what was not
+asked: PWC with linearly enlarged probabilities, so that both are enlarged alike; and PWR on the exact map of the mesh
+and on the transform of the coarse label, beside that of the fine label.
+
+How the paper's images were made and what PWC minimised is not known here. An image's voxel is the share of it that is
+inside, with Gaussian noise of 0.1. PWC minimises (cross-entropy + Dice) / 2: in trainings as short as these, small
+shapes are lost by cross-entropy alone.
+Distances are in voxels of 512^3. Overlap near the contour: 5^3 band.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from sdm.bench.common.machine import describe
+from sdm.bench.segmentation.gpu_jobs import Job, devices, read_logs, run_jobs
+from sdm.bench.segmentation.juhl_shapes import TARGETS, Shape, ShapeBatches, shapes
+from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
+from sdm.segmentation import Settings, cell, scores_of, table, train
+
+LOGS = Path(__file__).parents[1] / "results" / "segmentation_juhl"
+COLUMNS = ("dice", "contour_dice", "average_surface_distance_mm", "rms_surface_distance_mm")
+# Network -> its target; None: the label.
+NETWORKS: dict[str, str | None] = {"pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
+ROWS = {
+    "pwc nearest": "PWC, nearest (as published)",
+    "pwc linear": "PWC, linear probabilities",
+    "pwr-voxels nearest": "PWR on the labels' transform, nearest",
+    "pwr-voxels linear": "PWR on the labels' transform, linear (as published)",
+    "pwr-mesh linear": "PWR on the mesh's exact map, linear",
+    "pwr-coarse linear": "PWR on the coarse labels' transform, linear",
+}
+# Voxels beyond the foreground that no score looks further than.
+ROOM = 8
+# Seconds until the processes train: shapes are made. Seconds of a job beside its steps: scores.
+STARTING_S = 40.0
+OVERHEAD_S = 8.0
+
+
+def main() -> None:
+    options = parser().parse_args()
+    if options.what == "run":
+        on = devices(options.gpus) * options.per_gpu
+        # Compiled once, before several processes want it at the same time.
+        few = list(_few(options, on[0]))
+        if options.fit:
+            options.steps = known_steps(options.logs) or fit(options, few, on)
+        run_jobs(jobs(options), work, options.logs, options.work, budget_s=options.budget_s, on=on)
+    print(table_of(options.logs))
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("--logs", type=Path, default=LOGS)
+    parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-juhl"), help="unfinished trainings")
+    parser.add_argument("--budget-s", type=float, default=3600.0)
+    parser.add_argument("--gpus", type=int, default=None, help="default: all")
+    parser.add_argument("--per-gpu", type=int, default=1, help="processes on each: 2 fill the gaps of small networks")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    parser.add_argument("--networks", nargs="+", default=list(NETWORKS), choices=list(NETWORKS))
+    parser.add_argument("--steps", type=int, default=1350, help="default: those of the table that is kept")
+    parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
+    parser.add_argument("--batch", type=int, default=4)
+    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--filters", type=int, default=32)
+    parser.add_argument("--fine", type=int, default=512)
+    parser.add_argument("--coarse", type=int, default=64)
+    parser.add_argument("--compile", action="store_true")
+    return parser
+
+
+def jobs(options: argparse.Namespace) -> list[Job]:
+    """All networks with the first seed, then all with the next."""
+    return [
+        {
+            "name": f"{network}-{seed}",
+            "network": network,
+            "settings": Settings(
+                method="baseline" if NETWORKS[network] is None else "pwr",
+                architecture="unet",
+                patch=(options.coarse,) * 3,
+                batch=options.batch,
+                steps=options.steps,
+                learning_rate=options.learning_rate,
+                filters=options.filters,
+                seed=seed,
+            ).record(),
+            "fine": options.fine,
+            "compile": options.compile,
+        }
+        for seed in options.seeds
+        for network in options.networks
+    ]
+
+
+def _few(options: argparse.Namespace, device: str) -> list[Shape]:
+    source = shapes("train", options.fine, options.coarse, device)
+    return [next(source) for _ in range(2)]
+
+
+def fit(options: argparse.Namespace, few: list[Shape], on: list[str]) -> int:
+    """Steps that let all jobs end within the budget, from a measurement on the first device."""
+    begin = time.monotonic()
+    torch.backends.cudnn.benchmark = True
+    batches = ShapeBatches(few, "mesh")
+
+    def measure(steps: int) -> float:
+        settings = Settings(
+            method="pwr",
+            architecture="unet",
+            patch=(options.coarse,) * 3,
+            batch=options.batch,
+            steps=steps,
+            filters=options.filters,
+        )
+        return train(batches, settings, compiled=options.compile).seconds
+
+    count = len(options.networks) * len(options.seeds)
+    left = options.budget_s - STARTING_S
+    steps = fitted_steps(measure, count, len(on), left, weight=shared(options.per_gpu), overhead_s=OVERHEAD_S)
+    options.budget_s -= time.monotonic() - begin
+    return steps
+
+
+def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> dict[str, Any] | None:
+    """One training and the scores of its volumes, enlarged both ways."""
+    settings = Settings.of_record(job["settings"])
+    for part in ("train", "test"):
+        if part not in kept:
+            kept[part] = list(shapes(part, job["fine"], settings.patch[0], device))
+    checkpoint = unfinished / f"{job['name']}.pt"
+    batches = ShapeBatches(kept["train"], NETWORKS[job["network"]])
+    training = train(batches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
+    if training.step < settings.steps:
+        return None
+    begin = time.monotonic()
+    scores: dict[str, list[dict[str, Any]]] = {"nearest": [], "linear": []}
+    for shape in kept["test"]:
+        with torch.inference_mode():
+            values = training.model.field(shape.image[None, None])
+        truth = shape.truth
+        if truth is None:
+            raise ValueError("a test shape has no truth")
+        for way, found in scores.items():
+            found.append(score(enlarged(values, job["fine"], way), truth))
+    log = {
+        "training_s": training.seconds,
+        "scores_s": time.monotonic() - begin,
+        "parameters": sum(p.numel() for p in training.model.parameters()),
+        "machine": describe(device, ("torch", "warp-lang")),
+        "losses": training.losses,
+        **scores,
+    }
+    checkpoint.unlink(missing_ok=True)
+    rate = training.step / max(training.seconds, 1e-9)
+    return {"summary": f"Dice linear {cell(scores['linear'], 'dice')}, {rate:.1f} steps/s", **log}
+
+
+def enlarged(values: Tensor, fine: int, way: str) -> Tensor:
+    """Where (1,1,n,n,n) values are negative once they are enlarged: (fine,fine,fine) bool."""
+    if way == "linear":
+        return functional.interpolate(values, size=(fine,) * 3, mode="trilinear", align_corners=False)[0, 0] < 0
+    label = (values[0, 0] < 0).to(torch.uint8)
+    return functional.interpolate(label[None, None].float(), size=(fine,) * 3, mode="nearest")[0, 0] > 0.5
+
+
+def score(prediction: Tensor, truth: Tensor) -> dict[str, float | bool]:
+    """Scores in the box of both masks and some room, which are those of the whole volume, in less time."""
+    box = []
+    both = prediction | truth
+    for axis in range(3):
+        others = [a for a in range(3) if a != axis]
+        index = torch.nonzero(both.any(others[1]).any(others[0]))
+        box.append(slice(max(0, int(index.min()) - ROOM), int(index.max()) + ROOM + 1))
+    inner = (box[0], box[1], box[2])
+    return scores_of(prediction[inner], truth[inner], (1.0, 1.0, 1.0))
+
+
+def table_of(logs: Path) -> str:
+    """A row for each network and way to enlarge; its cases are those of all seeds."""
+    rows: dict[str, list[dict[str, Any]]] = {}
+    seeds: dict[str, int] = {}
+    for log in read_logs(logs):
+        for way in ("nearest", "linear"):
+            name = f"{log['job']['network']} {way}"
+            rows.setdefault(name, []).extend(log[way])
+            seeds[name] = seeds.get(name, 0) + 1
+    ordered = {f"{text} ({seeds[name]})": rows[name] for name, text in ROWS.items() if name in rows}
+    return table(ordered, COLUMNS, unit="voxels") if ordered else f"no logs in {logs}"
+
+
+if __name__ == "__main__":
+    main()

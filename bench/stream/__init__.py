@@ -1,0 +1,1 @@
+"""The stream: rates, sizes, training, endurance."""

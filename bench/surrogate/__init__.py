@@ -1,0 +1,1 @@
+"""Surrogates: accuracy, timing, plots."""

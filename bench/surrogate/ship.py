@@ -1,0 +1,111 @@
+"""Put a trained surrogate into the package: its weights, its description and its model card.
+
+    python -m sdm.bench.surrogate.ship RUN/sdmnn-plus.safetensors --results bench/results/surrogate-cuda.json
+
+The results are those of `python -m sdm.bench.surrogate --parts accuracy` for this very file; the card states them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sdm.bench.common.json_file import put, write
+from sdm.bench.surrogate.accuracy import COLUMNS
+from sdm.io.files.atomic import replacing
+from sdm.shapes import Cochlea
+from sdm.surrogate import GRID, Settings
+from sdm.surrogate.infer.predict import WEIGHTS
+
+LARGEST_MB = 8.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("weights", type=Path, help="NAME.safetensors, with NAME.json beside it")
+    parser.add_argument("--results", type=Path, default=Path("bench/results/surrogate-cuda.json"))
+    parser.add_argument("--to", type=Path, default=WEIGHTS, help="folder of the package's weights")
+    options = parser.parse_args()
+    measured = json.loads(options.results.read_text())["accuracy"]
+    row = measured["models"].get(options.weights.stem)
+    if row is None:
+        raise SystemExit(f"{options.results} says nothing of {options.weights.stem}: measure it first")
+    facts = json.loads(options.weights.with_suffix(".json").read_text())
+    if facts["family"] != Cochlea().fingerprint:
+        raise SystemExit(f"{options.weights} was trained on another cochlea family: train it again")
+    data = options.weights.read_bytes()
+    if len(data) > 1e6 * LARGEST_MB:
+        raise SystemExit(f"{options.weights} has {len(data) / 1e6:.1f} MB; at most {LARGEST_MB:g} are shipped")
+    if row.get("training") != facts.get("training"):
+        raise SystemExit(f"{options.results} is about another training than {options.weights}: measure this one")
+    facts["errors"] = {
+        key: row[key] for key in row if isinstance(row[key], float) and key not in ("seconds", "file_mb")
+    }
+    facts["validation"] = measured["validation"]
+    name = facts["model"]
+    write(options.to / f"{name}.json", facts)
+    put(options.to / "README.md", card(facts, len(data), measured["machine"], options.results))
+    with replacing(options.to / f"{name}.safetensors") as part:
+        part.write_bytes(data)
+    print(f"{options.to / name}.safetensors, {len(data) / 1e6:.2f} MB")
+
+
+def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Path) -> str:
+    """The model card."""
+    errors, training = facts["errors"], facts["training"]
+    box = "\n".join(f"| {name} | {low:g} | {high:g} | {unit} |" for name, low, high, unit in facts["parameters"])
+    before = f"It went on from weights of {made_by(facts['started_from'])}.\n" if "started_from" in facts else ""
+    lines = "\n".join(f"| {label} | {errors[key]:.4f} |" for key, label in COLUMNS.items())
+    return f"""# Model card: {facts["model"]}
+
+From four shape parameters of `sdm.shapes.Cochlea` to its signed distance map: {" x ".join(map(str, GRID.shape))}
+voxels of {GRID.spacing[0]:g} mm, negative inside, millimetres. {size / 1e6:.2f} MB. Licence: that of this package.
+
+## For what, and for what not
+
+For quick maps of this family of model shapes on a CPU, for example inside a fit. It knows nothing of cochleae outside
+the family or its box of parameters, and is no medical device. Where the last hundredth of a millimetre matters, use
+the exact engine (`sdm predict --exact`), which the surrogate imitates.
+
+| parameter | lowest | highest | unit |
+| --- | ---: | ---: | --- |
+{box}
+
+## Errors
+
+On the fixed validation set `{facts["validation"]}` (uniform shapes that no training has, and
+the corners of the box), against exact maps; lengths in mm, "near" is within 0.5 mm of the surface. Means over
+shapes; "max" and "worst" over all.
+The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{results}`).
+
+| measure | value |
+| --- | ---: |
+{lines}
+
+Measured by `python -m sdm.bench.surrogate --parts accuracy` on: {machine["device"]}, commit {machine["commit"]}.
+
+## Training
+
+{made_by(training)}.
+{before}All maps were made by the exact engine during the training (seed {training["seed"]}). Data: synthetic alone; the
+family's constants were tuned to the mean of 15 real human scalae tympani (Froehlich 2024, CC BY 4.0).
+"""
+
+
+def made_by(training: dict[str, Any]) -> str:
+    """The command of a training, and what it took."""
+    # What a command would have to say; all else is as it comes.
+    usual = asdict(Settings())
+    asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
+    options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+    return (
+        f"`sdm train sdmnn {' '.join(options)}`, {training['step']:,} steps of {training['batch_size']} maps in "
+        f"{training['seconds']:g} s"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""How a bounding volume hierarchy is made: a sort, and boxes level by level.
+
+Triangles are sorted along a Hilbert curve about their mesh's box, the numbers of meshes above the curve's codes in the
+keys. So the whole build is that sort and a few short launches, is the same every time, and needs no memory but the
+arrays that it is given.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import (
+    DIAGONAL,
+    FRAME_SIZE,
+    LATTICE,
+    LATTICE_STEPS,
+    LOW_X,
+    SCALE,
+    UNSCALE,
+    Tree,
+    first_triangle,
+    nodes_of,
+    to_lattice,
+    write_box,
+    write_corners,
+)
+from sdm.kernels.geometry.hilbert import curve_bits, curve_code
+from sdm.kernels.geometry.triangle_distance import unit_normal
+from sdm.kernels.primitives.atomics import lessen
+from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
+from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
+from sdm.kernels.primitives.vector_loads import read4, write4
+
+wp.set_module_options({"enable_backward": False})
+
+# Levels of boxes that one launch makes, and triangles that each lane looks at for the mesh's.
+LEVELS_AT_ONCE, RUN = 8, 8
+LARGEST_SCALE = wp.constant(wp.float64(2.0**126))
+# Bytes of a triangle's corners on the lattice.
+_LATTICE_SIZE = wp.constant(24)
+_SCALE, _UNSCALE, _LOW_X = wp.constant(SCALE), wp.constant(UNSCALE), wp.constant(LOW_X)
+_LATTICE, _DIAGONAL, _FRAME_SIZE = wp.constant(LATTICE), wp.constant(DIAGONAL), wp.constant(FRAME_SIZE)
+
+
+@wp.kernel
+def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32)):
+    bounds[begin + wp.tid()] = float(wp.inf)
+
+
+@wp.kernel
+def _reduce_bounds(
+    begin: int,
+    lanes: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    run: int,
+    bounds: wp.array(dtype=wp.float32),
+):
+    """Bring down each mesh's lowest coordinates, and its highest ones with the other sign: `run` faces a lane."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    count = faces.shape[0]
+    runs = (count + run * lanes - 1) / (run * lanes)
+    mesh = thread / lanes / runs
+    face = (thread / lanes % runs) * run * lanes + lane
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    lowest = low
+    for _step in range(run):
+        if face < count:
+            for corner in range(3):
+                v = vertices[mesh, faces[face, corner]]
+                low = wp.min(low, v)
+                lowest = wp.min(lowest, -v)
+        face = face + lanes
+    for axis in range(3):
+        least = least_of_lanes(low[axis])
+        other = least_of_lanes(lowest[axis])
+        if lane == 0:
+            lessen(bounds, 6 * mesh + axis, least)
+            lessen(bounds, 6 * mesh + 3 + axis, other)
+
+
+@wp.kernel
+def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array(dtype=wp.float64)):
+    mesh = begin + wp.tid()
+    largest = wp.float64(0.0)
+    for i in range(6):
+        if i >= 3:
+            bounds[6 * mesh + i] = -bounds[6 * mesh + i]
+        largest = wp.max(largest, wp.float64(wp.abs(bounds[6 * mesh + i])))
+    # A power of two that brings the largest coordinate into (1/2, 1]; multiplying by it rounds nothing.
+    scale = wp.float64(1.0)
+    half = wp.float64(0.5)
+    two = wp.float64(2.0)
+    while largest * scale > wp.float64(1.0):
+        scale = scale * half
+    # It stays a float32 even for the smallest numbers.
+    while largest * scale <= half and scale < LARGEST_SCALE:
+        scale = scale * two
+    base = mesh * _FRAME_SIZE
+    frame[base + _SCALE] = scale
+    frame[base + _UNSCALE] = wp.float64(1.0) / scale
+    extent = wp.float64(0.0)
+    diagonal2 = wp.float64(0.0)
+    for axis in range(3):
+        low = wp.float64(bounds[6 * mesh + axis]) * scale
+        high = wp.float64(bounds[6 * mesh + 3 + axis]) * scale
+        frame[base + _LOW_X + axis] = low
+        if axis > 0:
+            extent = wp.max(extent, high - low)
+        diagonal2 = diagonal2 + (high - low) * (high - low)
+    frame[base + _DIAGONAL] = wp.sqrt(diagonal2)
+    frame[base + _LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
+
+
+@wp.kernel
+def _make_keys(
+    begin: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
+    frame: wp.array(dtype=wp.float64),
+    bits: int,
+    keys: wp.array(dtype=wp.int64),
+    slots: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    count = faces.shape[0]
+    mesh = i / count
+    f = i - mesh * count
+    scale = float(frame[mesh * _FRAME_SIZE + _SCALE])
+    a = scale * vertices[mesh, faces[f, 0]]
+    b = scale * vertices[mesh, faces[f, 1]]
+    c = scale * vertices[mesh, faces[f, 2]]
+    low = scale * wp.vec3(bounds[6 * mesh], bounds[6 * mesh + 1], bounds[6 * mesh + 2])
+    high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
+    # The middle of the triangle's box: for long triangles better than the mean of the corners.
+    middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
+    keys[i] = (wp.int64(mesh) << wp.int64(3 * bits)) | curve_code(middle, low, high, bits)
+    slots[i] = f
+
+
+@wp.kernel
+def _gather_triangles(
+    begin: int,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    sorted_faces: wp.array(dtype=wp.int32),
+    tree: Tree,
+    normals: wp.array(dtype=wp.float32),
+):
+    i = begin + wp.tid()
+    mesh = i / tree.count
+    f = sorted_faces[i]
+    tree.face[i] = f
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    a = scale * vertices[mesh, faces[f, 0]]
+    b = scale * vertices[mesh, faces[f, 1]]
+    c = scale * vertices[mesh, faces[f, 2]]
+    lattice = pairs_at(tree.lattice)
+    record = begin_record(lattice, _LATTICE_SIZE, i)
+    put_pair(record, 0, to_lattice(tree, mesh, wp.float64(a[1]), wp.float64(a[2])))
+    put_pair(record, 1, to_lattice(tree, mesh, wp.float64(b[1]), wp.float64(b[2])))
+    put_pair(record, 2, to_lattice(tree, mesh, wp.float64(c[1]), wp.float64(c[2])))
+    end_record(lattice, record, _LATTICE_SIZE, i, tree.face.shape[0])
+    n = wp.vec3(unit_normal(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
+    write_corners(tree, i, a, b, c, n)
+    write4(normals, mesh * tree.count + f, n[0], n[1], n[2], 0.0)
+
+
+@wp.func
+def bound_leaf(tree: Tree, mesh: int, leaf: int):
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    high = -low
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        slot = mesh * tree.count + t
+        for corner in range(3):
+            v = tree.corners[4 * slot + corner]
+            low = wp.min(low, v)
+            high = wp.max(high, v)
+    leaves = 1 << tree.depth
+    write_box(tree, nodes_of(tree, mesh) + leaves + leaf, low, high)
+
+
+@wp.kernel
+def _bound_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int):
+    """Boxes of `levels` levels, the highest of them `width` nodes wide: one group of lanes for what is below each.
+
+    From the children's below them, or from the triangles.
+    """
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    mesh = group / width
+    top = width + group - mesh * width
+    leaves = 1 << tree.depth
+    base = nodes_of(tree, mesh)
+    for back in range(levels):
+        down = levels - 1 - back
+        node = (top << down) + lane
+        while node < (top + 1) << down:
+            if node >= leaves:
+                bound_leaf(tree, mesh, node - leaves)
+            else:
+                left = 2 * (base + 2 * node)
+                low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
+                high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
+                write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
+            node = node + lanes
+        wait_for_lanes()
+
+
+def build_tree(
+    tree: Tree,
+    vertices: wp.array,
+    faces: wp.array,
+    bounds: wp.array,
+    keys: wp.array,
+    slots: wp.array,
+    normals: wp.array,
+    launch: Any,
+) -> None:
+    """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
+
+    Args:
+        tree: What to fill.
+        vertices: (meshes, V) vec3.
+        faces: (F, 3) int32, shared by the meshes.
+        bounds: (6 * meshes) float32: afterwards each mesh's lowest and highest coordinates.
+        keys: (2 * meshes * F) int64, scratch.
+        slots: (2 * meshes * F) int32, scratch.
+        normals: (4 * meshes * F) float32: afterwards each face's unit normal, in the order of the faces, and 0.
+        launch: `sdm.kernels.launch.launch`.
+    """
+    device = vertices.device
+    meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
+    lanes = GPU_LANES if device.is_cuda else 1
+    launch(_reset_bounds, 6 * meshes, [bounds], device)
+    groups = meshes * -(-faces.shape[0] // (RUN * lanes))
+    launch(_reduce_bounds, groups * lanes, [lanes, vertices, faces, RUN, bounds], device)
+    launch(_make_frames, meshes, [bounds, tree.frame], device)
+    bits = curve_bits(faces.shape[0])
+    launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
+    # The meshes' numbers are above the curve's codes.
+    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
+    launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device)
+    level = tree.depth + 1
+    while level > 0:
+        # A launch costs more than a few boxes one after the other.
+        levels = min(level, LEVELS_AT_ONCE)
+        level -= levels
+        launch(_bound_levels, (meshes << level) * lanes, [lanes, tree, 1 << level, levels], device, smallest=8)

@@ -1,0 +1,121 @@
+"""From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
+
+A worker's scratch has stacks of triangles (slots), and of parts. What is left of a test is pushed onto the next stack,
+so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot, and which of
+the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
+from sdm.kernels.culling.normal_cones import Cones, cone_misses
+from sdm.kernels.culling.witness_bound import Cell, Witness, triangle_is_farther
+from sdm.kernels.primitives.lanes import ballot, members, rank
+from sdm.kernels.primitives.vector_loads import load4
+from sdm.kernels.primitives.work_queues import one_for_each_bit
+
+wp.set_module_options({"enable_backward": False})
+
+# Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their parts. A batch
+# of lanes leaves at most 31 of what it takes, and brings the triangles of 32 leaves, 32 triangles, or 224 parts.
+WAITING = 0
+RIPE = WAITING + 32 * (LARGEST_LEAF + 1)
+PARTS = RIPE + 64
+
+_LEAF = wp.constant(TRIANGLES_PER_LEAF)
+
+
+@wp.func
+def full_of_leaves(lanes: int):
+    """How many leaves have triangles for all lanes."""
+    return wp.max(lanes / _LEAF, 1)
+
+
+@wp.func
+def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane: int):
+    """Put the lanes' entries that they keep onto a stack whose top is `at`; returns how many."""
+    mask = ballot(keep)
+    if keep:
+        stacks[at + rank(mask, lane)] = entry
+    return members(mask)
+
+
+@wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "8 * slot + bit"))
+def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
+    """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns the new top."""
+    ...
+
+
+@wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "slot + bit"))
+def push_slots(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
+    """Push the slots from `slot` on whose bit is in `which`; returns the new top."""
+    ...
+
+
+@wp.func
+def push_triangles(stacks: wp.array(dtype=wp.int32), top: int, tree: Tree, mesh: int, keep: bool, leaf: int, lane: int):
+    """Push the triangles (slots) of the lanes' leaves that they keep; returns the new top."""
+    first = int(0)
+    which = int(0)
+    if keep:
+        first = first_triangle(tree, leaf)
+        which = (1 << (first_triangle(tree, leaf + 1) - first)) - 1
+    return push_slots(stacks, top, mesh * tree.count + first, which, lane)
+
+
+@wp.func
+def triangle_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    slot: int,
+):
+    """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its corners and its cone alone."""
+    ball = load4(balls, slot)
+    # All loads before the tests, or the second waits for the first.
+    cone = load4(cones.triangles, slot)
+    a, b, c, _normal = load_corners(tree, slot)
+    if cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone):
+        return False
+    return not triangle_is_farther(cell, known, a, b, c)
+
+
+@wp.func
+def triangles_that_matter(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    mesh: int,
+    stacks: wp.array(dtype=wp.int32),
+    leaves: int,
+    taken: int,
+    slots: int,
+    lane: int,
+    lanes: int,
+):
+    """Push onto `slots` the triangles of the `taken` leaves from `leaves` that matter to a cell of this radius.
+
+    That is: whose corners and cone allow that they are nearest to one of its voxels. Returns how many.
+    """
+    ripe = int(0)
+    i = lane
+    while i - lane < taken * _LEAF:
+        keep = False
+        slot = int(0)
+        if i < taken * _LEAF:
+            leaf = stacks[leaves + i / _LEAF]
+            t = first_triangle(tree, leaf) + i % _LEAF
+            if t < first_triangle(tree, leaf + 1):
+                slot = mesh * tree.count + t
+                keep = triangle_matters(cell, radius, known, tree, balls, cones, slot)
+        ripe = ripe + push(stacks, slots + ripe, keep, slot, lane)
+        i = i + lanes
+    return ripe

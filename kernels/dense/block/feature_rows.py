@@ -1,0 +1,166 @@
+"""The parts of triangles that can be nearest to a block's voxels, written so that measuring one takes a few products.
+
+Let c be the block's centre, p a voxel from there, and m the point of a part's plane, line or corner that is closest to
+c, seen from c. The squared distances are
+
+    corner  |p - m|^2
+    line    |u - m|^2         u = p - (p.e) e, across the unit vector e
+    plane   (p.n - m.n)^2     with the normal n
+
+Near the surface they are worked out so. Far from it that would round as much as the largest of the coordinates; there
+no distance is less than some L, the block's floor, and what a distance has more, squared, is of the block's size:
+
+    corner  p.(p - 2m) + w                w = |m|^2 - L^2, in float64
+    line    u.(u - 2m) + w
+    plane   (p.n) (p.n - 2 m.n) + w
+
+Only w comes from long distances. Both are sums of (t - a s) (t - b s) and w, with a = b = 1 and w = L = 0 near the
+surface, and a = 0, b = 2 far away: the same few instructions. For lines, |u|^2 is |p|^2 - (p.e)^2 far away.
+
+A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
+be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
+are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree, load_corners
+from sdm.kernels.culling.voronoi_features import INVERSES, Parts, last_of_row, load_part_row, one_of
+from sdm.kernels.culling.witness_bound import Cell, bulge_of_edge
+from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
+from sdm.kernels.dense.block.shared_layout import NUMBERS, PARTS, write_number, write_row
+from sdm.kernels.primitives.fast_math import about_root
+from sdm.kernels.primitives.lanes import unknown
+from sdm.kernels.primitives.vector_loads import load2
+
+wp.set_module_options({"enable_backward": False})
+
+# Kinds of parts.
+CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
+
+_PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
+_INVERSES = wp.constant(INVERSES)
+# What rounding can add to a height inside a plane, in units of the distance from its edge.
+WITHIN = wp.constant(4.0e-7)
+
+
+@wp.func
+def tests_of(kind: int):
+    """How many tests a part of a kind has: directions, and the witness."""
+    return 6 - kind
+
+
+@wp.func
+def above_floor(square: wp.float64, floor: float):
+    """How much more a squared length is than that of the floor, and 0 near the surface, where that is 0."""
+    if floor == 0.0:
+        return 0.0
+    return float(square - wp.float64(floor) * wp.float64(floor))
+
+
+@wp.func
+def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and the tests that a box has to pass."""
+    slot = code / 4
+    k = code % 4
+    before = wp.where(k == 0, 2, k - 1)
+    # All rows at once, four numbers at a time.
+    first, second, third, _normal = load_corners(tree, slot)
+    one_more = last_of_row(parts, slot, 1)
+    r3 = load_part_row(parts, slot, 3)
+    r4 = load_part_row(parts, slot, 4)
+    r5 = load_part_row(parts, slot, 5)
+    over_ab = wp.vec3(r3[0], r3[1], r3[2])
+    over_bc = wp.vec3(r4[0], r4[1], r4[2])
+    over_ca = wp.vec3(r5[0], r5[1], r5[2])
+    corner = one_of(k, first, second, third)
+    q = corner - cell.centre
+    m = wp.vec3d(corner) - wp.vec3d(cell.centre)
+    write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
+    # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
+    further = wp.vec3()
+    if one_more == float(k):
+        further = wp.vec3(r3[3], r4[3], r5[3]) - corner
+    room = room_for(cell, q)
+    test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
+    test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
+    test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
+    test_direction(rows, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
+    test_direction(rows, 4, number, room, q, further)
+    test_witness(rows, 5, number, q, 0.0)
+
+
+@wp.func
+def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+    """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
+    slot = code / 4
+    k = code % 4
+    inverse = parts.inverses[_INVERSES * slot + k]
+    inward = load_part_row(parts, slot, k)
+    first, second, third, normal = load_corners(tree, slot)
+    begin = one_of(k, first, second, third)
+    end = one_of(k, second, third, first)
+    a = wp.vec3d(begin) - wp.vec3d(cell.centre)
+    # Not of the two from the centre, which are alike if the triangle is very small for its distance.
+    ab = wp.vec3d(end) - wp.vec3d(begin)
+    along = -wp.dot(a, ab) * inverse
+    m = a + (along * inverse) * ab
+    e = wp.vec3(inverse * ab)
+    write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
+    write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
+    write_number(rows, _NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
+    # Between its ends, outside of the face and of its neighbour.
+    edge = end - begin
+    p = begin - cell.centre
+    q = end - cell.centre
+    room = room_for(cell, p)
+    test_direction(rows, 0, number, room, p, -edge)
+    test_direction(rows, 1, number, room_for(cell, q), q, edge)
+    test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
+    test_direction(rows, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
+    test_witness(rows, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
+
+
+@wp.func
+def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+    """`add_corner` for a face, of triangle code / 4."""
+    slot = code / 4
+    # All at once: loads one after the other wait for each other.
+    first_two = load2(parts.inverses, 2 * slot)
+    last_two = load2(parts.inverses, 2 * slot + 1)
+    corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
+    a = wp.vec3d(corner_a) - wp.vec3d(cell.centre)
+    ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
+    bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
+    ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
+    h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
+    write_row(rows, number, normal[0], normal[1], normal[2], float(h))
+    write_number(rows, _NUMBERS + number, above_floor(h * h, floor))
+    # Not from a ball that is known: the middle is rounded by its distance from the centre alone.
+    from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) * (1.0 / 3.0)
+    from_b = from_a - wp.vec3(ab)
+    from_c = from_b - wp.vec3(bc)
+    radius2 = wp.max(wp.dot(from_a, from_a), wp.max(wp.dot(from_b, from_b), wp.dot(from_c, from_c)))
+    test_witness(rows, 3, number, wp.vec3(a) + from_a, 1.000001 * radius2)
+    inverse = first_two[0]
+    then = first_two[1]
+    last = last_two[0]
+    edges = unknown(3)
+    for k in range(edges):
+        # The point of the edge's line that is closest to the centre: rounding is in units of its distance.
+        away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
+        u = wp.cross(normal, wp.vec3(inverse * ab))
+        rounding = WITHIN * about_root(wp.dot(away, away))
+        write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
+        # On the inner side of the plane on this edge.
+        test_direction(rows, k, number, room_for(cell, away), away, -u)
+        # The next edge, turning the triangle.
+        a = a + ab
+        first = ab
+        ab = bc
+        bc = ca
+        ca = first
+        inverse = then
+        then = last

@@ -1,0 +1,189 @@
+"""The least value of each voxel over the parts that matter to its eighth: see `features`.
+
+Each lane measures one part at the eight voxels of one eighth, which share most of the products. What it finds is less
+than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which are
+in the order of the floats that they are read from, as none is negative by more than rounding.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.dense.block.shared_layout import LATTICE_ROW, LEAST, NUMBERS, PARTS, PLACES, write_row
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels of the largest block.
+VOXELS = 512
+
+_LEAST_ROW = wp.constant(LEAST // 4)
+_ROWS = wp.constant(VOXELS // 4)
+
+
+# What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees
+# what voxels of one eighth share. The same text for both devices, and for what is near the surface and far away.
+_CORNER = (
+    "const Row r = row[part];",
+    """
+            const float in_x = (x + a * r.x) * (x + b * r.x), in_y = (y + a * r.y) * (y + b * r.y);
+            const float d = in_x + (in_y + ((z + a * r.z) * (z + b * r.z) + r.w));
+            const bool counts = true;
+    """,
+)
+# Edges have two texts, as each is shorter than one for both, and they are measured most often.
+_EDGE_ROWS = f"""
+        const Row r = row[part], e = row[{PARTS} + part];
+        const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
+"""
+_NEAR_EDGE = (
+    _EDGE_ROWS,
+    """
+            const float along = x * e.x + (y * e.y + z * e.z);
+            const float dx = x + r.x - along * e.x, dy = y + r.y - along * e.y, dz = z + r.z - along * e.z;
+            const float d = dx * dx + (dy * dy + dz * dz);
+            const bool counts = (along >= begin) & (along <= end);
+    """,
+)
+_FAR_EDGE = (
+    _EDGE_ROWS,
+    """
+            const float along = x * e.x + (y * e.y + z * e.z);
+            const float in_x = x * (x + 2.0f * r.x), in_yz = y * (y + 2.0f * r.y) + (z * (z + 2.0f * r.z) + r.w);
+            const float d = in_x + in_yz - along * along;
+            const bool counts = (along >= begin) & (along <= end);
+    """,
+)
+_FACE = (
+    f"""
+        const Row r = row[part], i1 = row[{PARTS} + part], i2 = row[{2 * PARTS} + part], i3 = row[{3 * PARTS} + part];
+        const float w = number[{NUMBERS} + part], in_1 = room - i1.w, in_2 = room - i2.w, in_3 = room - i3.w;
+    """,
+    """
+            const float height = x * r.x + (y * r.y + z * r.z);
+            const float d = (height + a * r.w) * (height + b * r.w) + w;
+            const bool counts = !((x * i1.x + (y * i1.y + z * i1.z) < in_1) | (x * i2.x + (y * i2.y + z * i2.z) < in_2)
+                                  | (x * i3.x + (y * i3.y + z * i3.z) < in_3));
+    """,
+)
+
+
+def _measure(part: tuple[str, str], places: str) -> str:
+    rows, own = part
+    return f"""
+        {rows}
+        // Two times four voxels, as a multiprocessor's cache for instructions is small, see bench/NOTES.md.
+#if defined(__CUDA_ARCH__)
+        #pragma unroll 1
+#else
+        #pragma unroll
+#endif
+        for (int side = 0; side < 2; ++side) {{
+            {places}
+#if defined(__CUDA_ARCH__)
+            const int4 four = reinterpret_cast<const int4*>(best)[side];
+            const int known[4] = {{four.x, four.y, four.z, four.w}};
+#endif
+            #pragma unroll
+            for (int v = 0; v < 4; ++v) {{
+                const float x = xs[v], y = ys[v], z = zs[v];
+                {own}
+#if defined(__CUDA_ARCH__)
+                const int value = __float_as_int(d);
+                if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);
+#else
+                best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];
+#endif
+            }}
+        }}
+"""
+
+
+# Where the four voxels of one side of an eighth are: of most grids they share x, and each y and z with another.
+_STRAIGHT = f"""
+            const float x0 = number[{PLACES} + i + side];
+            const float xs[4] = {{x0, x0, x0, x0}}, ys[4] = {{y0, y0, y1, y1}}, zs[4] = {{z0, z1, z0, z1}};
+"""
+_TURNED = """
+            const float s = i + side;
+            const float ox = o.x + (s * di.x + j * dj.x + k * dk.x), oy = o.y + (s * di.y + j * dj.y + k * dk.y);
+            const float oz = o.z + (s * di.z + j * dj.z + k * dk.z);
+            const float xs[4] = {ox, ox + dk.x, ox + dj.x, ox + (dj.x + dk.x)};
+            const float ys[4] = {oy, oy + dk.y, oy + dj.y, oy + (dj.y + dk.y)};
+            const float zs[4] = {oz, oz + dk.z, oz + dj.z, oz + (dj.z + dk.z)};
+"""
+
+
+def _kinds(places: str) -> str:
+    corner, near, far, face = (_measure(part, places) for part in (_CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE))
+    edge = f"if (near) {{ {near} }} else {{ {far} }}"
+    return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
+
+
+@wp.func_native(
+    snippet=f"""
+    struct alignas(16) Row {{ float x, y, z, w; }};
+    const Row* row = reinterpret_cast<const Row*>(rows);
+    const float* number = reinterpret_cast<const float*>(rows);
+    const float a = near ? 1.0f : 0.0f, b = 2.0f - a;
+    const unsigned part = item & {PARTS - 1}, eighth = (unsigned)item / {PARTS};
+    // The eighth's first voxel: its octant, and which one there.
+    const unsigned octant = eighth & 7, in = eighth >> 3;
+    const unsigned i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2);
+    const unsigned k = (octant << 2 & 4) + (in << 1 & 2);
+#if defined(__CUDA_ARCH__)
+    int* best = reinterpret_cast<int*>(rows) + {LEAST} + 64 * octant + 8 * in;
+#else
+    float* __restrict best = reinterpret_cast<float*>(rows) + {LEAST} + 64 * octant + 8 * in;
+#endif
+    if (turned) {{
+        const Row o = row[{LATTICE_ROW}], di = row[{LATTICE_ROW + 1}], dj = row[{LATTICE_ROW + 2}];
+        const Row dk = row[{LATTICE_ROW + 3}];
+        {_kinds(_TURNED)}
+    }} else {{
+        const float y0 = number[{PLACES + 8} + j], y1 = number[{PLACES + 9} + j];
+        const float z0 = number[{PLACES + 16} + k], z1 = number[{PLACES + 17} + k];
+        {_kinds(_STRAIGHT)}
+    }}
+"""
+)
+def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
+    """Lessen the values of an eighth's voxels to those of a part, see `queues` for what an item is."""
+    ...
+
+
+@wp.func
+def clear_values(rows: wp.uint64, lane: int, lanes: int):
+    """No voxel of the block has a value yet."""
+    row = lane
+    while row < _ROWS:
+        write_row(rows, _LEAST_ROW + row, float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
+        row = row + lanes
+
+
+@wp.func_native(
+    snippet=f"""
+    const float* at = reinterpret_cast<const float*>(rows) + {LEAST} + 2 * number;
+#if defined(__CUDA_ARCH__)
+    const float2 two = *reinterpret_cast<const float2*>(at);
+    return wp::vec2(two.x, two.y);
+#else
+    return wp::vec2(at[0], at[1]);
+#endif
+"""
+)
+def values_of(rows: wp.uint64, number: int) -> wp.vec2:
+    """The least values of the two voxels `number` of the block, see `two_at`; infinite where no part was measured."""
+    ...
+
+
+@wp.func
+def two_at(number: int):
+    """The indices, from the block's first voxel, of the first of two voxels along z.
+
+    Octant by octant, eighth by eighth, so that each bit of the number is one of an index.
+    """
+    return wp.vec3i(
+        ((number >> 5) & 4) | ((number >> 3) & 2) | ((number >> 1) & 1),
+        ((number >> 4) & 4) | ((number >> 2) & 2) | (number & 1),
+        ((number >> 3) & 4) | ((number >> 1) & 2),
+    )

@@ -1,0 +1,109 @@
+"""Which octants of a block can a part be nearest to, and which eighths of those?
+
+A block of 8^3 voxels has eight octants of 4^3, each of which has eight eighths of 2^3. Parts that matter to the block
+are worked out once, for its centre, and measured where they matter. That is asked as for the block in `parts`: x being
+the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters
+to a box of which no point fulfils one of these inequalities.
+
+For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
+o.u - q.u - sum_i h_i |u_i|, so that o.u is compared with q.u and what u and the box's size add to it.
+
+And no part matters to a box for all of whose voxels p the block's witness y is nearer than x. Here x is a corner, or
+lies inside an edge or a face, with p - x at right angles to that. Then |p - x|^2 is |p - g|^2 - |x - g|^2 for any other
+point g of it, and |x - g| is at most the distance r from g to its corners. So with g at q, the part can be nearer only
+if |p - g|^2 - r^2 <= |p - y|^2, which is linear in p, as the square of p cancels: 2 p.(y - q) <= |y|^2 - |q|^2 + r^2.
+That is of the same form: the row of a test is (u, what o.u may be up to). g is the corner, with r = 0, the middle of
+the edge, or the mean of the face's corners.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.culling.voronoi_features import ROOM
+from sdm.kernels.culling.witness_bound import Cell, Witness, doubt, sum_abs
+from sdm.kernels.dense.block.shared_layout import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
+from sdm.kernels.geometry.voxel_grid import Slab, way
+
+wp.set_module_options({"enable_backward": False})
+
+# How much wider an octant may be than the first for rounding of its voxels' coordinates, in units of those.
+WIDER = wp.constant(5.0e-7)
+_LATTICE_ROW, _WITNESS_ROW = wp.constant(LATTICE_ROW), wp.constant(WITNESS_ROW)
+_TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
+
+
+@wp.func
+def octants_there(slab: Slab, start: wp.vec3i, bits: int):
+    """The octants of a block, as bits, that have voxels. One of 4^3 voxels has the first alone."""
+    # The bits of octants on the far side of an axis go where that side has no voxels.
+    there = int(255)
+    if start[0] + 4 >= slab.shape[0]:
+        there = there & 15
+    if start[1] + 4 >= slab.shape[1]:
+        there = there & 51
+    if start[2] + 4 >= slab.shape[2]:
+        there = there & 85
+    return wp.where(bits == 2, 1, there)
+
+
+@wp.func
+def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
+    """Note where a block's first voxel is, from its centre, and the steps from there to the next ones.
+
+    And in the fourth place of each, how far rounding may have put a voxel aside.
+    """
+    row = lane
+    while row < 4:
+        # Not by a number into a vector, which would be in memory.
+        steps = wp.vec3d(wp.float64(int(row == 1)), wp.float64(int(row == 2)), wp.float64(int(row == 3)))
+        if row == 0:
+            steps = wp.vec3d(wp.float64(start[0] + slab.first), wp.float64(start[1]), wp.float64(start[2]))
+        at = way(slab, steps)
+        if row == 0:
+            at = at + slab.origin
+        at = scale * at
+        if row == 0:
+            at = at - wp.vec3d(cell.centre)
+        wider = WIDER * (
+            wp.max(wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + cell.half)
+        )
+        write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
+        row = row + lanes
+
+
+@wp.func
+def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
+    """Note a block's witness, seen from its centre, and its square with room for rounding."""
+    if lane == 0:
+        u = known.to_surface
+        write_row(rows, _WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(cell, known))
+
+
+@wp.func
+def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
+    """Note test `test` of part `number`: whether some point p of a box, from the block's centre, may have p.u <= most.
+
+    `octants_of` then writes it so that boxes are found by adding.
+    """
+    write_row(rows, _TEST_ROW + _PARTS * test + number, u[0], u[1], u[2], most)
+
+
+@wp.func
+def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
+    """Note whether some point p may have (p - x).u <= 0; x is at q from the block's centre."""
+    note_test(rows, test, number, u, wp.dot(q, u) + room * sum_abs(u))
+
+
+@wp.func
+def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
+    """Note whether a part's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
+    witness = read_row(rows, _WITNESS_ROW)
+    gap = wp.vec3(witness[0], witness[1], witness[2]) - q
+    note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
+
+
+@wp.func
+def room_for(cell: Cell, q: wp.vec3):
+    """Room for rounding in the directions from a point at q, in units of their lengths."""
+    return ROOM * (sum_abs(q) + cell.half[0] + cell.half[1] + cell.half[2])

@@ -1,0 +1,208 @@
+"""The voxels of one block: where they are, and what is written."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Cell, Witness
+from sdm.kernels.dense.block.min_values import two_at, values_of
+from sdm.kernels.dense.block.octant_tests import note_lattice, note_witness
+from sdm.kernels.dense.block.shared_layout import PLACES, WINDING, write_number
+from sdm.kernels.dense.workspace import is_within
+from sdm.kernels.geometry.voxel_grid import Output, Slab, along, distances_at, is_unclear, with_sign
+from sdm.kernels.primitives.atomics import fetch_add, shrink
+from sdm.kernels.primitives.lanes import wait_for_lanes
+
+wp.set_module_options({"enable_backward": False})
+
+# Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
+NEAR_ENDS = wp.constant(2.0e-7)
+
+_PLACES = wp.constant(PLACES)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+
+
+@wp.struct
+class Block:
+    """Up to 8^3 or 4^3 voxels of a mesh's map, or 16^3 whose bricks have one list."""
+
+    mesh: wp.int32
+    start: wp.vec3i  # its first voxel
+    bits: wp.int32  # 2 to 4: the voxels along each edge are 2^bits
+    slice: wp.int32  # which part of its cell's list counts: every `slices`-th batch of the lanes' entries
+    slices: wp.int32
+    index: wp.int32  # of its first voxel, see `index_of`
+    unscale: float  # from scaled distances to the mesh's unit
+    cell: Cell
+    known: Witness  # the surface point nearest to its centre
+    floor: float  # less than any distance of its voxels; 0 near the surface, see `features`
+
+
+@wp.func
+def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int, lanes: int):
+    """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple.
+
+    And where they would be if they were not rounded, of any grid, and the block's witness.
+    """
+    scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
+    note_lattice(slab, rows, block.start, block.cell, scale, lane, lanes)
+    note_witness(rows, block.cell, block.known, lane)
+    at = lane
+    while at < 8:
+        for axis in range(3):
+            p = scale * wp.float64(along(slab, axis, block.start[axis] + at))
+            write_number(rows, _PLACES + 8 * axis + at, float(p - wp.float64(block.cell.centre[axis])))
+        at = at + lanes
+
+
+@wp.func
+def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
+    """Where the voxel `at` from a block's first is written, see `index_of`; -1 if it is beyond the slab."""
+    if not is_within(slab, block.start + at):
+        return -1
+    return block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
+
+
+@wp.func_native(
+    snippet=f"""
+    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 4 * four;
+    const float* from = values.data + index;
+#if defined(__CUDA_ARCH__)
+    const unsigned there = (unsigned)__cvta_generic_to_shared(to);
+    if (together) {{
+        asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" :: "r"(there), "l"(from) : "memory");
+    }} else {{
+        #pragma unroll 1
+        for (int i = 0; i < count; ++i)
+            asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" :: "r"(there + 4 * i), "l"(from + i) : "memory");
+    }}
+#else
+    for (int i = 0; i < count; ++i) to[i] = from[i];
+#endif
+"""
+)
+def begin_reading(
+    rows: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
+):
+    """Have up to four values copied to the rows while other work goes on, until `end_reading`.
+
+    `together`: there are four, and they lie at a multiple of 16 bytes.
+    """
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    asm volatile("cp.async.wait_all;" ::: "memory");
+#endif
+"""
+)
+def end_reading():
+    """What this lane began to read is there."""
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    // Of the bits of `number` the third is that of the second two of four.
+    const unsigned n = number, place = (n >> 3 << 4) + (n << 2 & 12) + (n >> 1 & 2);
+    const float* at = reinterpret_cast<const float*>(rows) + {WINDING} + place;
+#if defined(__CUDA_ARCH__)
+    const float2 two = *reinterpret_cast<const float2*>(at);
+    return wp::vec2(two.x, two.y);
+#else
+    return wp::vec2(at[0], at[1]);
+#endif
+"""
+)
+def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
+    """What `begin_reading` had read of the voxels `number`, see `two_at`."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    float* to = reinterpret_cast<float*>(address) + index;
+#if defined(__CUDA_ARCH__)
+    if (together) {
+        *reinterpret_cast<float2*>(to) = make_float2(first, second);
+        return;
+    }
+#endif
+    to[0] = first;
+    if (count > 1) to[1] = second;
+"""
+)
+def write_two(address: wp.uint64, index: int, first: float, second: float, count: int, together: bool):
+    """Write one or two distances; `together`: at a multiple of 8 bytes."""
+    ...
+
+
+@wp.func
+def twos_of(block: Block):
+    """How many times two voxels, next to each other along z, a block has."""
+    return 1 << (3 * block.bits - 1)
+
+
+@wp.func
+def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+    """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
+    four = lane
+    while 2 * four < twos_of(block):
+        at = two_at(four + (four & ~3))
+        index = place_in_map(slab, block, at)
+        if index >= 0:
+            count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
+            begin_reading(rows, four, out.values, index, count, slab.shape[2] % 4 == 0)
+        four = four + lanes
+
+
+@wp.func
+def settled(block: Block, value: float):
+    """The distance of a voxel; infinite if none was found: the list had no room, or float32 overflowed."""
+    distance = block.unscale * wp.sqrt(wp.max(block.floor * block.floor + value, 0.0))
+    return wp.where(value < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
+
+
+@wp.func
+def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+    """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
+
+    They are infinite where none was found, and left to the search.
+    """
+    unclear = int(0)
+    missed = int(0)
+    address = distances_at(out)
+    end_reading()
+    wait_for_lanes()
+    two = lane
+    while two < twos_of(block):
+        at = two_at(two)
+        index = place_in_map(slab, block, at)
+        if index >= 0:
+            least = values_of(rows, two)
+            winding = windings_of(rows, two)
+            first = settled(block, least[0])
+            second = settled(block, least[1])
+            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
+            if block.slices > 1:
+                if first < float(wp.inf):
+                    shrink(out.values, index, first)
+                if count > 1 and second < float(wp.inf):
+                    shrink(out.values, index + 1, second)
+            else:
+                missed = missed + wp.where(first < float(wp.inf), 0, 1)
+                unclear = unclear + is_unclear(winding[0])
+                if count > 1:
+                    missed = missed + wp.where(second < float(wp.inf), 0, 1)
+                    unclear = unclear + is_unclear(winding[1])
+                first = with_sign(first, winding[0])
+                second = with_sign(second, winding[1])
+                write_two(address, index, first, second, count, slab.shape[2] % 2 == 0)
+        two = two + lanes
+    if missed > 0:
+        fetch_add(out.missed, 0, missed)
+    return unclear

@@ -1,0 +1,148 @@
+"""What a map is expected to take, and what follows: how it is computed, by whom, in how much memory.
+
+All of it from numbers of triangles and voxels, so that every slab of a grid, and every map of a batch, is treated in
+the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from sdm.kernels.bvh.tree import LARGEST_LEAF
+from sdm.kernels.dense.stage4_plan import CELL_BITS
+from sdm.kernels.dense.workspace import BLOCK, CHUNK
+from sdm.kernels.primitives.lanes import GPU_LANES
+
+# Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 6 GiB on a GPU, of which they take at most a 16th.
+CPU_POOL, SMALLEST_POOL, LARGEST_POOL = 1 << 24, 1 << 25, 3 << 29
+POOL_SHARE = 16
+# More than is expected, as cells whose lists find no room are searched voxel by voxel, which takes many times as long.
+POOL_ROOM = 1.6
+# So many times as much where a cell's box is long, or wider than its voxels: on a grid that is turned, or whose
+# spacings differ by this factor or more.
+UNEVEN_ROOM, UNEVEN = 3.0, 1.5
+MOST_REGIONS = 1 << (CELL_BITS - 3)
+# Groups of lanes of one map that are enough to keep a GPU busy, and up to how many share the list of a region, and of a
+# cell, for that. Of a batch's maps they are as many as of one alone, so that the batch does not matter to a map's bits.
+FULL, MOST_FOR_REGION, MOST_FOR_CELL = 1 << 14, 32, 8
+# But maps of so few regions (64^3 voxels) mostly come in batches, where fewer, longer chains are faster.
+FEW_REGIONS, FEW_FOR_REGION, FEW_FOR_CELL = 64, 16, 2
+# Triangles of a cell's list, on average, up to which all lists are about as short.
+SHORT = 64
+# Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
+# parts that do not matter to a brick are worked out for it all the same.
+SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
+# Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
+# share the list of a region, and of a cell, for that.
+LONG_SHARE = 256
+MOST_OF_REGION, MOST_OF_CELL = 64, 16
+# Triangles of a cell's list, on average, from which on lists are made of larger leaves: few of so many are dropped.
+LONG_FOR_LEAVES = 400
+# A cell's list that is longer is the work of several groups: than so many leaves or, where cells are so few that the
+# last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
+LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 370, 1 << 13
+NO_SLICES = 1 << 30
+# Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
+THINNEST_SLAB = 32
+# Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
+LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
+
+
+def expected_list(triangles: int, shape: Sequence[int], cell: int) -> float:
+    """Triangles in the list of a cell of so many voxels along its edge, on average: a fit to some meshes.
+
+    From the slab's cross-section alone, so that every slab of a grid is treated in the same way.
+    """
+    return 1.4 * triangles * cell**2 / max(shape[1:]) ** 2
+
+
+def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region: int, of_cell: int) -> float:
+    """Entries of the pool to have for a region and its cells, on average: a fit to the same meshes, and room to spare.
+
+    Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
+    last one is not full, and of the parts.
+    """
+    length = expected_list(triangles, shape, cell)
+    leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
+    half = CHUNK / 2
+    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half))
+
+
+def uneven_room(spacing: Sequence[float], turned: bool) -> float:
+    """How many times as many entries of the pool cells of a grid like this take."""
+    shortest, longest = float(min(spacing)), float(max(spacing))
+    return UNEVEN_ROOM if turned or longest >= UNEVEN * shortest else 1.0
+
+
+def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
+    """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
+    return expected_list(triangles, shape, int(BLOCK)) > LONGEST_LIST["cuda" if gpu else "cpu"]
+
+
+def cell_for(triangles: int, shape: Sequence[int], gpu: bool) -> int:
+    """Voxels along the edge of a cell: 8, or 16 where the lists of such cells are expected to be short."""
+    return 16 if expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"] else 8
+
+
+def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int]:
+    """Groups of lanes that make each list of a region, and of a cell, on a GPU: so many that none is waited for.
+
+    From the slab's cross-section alone, as `expected_list`. Powers of two: a level of the tree is shared out. A cell's
+    are no more than its region's, whose chains they share out.
+    """
+    regions = max(1, -(-max(shape[1:]) // (2 * cell))) ** 3
+    length = expected_list(triangles, shape, cell)
+    few = regions <= FEW_REGIONS
+    for_region, for_cell = (FEW_FOR_REGION, FEW_FOR_CELL) if few else (MOST_FOR_REGION, MOST_FOR_CELL)
+    of_region = of_cell = 1
+    while (of_region < for_region and 2 * of_region * regions <= FULL) or (
+        of_region < MOST_OF_REGION and of_region * LONG_SHARE < 2.0 * length
+    ):
+        of_region *= 2
+    # Lists of very different lengths need more groups than those that are all short.
+    enough = FULL if length < SHORT else 8 * FULL
+    while (of_cell < for_cell and 2 * of_cell * 8 * regions <= enough) or (
+        of_cell < MOST_OF_CELL and of_cell * LONG_SHARE < length
+    ):
+        of_cell *= 2
+    return of_region, min(of_cell, of_region)
+
+
+def levels_left_out(triangles: int, depth: int, shape: Sequence[int]) -> int:
+    """Levels of a tree with 2^depth leaves that lists do without (see `tree.coarser`).
+
+    From the slab's cross-section alone, as `expected_list`.
+    """
+    if expected_list(triangles, shape, int(BLOCK)) < LONG_FOR_LEAVES:
+        return 0
+    levels = 0
+    while levels < depth and triangles <= LARGEST_LEAF << (depth - levels - 1):
+        levels += 1
+    return levels
+
+
+def slice_for(triangles: int, depth: int, cells: int) -> int:
+    """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves: a power of two."""
+    if cells > FEW_CELLS:
+        return LONG_SLICE
+    return max(GPU_LANES, 1 << round(math.log2(SHORT_SLICE / triangles) + depth))
+
+
+def largest_pool(device: Any) -> int:
+    """Entries of the largest pool of lists on this device."""
+    return min(LARGEST_POOL, max(SMALLEST_POOL, int(device.total_memory) // POOL_SHARE // 4))
+
+
+def pool_for(expected: float, regions: int, device: Any) -> int:
+    """Entries of the pool of lists for so many regions, of which each takes so many entries."""
+    if not device.is_cuda:
+        return CPU_POOL
+    return min(max(SMALLEST_POOL, math.ceil(expected * regions)), largest_pool(device))
+
+
+def passes_for(expected: float, regions: int, room: int) -> int:
+    """How many passes over so many regions have room. Each waits for its longest lists."""
+    fit = regions if expected * regions <= room else max(16, int(room / expected))
+    return -(-regions // min(regions, MOST_REGIONS, fit))

@@ -1,0 +1,150 @@
+"""A surface point near the centre of every region and cell: what all else is compared with (see `cull`).
+
+The lanes of a group look on all sides of a region: from the centre, then from places as far from it as the surface is,
+each goes down the tree, always to the nearer child, and measures the triangles that it comes to. A cell takes what its
+region found, or what is found from its own centre.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
+from sdm.kernels.bvh.triangle_frames import load_frame, see
+from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_witness, remember
+from sdm.kernels.dense.cell_cache import note_place
+from sdm.kernels.dense.workspace import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
+from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.lanes import ballot, members
+from sdm.kernels.primitives.vector_loads import load4, write4
+
+wp.set_module_options({"enable_backward": False})
+
+# Sides on which to look.
+PROBES = wp.constant(32)
+
+_NEXT_WITNESS = wp.constant(NEXT_WITNESS)
+
+
+@wp.func
+def greedy_leaf(tree: Tree, mesh: int, p: wp.vec3):
+    """A leaf near p: always the nearer child."""
+    base = nodes_of(tree, mesh)
+    node = int(1)
+    for _level in range(tree.depth):
+        left = base + 2 * node
+        left2 = node_distance2(tree, left, p)
+        right2 = node_distance2(tree, left + 1, p)
+        node = 2 * node + wp.where(right2 < left2, 1, 0)
+    return node - (1 << tree.depth)
+
+
+@wp.func
+def probe_direction(probe: int):
+    """Directions spread evenly over the sphere (a Fibonacci lattice)."""
+    turn = 2.399963 * float(probe)
+    z = 1.0 - (2.0 * float(probe % PROBES) + 1.0) / float(PROBES)
+    r = wp.sqrt(1.0 - z * z)
+    return wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)
+
+
+@wp.func
+def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
+    """The vector from a triangle's closest point to a centre."""
+    f = load_frame(frames, slot)
+    return away(f, see(f, centre))
+
+
+@wp.func
+def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp.vec3, centre: wp.vec3, known: Witness):
+    """What was known of a centre, or a nearer triangle from a leaf near p."""
+    leaf = greedy_leaf(tree, mesh, p)
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        known = remember(known, seen_from(frames, mesh * tree.count + t, centre))
+    return known
+
+
+@wp.func
+def nearer_of_leaves(
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    mesh: int,
+    leaf: int,
+    low: wp.vec3,
+    high: wp.vec3,
+    centre: wp.vec3,
+    known: Witness,
+    lane: int,
+):
+    """What was known of a centre, or a nearer triangle of the lanes' leaves (-1 for none) with these boxes.
+
+    Only the first triangle of a leaf is looked at, and only if its box is nearer than what is known: few are.
+    """
+    nearer = leaf >= 0 and box_distance2(centre, low, high) < known.distance2
+    if members(ballot(nearer)) == 0:
+        return known
+    mine = known
+    if nearer and first_triangle(tree, leaf) < first_triangle(tree, leaf + 1):
+        mine = remember(mine, seen_from(frames, mesh * tree.count + first_triangle(tree, leaf), centre))
+    return agree(mine, lane)
+
+
+@wp.func
+def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness):
+    """A witness into `lists.witnesses` or `lists.nearest`."""
+    u = known.to_surface
+    write4(rows, number, u[0], u[1], u[2], known.distance2)
+
+
+@wp.kernel
+def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
+    lane = (begin + wp.tid()) % lanes
+    item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+    while item < lists.count:
+        mesh, start = region_start(lists, item)
+        region = make_cell(tree, slab, mesh, start, 2 * lists.cell)
+        known = no_witness()
+        reach = float(0.0)
+        probe = lane
+        while probe < PROBES + lanes:
+            p = region.centre + reach * probe_direction(probe)
+            known = agree(nearer_leaf(tree, frames, mesh, p, region.centre, known), lane)
+            reach = wp.sqrt(known.distance2)
+            probe = probe + lanes
+        if lane == 0:
+            write_witness(lists.witnesses, item, known)
+        # Each cell begins with its region's, and one lane looks for a nearer one.
+        octant = lane
+        while octant < 8:
+            number = 8 * item + octant
+            _mesh, first = cell_start(lists, number)
+            cell = make_cell(tree, slab, mesh, first, lists.cell)
+            note_place(lists, number, mesh, first, cell)
+            if is_within(slab, first):
+                centre = cell.centre
+                mine = moved(known, centre - region.centre)
+                write_witness(
+                    lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
+                )
+            octant = octant + lanes
+        item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+
+
+@wp.func
+def read_witness(rows: wp.array(dtype=wp.float32), number: int):
+    """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
+    row = load4(rows, number)
+    known = Witness()
+    known.to_surface = wp.vec3(row[0], row[1], row[2])
+    known.distance2 = row[3]
+    return known
+
+
+def find_witnesses(
+    tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int, launch: Any
+) -> None:
+    """Fill `lists.witnesses` for the regions and cells of one pass, `workers` groups of lanes at work."""
+    launch(_find_witnesses, workers * lanes, [lanes, tree, frames, slab, lists], frames.device, smallest=1)

@@ -1,0 +1,163 @@
+"""First stage of the dense query: for each region of voxels, the leaves of the tree that matter to it.
+
+One group of lanes descends the tree for one region, or one share of the tree, a batch of nodes at a time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
+from sdm.kernels.culling.leaf_filter import push
+from sdm.kernels.culling.normal_cones import Cones, cone_misses, node_cone
+from sdm.kernels.culling.witness_bound import Cell, Witness, box_is_farther
+from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves, read_witness
+from sdm.kernels.dense.workspace import NEXT_REGION, Chain, Lists, append, make_cell, region_start
+from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.fast_math import about_root
+from sdm.kernels.primitives.lanes import ballot, members, rank, wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import STACK, stack_of
+
+wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
+REGION_BLOCKS = 6
+
+# With more shares each has too few nodes to fill its lanes from.
+MOST_WITH_GRANDCHILDREN = wp.constant(8)
+
+_STACK = wp.constant(STACK)
+_NEXT_REGION = wp.constant(NEXT_REGION)
+
+
+@wp.func
+def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
+    """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
+    low, high = node_box(tree, base + node)
+    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
+
+
+@wp.func
+def box_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    cones: Cones,
+    base: int,
+    node: int,
+    low: wp.vec3,
+    high: wp.vec3,
+):
+    """`node_matters` of a node whose box is known."""
+    if box_is_farther(cell, known, low, high):
+        return False
+    across = high - low
+    extent = 0.5 * about_root(wp.dot(across, across))
+    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
+
+
+@wp.kernel(launch_bounds=(128, REGION_BLOCKS))
+def _list_regions(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    stack = stack_of(stacks, thread / lanes)
+    leaves = 1 << tree.depth
+    # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
+    # parents' tests would drop, their own do too. Either lie side by side in memory.
+    fan = wp.where(lists.region_shares > MOST_WITH_GRANDCHILDREN, 2, 4)
+    item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
+    while item < lists.count * lists.region_shares:
+        region = item / lists.region_shares
+        mesh, start = region_start(lists, region)
+        base = nodes_of(tree, mesh)
+        cell = make_cell(tree, slab, mesh, start, 2 * lists.cell)
+        radius = wp.sqrt(cell.half2)
+        known = read_witness(lists.witnesses, region)
+        chain = Chain()
+        chain.chunk = item
+        # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
+        top = wp.min(lanes * lists.region_shares, leaves)
+        first = top * (item % lists.region_shares) / lists.region_shares
+        waiting = top * (item % lists.region_shares + 1) / lists.region_shares - first
+        ripe = int(0)
+        if lane < waiting:
+            if top < leaves:
+                stack[lane] = top + first + lane
+            else:
+                stack[_STACK - 1 - lane] = top + first + lane
+        if top == leaves:
+            ripe = waiting
+            waiting = int(0)
+        wait_for_lanes()
+        while waiting + ripe > 0 and chain.chunk < lists.chunks:
+            # Inner nodes are taken until the leaves that were found fill all lanes.
+            if waiting > 0 and ripe < lanes:
+                taken = wp.min(wp.max(lanes / fan, 1), waiting)
+                waiting = waiting - taken
+                node = int(0)
+                i = lane
+                kept = int(0)
+                if lane < fan * taken:
+                    node = stack[waiting + lane / fan]
+                wait_for_lanes()
+                while i - lane < fan * taken:
+                    child = fan * node + (i & (fan - 1))
+                    there = node > 0
+                    if 2 * node >= leaves:
+                        # Above the leaves there are only two children.
+                        child = 2 * node + (i & 1)
+                        there = there and (i & (fan - 1)) < 2
+                    keep = False
+                    if there:
+                        keep = node_matters(cell, radius, known, tree, cones, base, child)
+                    kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
+                    mask = ballot(keep and child >= leaves)
+                    if keep and child >= leaves:
+                        stack[_STACK - 1 - ripe - rank(mask, lane)] = child
+                    ripe = ripe + members(mask)
+                    i = i + lanes
+                waiting = waiting + kept
+            else:
+                taken = wp.min(lanes, ripe)
+                ripe = ripe - taken
+                leaf = int(-1)
+                low = wp.vec3()
+                high = wp.vec3()
+                if lane < taken:
+                    leaf = stack[_STACK - 1 - ripe - lane] - leaves
+                    low, high = node_box(tree, base + leaves + leaf)
+                known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
+                chain = append(lists, chain, leaf >= 0, leaf, lane)
+            wait_for_lanes()
+        if lane == 0:
+            lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, item, -1)
+            lists.region_lengths[item] = chain.length
+        item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
+
+
+def list_regions(
+    tree: Tree,
+    frames: wp.array,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch, see `stacks`."""
+    launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)

@@ -1,0 +1,274 @@
+"""Fourth stage of the dense query: for each block, the parts of triangles that matter to it.
+
+A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice
+of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them
+that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
+
+This is apart from `blocks` because a GPU's caches hold either's instructions, but not both at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
+from sdm.kernels.culling.leaf_filter import PARTS, RIPE, WAITING, push, push_parts, push_triangles, triangle_matters
+from sdm.kernels.culling.normal_cones import Cones
+from sdm.kernels.culling.voronoi_features import Parts, parts_that_matter
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther
+from sdm.kernels.dense.block.voxels import Block
+from sdm.kernels.dense.cell_cache import brick_number, noted_half2, noted_place
+from sdm.kernels.dense.stage1_witnesses import read_witness, write_witness
+from sdm.kernels.dense.stage2_regions import node_matters
+from sdm.kernels.dense.stage4_plan import cell_of, nearest_in_list, slice_of, slices_of, whole_block, whole_blocks
+from sdm.kernels.dense.workspace import (
+    COARSE,
+    NEXT_CHUNK,
+    NEXT_SELECT,
+    Chain,
+    Lists,
+    append,
+    brick_start,
+    is_coarse,
+    is_within,
+    list_length,
+    make_cell,
+    read_entry,
+    read_on,
+    start_reading,
+)
+from sdm.kernels.geometry.voxel_grid import Slab, index_of
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.fast_math import about_root
+from sdm.kernels.primitives.lanes import wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import stack_of
+
+wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks.
+SELECT_BLOCKS = 4
+
+_WAITING, _RIPE, _PARTS = wp.constant(WAITING), wp.constant(RIPE), wp.constant(PARTS)
+_COARSE = wp.constant(COARSE)
+_NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_UNSCALE = wp.constant(UNSCALE)
+
+
+@wp.func
+def floor_of(known: Witness, half2: float):
+    """A bound below all distances in a box; 0 if it is not much more than the box's size.
+
+    Args:
+        known: The surface point nearest to the box's centre.
+        half2: The square of the box's half-diagonal.
+    """
+    half = wp.sqrt(half2)
+    floor = wp.sqrt(known.distance2) - 1.01 * half
+    return wp.where(floor > 3.0 * half, floor, 0.0)
+
+
+@wp.func
+def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part: int):
+    """Block `item`, and its cell's number. The first `bricks` items are bricks of coarse cells.
+
+    If `part` is not negative: that brick of a cell which is measured brick by brick from one list.
+    """
+    code = int(0)
+    if item < bricks:
+        code = lists.coarse[item / 8]
+    else:
+        code = whole_block(lists, item - bricks)
+    number = cell_of(code)
+    size = int(lists.cell)
+    box = int(number)
+    brick = wp.where(item < bricks, item % 8, part)
+    if brick >= 0:
+        size = size / 2
+        box = brick_number(lists, number, brick)
+    place = noted_place(lists, wp.where(item < bricks, number, box))
+    if item < bricks:
+        # These are few, and not noted.
+        place.start = brick_start(lists, place.start, brick)
+        place.cell = make_cell(tree, slab, place.mesh, place.start, size)
+    block = Block()
+    block.mesh = place.mesh
+    block.start = place.start
+    block.bits = wp.where(size == 4, 2, wp.where(size == 8, 3, 4))
+    block.slice = slice_of(code)
+    block.slices = slices_of(code)
+    block.unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    block.cell = place.cell
+    block.known = read_witness(lists.witnesses, lists.count + box)
+    # A brick whose witness is its cell's has its floor from there.
+    if part >= 0:
+        block.floor = floor_of(read_witness(lists.witnesses, lists.count + number), noted_half2(lists, number))
+    else:
+        block.floor = floor_of(block.known, block.cell.half2)
+    block.index = index_of(slab, block.mesh, block.start)
+    return block, number
+
+
+@wp.func
+def find_brick_witness(
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    lists: Lists,
+    item: int,
+    number: int,
+    block: Block,
+    lane: int,
+    lanes: int,
+):
+    """The surface point nearest to a brick's centre, which is noted for `blocks`: distances are taken from it.
+
+    Of several slices each finds the same.
+    """
+    centre = block.cell.centre
+    known = nearest_in_list(tree, frames, parts, lists, number, block.mesh, centre, block.known, lane, lanes)
+    if lane == 0:
+        write_witness(lists.witnesses, lists.count + brick_number(lists, number, item % 8), known)
+    return known
+
+
+@wp.func
+def select_for(
+    tree: Tree,
+    parts: Parts,
+    cones: Cones,
+    lists: Lists,
+    number: int,
+    block: Block,
+    stack: wp.array(dtype=wp.int32),
+    chain: Chain,
+    lane: int,
+    lanes: int,
+):
+    """Add the parts that matter to a block of the cell `number` to a chain, which is returned."""
+    leaves = 1 << tree.depth
+    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    # Each batch is read while the one before is tested.
+    upcoming = read_entry(lists, reader, lane)
+    batch = int(0)
+    waiting = int(0)
+    ripe = int(0)
+    found = int(0)
+    while reader.left + waiting + ripe + found > 0 and chain.chunk < lists.chunks:
+        if found >= lanes or reader.left + waiting + ripe == 0:
+            taken = wp.min(lanes, found)
+            found = found - taken
+            part = int(0)
+            if lane < taken:
+                part = stack[_PARTS + found + lane]
+            chain = append(lists, chain, lane < taken, part, lane)
+        elif ripe >= lanes or reader.left + waiting == 0:
+            taken = wp.min(lanes, ripe)
+            ripe = ripe - taken
+            which = int(0)
+            slot = int(0)
+            if lane < taken:
+                slot = stack[_RIPE + ripe + lane]
+                which = parts_that_matter(block.cell, block.known, tree, parts, slot)
+            found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
+        elif waiting >= lanes or reader.left == 0:
+            taken = wp.min(lanes, waiting)
+            waiting = waiting - taken
+            keep = False
+            slot = int(0)
+            if lane < taken:
+                slot = stack[_WAITING + waiting + lane]
+                radius = about_root(block.cell.half2)
+                keep = triangle_matters(block.cell, radius, block.known, tree, parts.balls, cones, slot)
+            ripe = ripe + push(stack, _RIPE + ripe, keep, slot, lane)
+        else:
+            leaf = upcoming
+            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
+            upcoming = read_entry(lists, reader, lane)
+            keep = leaf >= 0 and batch % block.slices == block.slice
+            if keep:
+                base = nodes_of(tree, block.mesh)
+                if (1 << block.bits) < lists.cell:
+                    radius = about_root(block.cell.half2)
+                    keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
+                else:
+                    # For the cell it has been tested, but with a witness that may not have been the nearest.
+                    low, high = node_box(tree, base + leaves + leaf)
+                    keep = not box_is_farther(block.cell, block.known, low, high)
+            waiting = push_triangles(stack, _WAITING + waiting, tree, block.mesh, keep, leaf, lane) - _WAITING
+            batch = batch + 1
+        wait_for_lanes()
+    return chain
+
+
+@wp.kernel(launch_bounds=(128, SELECT_BLOCKS))
+def _select_parts(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    parts: Parts,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    bricks = 8 * lists.counts[_COARSE]
+    total = bricks + whole_blocks(lists)
+    stack = stack_of(stacks, thread / lanes)
+    item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+    while item < total:
+        block, number = block_of(tree, slab, lists, item, bricks, -1)
+        head = int(-1)
+        chain = Chain()
+        chain.chunk = lists.chunks
+        length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+        if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
+            if not is_coarse(block.cell):
+                if item < bricks:
+                    block.known = find_brick_witness(tree, frames, parts, lists, item, number, block, lane, lanes)
+                head = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+                chain.chunk = head
+                chain = select_for(
+                    tree,
+                    parts,
+                    cones,
+                    lists,
+                    number,
+                    block,
+                    stack,
+                    chain,
+                    lane,
+                    lanes,
+                )
+        if lane == 0:
+            if chain.chunk >= lists.chunks and block.slices > 1 and is_within(slab, block.start):
+                # What the other slices come to is not all.
+                lists.lacking[number] = 1
+            lists.part_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
+            lists.part_lengths[item] = chain.length
+        item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+
+
+def select_parts(
+    tree: Tree,
+    frames: wp.array,
+    parts: Parts,
+    cones: Cones,
+    slab: Slab,
+    lists: Lists,
+    stacks: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill the blocks' lists of parts of one pass, `workers` groups of lanes at work.
+
+    `stacks` is scratch, see `stacks`.
+    """
+    inputs = [lanes, tree, frames, parts, cones, slab, lists, stacks]
+    launch(_select_parts, workers * lanes, inputs, lists.pool.device, smallest=1)

@@ -1,0 +1,215 @@
+"""Fifth stage of the dense query: the distances themselves, block by block.
+
+One group of lanes takes one block, or a slice of its list of parts. It works the parts out for the block's centre, one
+a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths of the
+octant; then measures one part in one eighth a lane. In the end all voxels are written.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.culling.leaf_filter import push
+from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.dense.block.boxes import eighths_of, octants_of
+from sdm.kernels.dense.block.feature_rows import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face, tests_of
+from sdm.kernels.dense.block.min_values import clear_values, measure_item
+from sdm.kernels.dense.block.mix import Mix, kind_of, taken_now
+from sdm.kernels.dense.block.octant_tests import octants_there
+from sdm.kernels.dense.block.shared_layout import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
+from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
+from sdm.kernels.dense.stage4_plan import whole_blocks
+from sdm.kernels.dense.stage5_select import block_of
+from sdm.kernels.dense.workspace import (
+    BLOCK,
+    COARSE,
+    NEXT_BLOCK,
+    Lists,
+    Reader,
+    is_within,
+    read_entry,
+    read_on,
+    start_reading,
+)
+from sdm.kernels.geometry.voxel_grid import Output, Slab
+from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
+from sdm.kernels.primitives.lanes import GPU_BLOCKS, wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import small_stack_of
+from sdm.kernels.primitives.work_queues import PAIR_BITS, PART_BITS, in_line, put_in_line
+
+wp.set_module_options({"enable_backward": False})
+
+# Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
+FACES, EDGES, CORNERS = 0, 64, 128
+
+_PAIRS, _ITEMS, _MOST_ITEMS = wp.constant(PAIRS), wp.constant(ITEMS), wp.constant(MOST_ITEMS)
+_PARTS = wp.constant(PARTS)
+_PART_BITS, _PAIR_BITS = wp.constant(PART_BITS), wp.constant(PAIR_BITS)
+_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
+_COARSE = wp.constant(COARSE)
+_NEXT_BLOCK = wp.constant(NEXT_BLOCK)
+
+
+@wp.func
+def measure_parts(
+    rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
+):
+    """Measure the lanes' parts, whose rows are noted, where they matter in the block's `octants` (bits) for each.
+
+    Each step puts work in line for the next, so that all lanes have some.
+    """
+    pairs = int(0)
+    items = int(0)
+    # The next of the pairs; before all of them, the parts themselves.
+    first = int(-1)
+    while first < pairs or items > 0:
+        if first < pairs and items + 8 * lanes <= _MOST_ITEMS:
+            level = wp.where(first < 0, 0, 1)
+            tag = int(lane)
+            boxes = int(octants)
+            if level == 1:
+                boxes = int(0)
+                if first + lane < pairs:
+                    tag = in_line(rows, _PAIRS, first + lane)
+                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (_PARTS - 1))))
+            begin = wp.where(level == 0, _PAIRS, _ITEMS)
+            bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
+            total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
+            if level == 0:
+                pairs = total
+                first = int(0)
+            else:
+                items = total
+                first = first + lanes
+        else:
+            taken = wp.min(lanes, items)
+            items = items - taken
+            if lane < taken:
+                item = in_line(rows, _ITEMS, items + lane)
+                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, near, turned)
+        wait_for_lanes()
+
+
+@wp.func
+def measure_block(
+    tree: Tree,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    item: int,
+    rows: wp.uint64,
+    stack: wp.array(dtype=wp.int32),
+    out: Output,
+    block: Block,
+    lane: int,
+    lanes: int,
+):
+    """Measure a block from the parts of list `item`; without one, every voxel is missed."""
+    note_places(tree, slab, rows, block, lane, lanes)
+    clear_values(rows, lane, lanes)
+    read_windings(slab, out, rows, block, lane, lanes)
+    octants = octants_there(slab, block.start, block.bits)
+    room = NEAR_ENDS * (block.cell.half[0] + block.cell.half[1] + block.cell.half[2])
+    wait_for_lanes()
+    reader = Reader()
+    if lists.part_heads[item] >= 0:
+        reader = start_reading(lists.part_heads, lists.part_lengths, item, 1)
+    # Each batch is read while the one before is worked out.
+    upcoming = read_entry(lists, reader, lane)
+    corners = int(0)
+    edges = int(0)
+    faces = int(0)
+    while reader.left + corners + edges + faces > 0:
+        if reader.left > 0 and corners < lanes and edges < lanes and faces < lanes:
+            part = upcoming
+            reader = read_on(lists, lists.part_heads, lists.part_lengths, reader, lanes)
+            upcoming = read_entry(lists, reader, lane)
+            which = part & 7
+            code = 4 * (part >> 3)
+            corners = corners + push(stack, _CORNERS + corners, part >= 0 and which < 3, code + which, lane)
+            is_edge = part >= 0 and which >= 3 and which < 6
+            edges = edges + push(stack, _EDGES + edges, is_edge, code + which - 3, lane)
+            faces = faces + push(stack, _FACES + faces, part >= 0 and which == 6, code, lane)
+        else:
+            mix = taken_now(corners, edges, faces, lanes)
+            corners = corners - mix.corners
+            edges = edges - mix.edges
+            faces = faces - (mix.parts - mix.corners - mix.edges)
+            which = kind_of(mix, lane)
+            there = int(0)
+            if lane < mix.parts:
+                if which == CORNER_KIND:
+                    code = stack[_CORNERS + corners + lane]
+                    add_corner(rows, lane, tree, parts, code, block.cell, block.floor)
+                elif which == EDGE_KIND:
+                    code = stack[_EDGES + edges + lane - mix.corners]
+                    add_edge(rows, lane, tree, parts, code, block.cell, block.floor)
+                else:
+                    code = stack[_FACES + faces + lane - mix.corners - mix.edges]
+                    add_face(rows, lane, tree, parts, code, block.cell, block.floor)
+                there = octants & octants_of(rows, lane, tests_of(which))
+            wait_for_lanes()
+            measure_parts(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
+        wait_for_lanes()
+    unclear = settle_voxels(slab, out, rows, block, lane, lanes)
+    if unclear > 0:
+        fetch_add(out.ambiguous, block.mesh, unclear)
+    wait_for_lanes()
+
+
+@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+def _measure_blocks(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    rows: wp.array(dtype=wp.float32),
+    stacks: wp.array(dtype=wp.int32),
+    out: Output,
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    worker = thread / lanes
+    bricks = 8 * lists.counts[_COARSE]
+    # Cells of more voxels than a block are measured brick by brick.
+    times = wp.where(lists.cell > BLOCK, 8, 1)
+    total = bricks + times * whole_blocks(lists)
+    item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
+    while item < total:
+        listed = int(item)
+        part = int(-1)
+        if item >= bricks and times > 1:
+            listed = bricks + (item - bricks) / 8
+            part = (item - bricks) % 8
+        block, _number = block_of(tree, slab, lists, listed, bricks, part)
+        if is_within(slab, block.start):
+            noted = rows_of(rows, worker)
+            stack = small_stack_of(stacks, worker)
+            measure_block(tree, parts, slab, lists, listed, noted, stack, out, block, lane, lanes)
+        item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
+
+
+def measure_blocks(
+    tree: Tree,
+    parts: Parts,
+    slab: Slab,
+    lists: Lists,
+    rows: wp.array,
+    stacks: wp.array,
+    out: Output,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Distances of every voxel of one pass, block by block, with `workers` groups of lanes.
+
+    `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
+    are counted in `out.missed`.
+    """
+    inputs = [lanes, tree, parts, slab, lists, rows, stacks, out]
+    launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)

@@ -1,0 +1,80 @@
+"""Voxels of cells whose list of parts is cut into slices: several blocks measure them, and each lessens what is there.
+
+So before the blocks they are infinite, and only after the last is it known what they came to. If one of the slices
+found no room, that is nothing: the least of the others may not be the least.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.dense.cell_cache import noted_start
+from sdm.kernels.dense.workspace import BLOCK, SLICED, Lists, is_within
+from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
+from sdm.kernels.primitives.atomics import fetch_add
+
+wp.set_module_options({"enable_backward": False})
+
+# A multiprocessor of a GPU holds so many blocks: a voxel is little work, and four reads that wait for each other.
+SLICED_BLOCKS = 16
+_SLICED = wp.constant(SLICED)
+
+
+@wp.func
+def sliced_voxels(lists: Lists):
+    """How many voxels there are in cells whose lists are cut into several slices."""
+    return lists.cell * lists.cell * lists.cell * lists.counts[_SLICED]
+
+
+@wp.func
+def sliced_voxel(slab: Slab, lists: Lists, number: int):
+    """The mesh, the cell and the index of one of them; -1 if it is beyond the slab."""
+    # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
+    bits = wp.where(lists.cell == BLOCK, 3, 4)
+    last = lists.cell - 1
+    cell = lists.sliced[number >> (3 * bits)]
+    mesh, start = noted_start(lists, cell)
+    at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
+    return mesh, cell, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
+
+
+@wp.kernel
+def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
+    number = begin + wp.tid()
+    while number < sliced_voxels(lists):
+        mesh, _cell, index = sliced_voxel(slab, lists, number)
+        if index >= 0:
+            winding = out.values[index]
+            out.values[index] = with_sign(float(wp.inf), winding)
+            if is_unclear(winding) != 0:
+                fetch_add(out.ambiguous, mesh, 1)
+        number = number + threads
+
+
+@wp.kernel
+def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+    """What voxels that several slices measure come to nobody knows before the last is done."""
+    number = begin + wp.tid()
+    while number < sliced_voxels(lists):
+        _mesh, cell, index = sliced_voxel(slab, lists, number)
+        if index >= 0:
+            distance = out.values[index]
+            if lists.lacking[cell] != 0:
+                distance = wp.where(distance < 0.0, -float(wp.inf), float(wp.inf))
+            put_distance(distances_at(out), index, distance)
+            if not wp.abs(distance) < float(wp.inf):
+                fetch_add(out.missed, 0, 1)
+        number = number + threads
+
+
+def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+    """What `blocks` needs of the winding numbers where a block's list is cut into several slices."""
+    launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
+
+
+def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+    """After `blocks`: write what several slices came to where distances go, and count what was missed there."""
+    launch(_end_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)

@@ -1,0 +1,103 @@
+"""The plain dense query: one search of the tree for every voxel. What `cells` and `blocks` do faster is this."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+from sdm.kernels.geometry.voxel_grid import (
+    Output,
+    Slab,
+    distances_at,
+    index_of,
+    put_distance,
+    read_distance,
+    unravel,
+    voxel,
+    write_distance,
+)
+from sdm.kernels.primitives.atomics import fetch_add
+
+wp.set_module_options({"enable_backward": False})
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_UNSCALE = wp.constant(UNSCALE)
+# The tile of (x,y) that neighbouring threads share.
+TILE = wp.constant(4)
+# Voxels along z that one thread takes one after the other, each from the answer before it. A GPU would rather have
+# more threads.
+CPU_RUN = 8
+
+
+@wp.func
+def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
+    """Distance of a point from a mesh, and the slot of the triangle nearest to it."""
+    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    slot = nearest_slot(tree, mesh, float(scale) * point, guess)
+    hit = exact_hit(tree, slot, scale * wp.vec3d(point))
+    return float(wp.sqrt(hit.distance2) * tree.frame[mesh * _FRAME_SIZE + _UNSCALE]), slot
+
+
+@wp.kernel
+def _measure(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    length: int,
+    out: Output,
+):
+    thread = begin + wp.tid()
+    tiles_j = (slab.shape[1] + TILE - 1) / TILE
+    tiles_i = (slab.shape[0] + TILE - 1) / TILE
+    runs = (slab.shape[2] + length - 1) / length
+    inner = thread % (TILE * TILE)
+    rest = thread / (TILE * TILE)
+    run = rest % runs
+    rest = rest / runs
+    j = (rest % tiles_j) * TILE + inner % TILE
+    rest = rest / tiles_j
+    i = (rest % tiles_i) * TILE + inner / TILE
+    mesh = rest / tiles_i
+    if i >= slab.shape[0] or j >= slab.shape[1]:
+        return
+    guess = mesh * tree.count
+    unclear = int(0)
+    for step in range(length):
+        k = run * length + step
+        if k < slab.shape[2]:
+            distance, guess = searched_distance(tree, mesh, voxel(slab, i, j, k), guess)
+            unclear = unclear + write_distance(out, index_of(slab, mesh, wp.vec3i(i, j, k)), distance)
+    if unclear > 0:
+        fetch_add(out.ambiguous, mesh, unclear)
+
+
+def search_slab(tree: Tree, slab: Slab, out: Output, meshes: int, launch: Any) -> None:
+    """Replace winding numbers by signed distances, and count the unclear ones."""
+    nx, ny, nz = slab.shape
+    tile, run = int(TILE), 1 if out.values.device.is_cuda else CPU_RUN
+    threads = meshes * -(-nx // tile) * -(-ny // tile) * -(-nz // run) * tile * tile
+    launch(_measure, threads, [tree, slab, run, out], out.values.device)
+
+
+@wp.kernel
+def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
+    number = begin + wp.tid()
+    if out.missed[0] == 0:
+        return
+    address = distances_at(out)
+    while number < out.values.shape[0]:
+        value = read_distance(address, number)
+        if value == wp.inf or value == -wp.inf:
+            mesh, at = unravel(number, slab.shape)
+            distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
+            put_distance(address, number, wp.where(value < 0.0, -distance, distance))
+        number = number + step
+
+
+def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int, launch: Any) -> None:
+    """Search for the distances of the voxels that were missed, if there are any: those that are infinite."""
+    launch(_mend, threads, [tree, slab, threads, out], out.values.device, smallest=1)

@@ -1,0 +1,1 @@
+"""Distances to one triangle, the Hilbert curve, voxel grids and boxes of voxels."""

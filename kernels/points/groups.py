@@ -1,0 +1,183 @@
+"""Groups of neighbouring points, which share most of the work of a query.
+
+Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a group. Of a
+group this file keeps the box around its points, as a cell in the sense of `cull`; the triangle nearest to its centre;
+and what can be said about the signs of all its points at once (see `caps` for open meshes).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import exact_hit
+from sdm.kernels.bvh.tree import DIAGONAL, SCALE, Tree
+from sdm.kernels.culling.witness_bound import Cell, cell_of_rows, no_witness
+from sdm.kernels.dense.stage1_witnesses import write_witness
+from sdm.kernels.points.group_descent import SCRATCH
+from sdm.kernels.points.group_search import nearest_together
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.lanes import least_of_lanes
+from sdm.kernels.primitives.vector_loads import load4, write4
+from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
+from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
+
+wp.set_module_options({"enable_backward": False})
+
+# Points of a group.
+GROUP = 32
+# A multiprocessor of a GPU holds so many blocks: the kernels of points wait for memory as much as they work.
+POINT_BLOCKS = 5
+# What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
+# may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
+FAR, COVERED, APART = wp.constant(1), wp.constant(2), wp.constant(4)
+# Places of the shared counts.
+NEXT_BOX, NEXT_LIST, NEXT_SIDE, COUNTS = range(4)
+# Room for rounding in the distance from a box's centre and its radius.
+ROOM = wp.constant(1.0e-5)
+
+_GROUP, _SCRATCH = wp.constant(GROUP), wp.constant(SCRATCH)
+_SCALE = wp.constant(SCALE)
+_DIAGONAL = wp.constant(DIAGONAL)
+_NEXT_BOX = wp.constant(NEXT_BOX)
+_CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
+
+
+@wp.struct
+class Groups:
+    """What is known of each of `count` groups."""
+
+    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `Cell`: centre (3), half2, half (3), diagonal
+    witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
+    nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
+    hints: wp.array(dtype=wp.int32)  # (count)
+    count: wp.int32
+    counts: wp.array(dtype=wp.int32)  # (COUNTS) which group each stage takes next, zero at the start
+
+
+@wp.func
+def is_finite(p: wp.vec3):
+    return wp.isfinite(p[0]) and wp.isfinite(p[1]) and wp.isfinite(p[2])
+
+
+@wp.func
+def numbered(order: wp.array(dtype=wp.int32), at: int):
+    """Which point is the one at a place in the order, which may be empty: as they come."""
+    if order.shape[0] > 0:
+        return order[at]
+    return at
+
+
+@wp.func
+def group_end(group: int, points: int):
+    """One past the last of a group's places in the order."""
+    return wp.min(_GROUP * (group + 1), points)
+
+
+@wp.func
+def point_or_middle(
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, cell: Cell
+):
+    """The point at a place before `end`, scaled; without one, or if it is not finite, the middle of its group's box."""
+    p = wp.vec3d(cell.centre)
+    if at < end:
+        point = points[numbered(order, at)]
+        if is_finite(point):
+            p = tree.frame[_SCALE] * wp.vec3d(point)
+    return p
+
+
+@wp.func
+def box_around(
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), group: int, lane: int, lanes: int
+):
+    """The box around a group's finite points, scaled; without any, or where it is not finite, at the origin."""
+    low = wp.vec3(wp.inf, wp.inf, wp.inf)
+    negated_high = low
+    at = _GROUP * group + lane
+    while at < group_end(group, points.shape[0]):
+        i = numbered(order, at)
+        if is_finite(points[i]):
+            p = float(tree.frame[_SCALE]) * points[i]
+            low = wp.min(low, p)
+            negated_high = wp.min(negated_high, -p)
+        at = at + lanes
+    low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
+    high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
+    cell = Cell()
+    cell.diagonal = float(tree.frame[_DIAGONAL])
+    cell.centre = 0.5 * low + 0.5 * high
+    if is_finite(cell.centre):
+        # A rounding more than the points need, so that none sticks out.
+        cell.half = wp.max(high - cell.centre, cell.centre - low) * 1.000001
+        cell.half2 = wp.dot(cell.half, cell.half)
+    else:
+        cell.centre = wp.vec3(0.0, 0.0, 0.0)
+        cell.half2 = float(wp.inf)
+    return cell
+
+
+@wp.func
+def read_box(groups: Groups, group: int):
+    """A group's box; `half2` is infinite if there is none."""
+    return cell_of_rows(load4(groups.boxes, 2 * group), load4(groups.boxes, 2 * group + 1))
+
+
+@wp.kernel
+def _look_around(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    scratch: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
+    while group < groups.count:
+        cell = box_around(tree, points, order, group, lane, lanes)
+        slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * _SCRATCH, lane, lanes)
+        known = no_witness()
+        hint = int(0)
+        if winding.kind == _CLOSED:
+            hint = FAR
+        if cell.half2 < float(wp.inf):
+            hit = exact_hit(tree, slot, wp.vec3d(cell.centre))
+            known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
+            known.distance2 = float(hit.distance2)
+            if winding.kind != _CLOSED and winding.kind != _SOUP:
+                if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
+                    hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
+            if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
+                hint = hint + APART
+        if lane == 0:
+            half = cell.half
+            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], cell.half2)
+            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.diagonal)
+            write_witness(groups.witnesses, group, known)
+            groups.nearest[group] = slot
+            groups.hints[group] = hint
+        group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
+
+
+def look_around(
+    tree: Tree,
+    winding: Winding,
+    points: wp.array,
+    order: wp.array,
+    groups: Groups,
+    scratch: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill `groups` for points (N,) in their order, or as they come if `order` is empty.
+
+    `workers` groups of lanes are at work; `groups.counts` must be zero; `scratch` has room for workers * SCRATCH.
+    """
+    inputs = [lanes, tree, winding, points, order, groups, scratch]
+    launch(_look_around, workers * lanes, inputs, points.device, smallest=1)

@@ -1,0 +1,110 @@
+"""The triangles nearest to scattered points: each group's list, and of it the nearest to each of its points.
+
+Which of a list's triangles is the nearest is decided as by `closest.nearest_slot`: in float32, and in float64 among
+those that float32 cannot tell apart.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import exact_distance2
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.culling.normal_cones import Cones
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
+from sdm.kernels.dense.stage1_witnesses import read_witness
+from sdm.kernels.points.candidates import gather_near
+from sdm.kernels.points.group_descent import SCRATCH, TIES
+from sdm.kernels.points.groups import GROUP, NEXT_LIST, POINT_BLOCKS, Groups, group_end, point_or_middle, read_box
+from sdm.kernels.points.lane_lists import keep_nearest
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.lanes import wait_for_lanes
+
+wp.set_module_options({"enable_backward": False})
+
+_GROUP = wp.constant(GROUP)
+_SCRATCH, _TIES = wp.constant(SCRATCH), wp.constant(TIES)
+_NEXT_LIST = wp.constant(NEXT_LIST)
+
+
+@wp.func
+def nearest_of_ties(
+    tree: Tree, p: wp.vec3, scratch: wp.array(dtype=wp.int32), at: int, left: int, lane: int, lanes: int
+):
+    """The slot of the nearest to p (scaled) of the lane's `left` triangles, as float64 sees it; -1 without any."""
+    first = at + _TIES + lane
+    nearest = int(-1)
+    if left > 0:
+        nearest = scratch[first]
+    if left > 1:
+        least2 = exact_distance2(tree, nearest >> 2, nearest & 3, p)
+        for k in range(1, left):
+            other = scratch[first + k * lanes]
+            d2 = exact_distance2(tree, other >> 2, other & 3, p)
+            if d2 < least2:
+                least2 = d2
+                nearest = other
+    return nearest >> 2
+
+
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
+def _find_nearest(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    balls: wp.array(dtype=wp.float32),
+    cones: Cones,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    scratch: wp.array(dtype=wp.int32),
+    slots: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    room = (thread / lanes) * _SCRATCH
+    group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
+    while group < groups.count:
+        cell = read_box(groups, group)
+        known = read_witness(groups.witnesses, group)
+        found = int(0)
+        if known.distance2 < LARGEST_SQUARE and cell.half2 < LARGEST_SQUARE:
+            found = gather_near(tree, balls, cones, cell, known, scratch, room, lane, lanes)
+        end = group_end(group, points.shape[0])
+        first = _GROUP * group
+        while first < end:
+            at = first + lane
+            # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
+            p = wp.vec3(point_or_middle(tree, points, order, at, end, cell))
+            left = int(0)
+            if found > 0:
+                left = keep_nearest(tree, balls, p, scratch, room, found, lane, lanes)
+            if at < end:
+                slots[at] = nearest_of_ties(tree, p, scratch, room, left, lane, lanes)
+            first = first + lanes
+        # The scratch is read until here.
+        wait_for_lanes()
+        group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
+
+
+def find_nearest(
+    tree: Tree,
+    balls: wp.array,
+    cones: Cones,
+    points: wp.array,
+    order: wp.array,
+    groups: Groups,
+    scratch: wp.array,
+    slots: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill `slots` (N,), in their order, with the triangle nearest to each of points (N,), or -1 for one to search for.
+
+    `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
+    """
+    inputs = [lanes, tree, balls, cones, points, order, groups, scratch, slots]
+    launch(_find_nearest, workers * lanes, inputs, points.device, smallest=1)

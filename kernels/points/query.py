@@ -1,0 +1,259 @@
+"""Queries at scattered points.
+
+The plain way (`_query`) is a search of the tree and a winding number for each point. Points are sorted along a curve
+first and taken in groups of neighbours (`groups`), each of which begins with the triangle nearest to its middle.
+
+The fast way finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
+triangles that may be nearest to any of a group's points (`nearest_points`), and one of those that rays from them may
+meet (`point_signs`), gathered from the tree by all lanes together (`gather`). The plain way is then left with groups so
+wide that their lists are too long, and with those near an open mesh's holes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
+from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, node_box
+from sdm.kernels.culling.normal_cones import Cones
+from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
+from sdm.kernels.launch import threads
+from sdm.kernels.points.group_descent import SCRATCH
+from sdm.kernels.points.groups import (
+    COUNTS,
+    COVERED,
+    FAR,
+    GROUP,
+    POINT_BLOCKS,
+    Groups,
+    is_finite,
+    look_around,
+    numbered,
+)
+from sdm.kernels.points.nearest import find_nearest
+from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
+from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
+from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
+
+wp.set_module_options({"enable_backward": False})
+
+_SCALE, _UNSCALE = wp.constant(SCALE), wp.constant(UNSCALE)
+_GROUP = wp.constant(GROUP)
+_UNKNOWN, _INSIDE = wp.constant(UNKNOWN), wp.constant(INSIDE)
+# Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
+# rather have more threads.
+CPU_RUN = 8
+
+
+@wp.struct
+class Hits:
+    """Where the closest points are, if `wanted`."""
+
+    points: wp.array(dtype=wp.vec3)
+    faces: wp.array(dtype=wp.int32)  # -1 for a point that is not finite
+    barycentric: wp.array(dtype=wp.vec3)
+    wanted: wp.int32
+
+
+@wp.kernel
+def _point_keys(
+    begin: int,
+    points: wp.array(dtype=wp.vec3),
+    tree: Tree,
+    corner: wp.vec3,
+    edge: float,
+    keys: wp.array(dtype=wp.int64),
+    order: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    if edge > 0.0:
+        keys[i] = curve_code(points[i], corner, corner + wp.vec3(edge, edge, edge), POINT_BITS)
+    else:
+        p = float(tree.frame[_SCALE]) * points[i]
+        # Twice the mesh's box: most points that people ask for are inside it.
+        low, high = node_box(tree, 1)
+        middle = 0.5 * (low + high)
+        keys[i] = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
+    order[i] = i
+
+
+@wp.func
+def answer(
+    tree: Tree,
+    slot: int,
+    inside: bool,
+    point: wp.vec3,
+    i: int,
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    """Write what is asked of point i, whose nearest triangle is in a slot."""
+    unscale = tree.frame[_UNSCALE]
+    hit = exact_hit(tree, slot, tree.frame[_SCALE] * wp.vec3d(point))
+    distance = float(wp.sqrt(hit.distance2) * unscale)
+    values[i] = wp.where(inside, -distance, distance)
+    if hits.wanted != 0:
+        hits.points[i] = wp.vec3(unscale * hit.point)
+        hits.faces[i] = tree.face[slot]
+        hits.barycentric[i] = wp.vec3(hit.barycentric)
+
+
+@wp.kernel
+def _finish(
+    begin: int,
+    tree: Tree,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    slots: wp.array(dtype=wp.int32),
+    sides: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    at = begin + wp.tid()
+    i = numbered(order, at)
+    if slots[at] >= 0 and sides[at] != _UNKNOWN and is_finite(points[i]):
+        answer(tree, slots[at], sides[at] == _INSIDE, points[i], i, values, hits)
+
+
+@wp.kernel
+def _query(
+    begin: int,
+    length: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    slots: wp.array(dtype=wp.int32),
+    sides: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    hits: Hits,
+):
+    run = begin + wp.tid()
+    scale = tree.frame[_SCALE]
+    guess = int(-1)
+    # The bound is a variable so that Warp does not write the loop out.
+    steps = int(length)
+    for step in range(steps):
+        at = run * steps + step
+        if at < points.shape[0]:
+            i = numbered(order, at)
+            point = points[i]
+            slot = int(-1)
+            side = _UNKNOWN
+            if slots.shape[0] > 0:
+                slot = slots[at]
+                side = sides[at]
+            if not is_finite(point):
+                values[i] = float(wp.nan)
+                if hits.wanted != 0:
+                    hits.points[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
+                    hits.faces[i] = -1
+                    hits.barycentric[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
+            elif slot < 0 or side == _UNKNOWN:
+                if slot < 0:
+                    if guess < 0:
+                        guess = groups.nearest[at / _GROUP]
+                    slot = nearest_slot(tree, 0, float(scale) * point, guess)
+                    guess = slot
+                inside = side == _INSIDE
+                if side == _UNKNOWN:
+                    hint = groups.hints[at / _GROUP]
+                    inside = inside_at(tree, winding, scale * wp.vec3d(point), (hint & FAR) != 0, (hint & COVERED) != 0)
+                answer(tree, slot, inside, point, i, values, hits)
+
+
+@wp.kernel
+def _winding(
+    begin: int, tree: Tree, winding: Winding, points: wp.array(dtype=wp.vec3), values: wp.array(dtype=wp.float32)
+):
+    i = begin + wp.tid()
+    values[i] = float(wp.nan)
+    if is_finite(points[i]):
+        values[i] = winding_at(tree, winding, 0, tree.frame[_SCALE] * wp.vec3d(points[i]))
+
+
+def sort_points(
+    points: wp.array, tree: Tree, keys: wp.array, order: wp.array, launch: Any, cube: Sequence[float] | None = None
+) -> None:
+    """Fill `order` with the points' order along a curve through the tree's box, or through a cube.
+
+    Args:
+        points: (N,) vec3.
+        tree: One mesh's hierarchy.
+        keys: (2N,) int64, scratch.
+        order: (2N,) int32, filled: the first N are the order.
+        launch: `sdm.kernels.launch.launch`.
+        cube: The least x, y and z, and the edge. The curve takes each eighth of it as a whole, each eighth of that, ...
+    """
+    count = points.shape[0]
+    *corner, edge = cube or (0.0, 0.0, 0.0, 0.0)
+    launch(_point_keys, count, [points, tree, wp.vec3(*corner), edge, keys, order], points.device)
+    wp.utils.radix_sort_pairs(keys, order, count, end_bit=3 * POINT_BITS)
+
+
+def query_points(
+    tree: Tree,
+    parts: Parts,
+    cones: Cones,
+    winding: Winding,
+    points: wp.array,
+    order: wp.array,
+    values: wp.array,
+    hits: tuple[wp.array, wp.array, wp.array] | None,
+    launch: Any,
+    empty: Callable[[int, Any], wp.array],
+    method: str = "auto",
+) -> None:
+    """Signed distances, and closest points, faces and barycentric coordinates if `hits` has room for them.
+
+    Args:
+        tree: One mesh's hierarchy.
+        parts: Its triangles' balls.
+        cones: Its cones of normals.
+        winding: How its winding number is found.
+        points: (N,) vec3; one that is not finite gives NaN and face -1.
+        order: (N,) the order to go through them, or empty: as they come.
+        values: (N,) float32, filled: negative inside.
+        hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
+        launch: `sdm.kernels.launch.launch`.
+        empty: Allocates scratch: `empty(length, dtype)`.
+        method: `"lists"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
+            faster. Both are exact.
+    """
+    count, device = points.shape[0], points.device
+    # One lane goes through a list slower than down the tree.
+    lists = method == "lists" or (method == "auto" and device.is_cuda)
+    lanes = GPU_LANES if device.is_cuda else 1
+    groups = Groups()
+    groups.count = -(-count // GROUP)
+    groups.boxes = empty(8 * groups.count, wp.float32)
+    groups.witnesses = empty(4 * groups.count, wp.float32)
+    groups.nearest = empty(groups.count, wp.int32)
+    groups.hints = empty(groups.count, wp.int32)
+    workers = min(gpu_workers(POINT_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
+    scratch = empty(workers * SCRATCH, wp.int32)
+    groups.counts = empty(COUNTS, wp.int32)
+    groups.counts.zero_()
+    look_around(tree, winding, points, order, groups, scratch, workers, lanes, launch)
+    slots = empty(count if lists else 0, wp.int32)
+    sides = empty(count if lists else 0, wp.int32)
+    wanted = Hits()
+    wanted.wanted = int(hits is not None)
+    wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
+    if lists:
+        find_nearest(tree, parts.balls, cones, points, order, groups, scratch, slots, workers, lanes, launch)
+        find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes, launch)
+        launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
+    length = 1 if device.is_cuda else CPU_RUN
+    inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]
+    launch(_query, -(-count // length), inputs, device)
+
+
+def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array, launch: Any) -> None:
+    """The generalised winding number at each point, (N,) float32."""
+    launch(_winding, points.shape[0], [tree, winding, points, values], points.device)

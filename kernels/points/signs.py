@@ -1,0 +1,167 @@
+"""Signs of scattered points: each group's list of triangles that rays along x from its points may meet.
+
+Where a whole number of crossings tells the side (a closed mesh, or a group far from an open one's holes), all points of
+a group use one list; where the surface does not come into the group's box, they are on one side of it, that of its
+centre. Elsewhere each point has its own winding number, which is not found here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree, node_box, to_lattice
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Cell
+from sdm.kernels.points.candidates import gather_on_rays
+from sdm.kernels.points.group_descent import OWN_ROOM, SCRATCH
+from sdm.kernels.points.groups import (
+    APART,
+    COVERED,
+    FAR,
+    GROUP,
+    NEXT_SIDE,
+    POINT_BLOCKS,
+    Groups,
+    group_end,
+    point_or_middle,
+    read_box,
+)
+from sdm.kernels.points.lane_lists import keep_covering, own_slot
+from sdm.kernels.primitives.atomics import fetch_add_once
+from sdm.kernels.primitives.lanes import wait_for_lanes
+from sdm.kernels.winding.hole_caps import count_caps
+from sdm.kernels.winding.ray_crossings import count_on_ray, crossing_on_ray, ray_from
+from sdm.kernels.winding.winding_number import Winding
+
+wp.set_module_options({"enable_backward": False})
+
+UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
+
+_UNKNOWN, _OUTSIDE, _INSIDE = wp.constant(UNKNOWN), wp.constant(OUTSIDE), wp.constant(INSIDE)
+_GROUP = wp.constant(GROUP)
+_SCRATCH, _OWN_ROOM = wp.constant(SCRATCH), wp.constant(OWN_ROOM)
+_NEXT_SIDE = wp.constant(NEXT_SIDE)
+
+
+@wp.func
+def list_rays(
+    tree: Tree,
+    cell: Cell,
+    back: bool,
+    scratch: wp.array(dtype=wp.int32),
+    room: int,
+    lane: int,
+    lanes: int,
+):
+    """`gather_on_rays` for all points of a box."""
+    low = wp.vec3d(cell.centre - cell.half)
+    high = wp.vec3d(cell.centre + cell.half)
+    ray = ray_from(low, back)
+    other = ray_from(high, back)
+    ray.high_y = other.high_y
+    ray.high_z = other.high_z
+    if back:
+        ray.x = other.x
+    return gather_on_rays(
+        tree,
+        ray,
+        to_lattice(tree, 0, low[1], low[2]),
+        to_lattice(tree, 0, high[1], high[2]),
+        scratch,
+        room,
+        lane,
+        lanes,
+    )
+
+
+@wp.func
+def crossings_in_list(
+    tree: Tree,
+    p: wp.vec3d,
+    back: bool,
+    scratch: wp.array(dtype=wp.int32),
+    room: int,
+    found: int,
+    lane: int,
+    lanes: int,
+):
+    """`count_on_ray` from the lane's p (scaled), of the triangles found for its group."""
+    q = to_lattice(tree, 0, p[1], p[2])
+    kept = keep_covering(tree, q, scratch, room, found, lane, lanes)
+    if kept > _OWN_ROOM:
+        return count_on_ray(tree, 0, p, back)
+    total = int(0)
+    for k in range(kept):
+        slot = own_slot(scratch, room, k, lane, lanes)
+        total = total + crossing_on_ray(tree, slot, q, p[0], back)
+    return wp.where(back, -total, total)
+
+
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
+def _find_sides(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    winding: Winding,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    groups: Groups,
+    scratch: wp.array(dtype=wp.int32),
+    sides: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    room = (thread / lanes) * _SCRATCH
+    low, high = node_box(tree, 1)
+    group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
+    while group < groups.count:
+        cell = read_box(groups, group)
+        hint = groups.hints[group]
+        covered = (hint & COVERED) != 0
+        apart = (hint & APART) != 0
+        back = low[0] + high[0] > 2.0 * cell.centre[0] and not covered
+        found = int(-1)
+        if (hint & FAR) != 0 and cell.half2 < LARGEST_SQUARE:
+            if apart:
+                cell.half = wp.vec3(0.0, 0.0, 0.0)
+            found = list_rays(tree, cell, back, scratch, room, lane, lanes)
+        end = group_end(group, points.shape[0])
+        first = _GROUP * group
+        while first < end:
+            at = first + lane
+            p = wp.vec3d(cell.centre)
+            if not apart:
+                p = point_or_middle(tree, points, order, at, end, cell)
+            side = _UNKNOWN
+            if found >= 0:
+                total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
+                if covered:
+                    total = total + count_caps(winding.boundary, tree, 0, p, 0, 1)
+                side = wp.where(total > 0, _INSIDE, _OUTSIDE)
+            if at < end:
+                sides[at] = side
+            first = first + lanes
+        # The scratch is read until here.
+        wait_for_lanes()
+        group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
+
+
+def find_sides(
+    tree: Tree,
+    winding: Winding,
+    points: wp.array,
+    order: wp.array,
+    groups: Groups,
+    scratch: wp.array,
+    sides: wp.array,
+    workers: int,
+    lanes: int,
+    launch: Any,
+) -> None:
+    """Fill `sides` (N,), in their order, with INSIDE, OUTSIDE or UNKNOWN for each of points (N,).
+
+    `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
+    """
+    inputs = [lanes, tree, winding, points, order, groups, scratch, sides]
+    launch(_find_sides, workers * lanes, inputs, points.device, smallest=1)

@@ -1,0 +1,1 @@
+"""What CPU and GPU do differently: warp lanes, atomics, vector loads, shared memory, work queues."""

@@ -1,0 +1,43 @@
+"""What a group of lanes puts aside for later: nodes, leaves, triangles, parts, as whole numbers."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.primitives.lanes import GPU_GROUPS
+
+wp.set_module_options({"enable_backward": False})
+
+# Every batch of 32 nodes leaves at most 32 more than it took, at each of up to 27 levels; leaves that wait, at most 32
+# and the 64 of one batch, grow from the other end.
+STACK = 1024
+# Three lists of parts, of each at most 31 that wait and the 32 of one batch.
+SMALL_STACK = 192
+
+
+def _place(size: int) -> str:
+    return f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ wp::int32 shared[{GPU_GROUPS} * {size}];
+    return wp::array_t<wp::int32>(shared + threadIdx.x / 32 * {size}, {size});
+#else
+    return wp::array_t<wp::int32>(stacks.data + (size_t)worker * {size}, {size});
+#endif
+"""
+
+
+@wp.func_native(snippet=_place(STACK))
+def stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
+    """A worker's stack (STACK): on a GPU in shared memory, which gives back at once what was put there."""
+    ...
+
+
+@wp.func_native(snippet=_place(SMALL_STACK))
+def small_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
+    """`stack_of` for few (SMALL_STACK), in a kernel that needs its shared memory for something else."""
+    ...
+
+
+def stack_room(workers: int, gpu: bool) -> int:
+    """Length of the array that `stack_of` and `small_stack_of` take a worker's stack from."""
+    return 1 if gpu else workers * STACK

@@ -1,0 +1,1 @@
+"""Vertices of parametric shape families, counter-based random numbers, samples on surfaces."""

@@ -1,0 +1,1 @@
+"""Which faces share an edge, and the boundary loops of what they leave open."""

@@ -1,0 +1,224 @@
+"""Boundary edges and their loops on the device, where few edges are left over.
+
+The same as `sdm.topology.joining` finds on the host.
+
+For calls that must not wait: how many edges are left over, and how many bound the mesh, is guessed by the caller, and
+remarks tell whether that was right. Each step compares every edge with every other, which for a thousand takes a GPU
+less time than a sort. Only simple loops are followed here, in which one edge begins at each vertex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
+from sdm.kernels.topology.edge_pairing import LEFT_OVER, OUT_OF_RANGE
+
+wp.set_module_options({"enable_backward": False})
+
+# Places of the remarks: a vertex out of range; by how many more edges than guessed are left over, and than bound the
+# mesh; edges that are not followed by one.
+WRONG_VERTEX, WRONG_LEFT_OVER, WRONG_EDGES, TANGLED, REMARKS = 0, 1, 2, 3, 4
+_WRONG_VERTEX, _WRONG_LEFT_OVER = wp.constant(WRONG_VERTEX), wp.constant(WRONG_LEFT_OVER)
+_WRONG_EDGES, _TANGLED = wp.constant(WRONG_EDGES), wp.constant(TANGLED)
+_OUT_OF_RANGE, _LEFT_OVER = wp.constant(OUT_OF_RANGE), wp.constant(LEFT_OVER)
+_NONE = wp.constant(0x7FFFFFFF)
+
+
+@wp.func
+def end_of(left_over: wp.array2d(dtype=wp.int32), end: int, vertices: int):
+    """The vertex at an end of an edge left over; one that is there, if the rows are not."""
+    return wp.clamp(left_over[end / 2, end % 2], 0, vertices - 1)
+
+
+@wp.kernel
+def _join_ends(
+    begin: int,
+    lanes: int,
+    left_over: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    same: wp.array(dtype=wp.int32),
+):
+    """For each end the lowest vertex among all ends at its position."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    end = thread / lanes
+    count = vertices.shape[1]
+    mine = end_of(left_over, end, count)
+    least = mine
+    other = lane
+    while other < same.shape[0]:
+        theirs = end_of(left_over, other, count)
+        if theirs < least:
+            equal = bool(True)
+            for mesh in range(vertices.shape[0]):
+                equal = equal and vertices[mesh, mine] == vertices[mesh, theirs]
+            if equal:
+                least = theirs
+        other = other + lanes
+    least = least_whole_of_lanes(least)
+    if lane == 0:
+        same[end] = least
+
+
+@wp.func
+def key_of(same: wp.array(dtype=wp.int32), row: int):
+    """The lower vertex of an edge, then the higher."""
+    low = wp.min(same[2 * row], same[2 * row + 1])
+    return (wp.int64(low) << wp.int64(32)) | wp.int64(wp.max(same[2 * row], same[2 * row + 1]))
+
+
+@wp.kernel
+def _add_up(
+    begin: int,
+    lanes: int,
+    left_over: wp.array2d(dtype=wp.int32),
+    same: wp.array(dtype=wp.int32),
+    balances: wp.array(dtype=wp.int32),
+):
+    """What is left of all edges between the same two vertices, noted at the first of them; zero at the others."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    row = thread / lanes
+    key = key_of(same, row)
+    first = row
+    balance = int(0)
+    other = lane
+    while other < balances.shape[0]:
+        if key_of(same, other) == key:
+            first = wp.min(first, other)
+            up = same[2 * other + 1] - same[2 * other]
+            balance = balance + wp.sign(up) * left_over[other, 2]
+        other = other + lanes
+    # Small numbers, which floats hold exactly.
+    balance = int(sum_of_lanes(float(balance)))
+    first = least_whole_of_lanes(first)
+    if same[2 * row] == same[2 * row + 1] or first != row:
+        balance = int(0)
+    if lane == 0:
+        balances[row] = balance
+
+
+@wp.kernel
+def _write_edges(
+    begin: int,
+    lanes: int,
+    same: wp.array(dtype=wp.int32),
+    balances: wp.array(dtype=wp.int32),
+    found: wp.array(dtype=wp.int32),
+    edges: wp.array2d(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+):
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    row = thread / lanes
+    rows = balances.shape[0]
+    key = key_of(same, row)
+    before = int(0)
+    other = lane
+    while other < rows:
+        if balances[other] != 0 and key_of(same, other) < key:
+            before = before + wp.abs(balances[other])
+        other = other + lanes
+    at = int(sum_of_lanes(float(before)))
+    if lane == 0:
+        low = int(key >> wp.int64(32))
+        high = int(key & wp.int64(0x7FFFFFFF))
+        for i in range(at, wp.min(at + wp.abs(balances[row]), edges.shape[0])):
+            edges[i, 0] = wp.where(balances[row] > 0, low, high)
+            edges[i, 1] = wp.where(balances[row] > 0, high, low)
+        fetch_add(remarks, _WRONG_EDGES, wp.abs(balances[row]))
+        if row == 0:
+            remarks[_WRONG_VERTEX] = found[_OUT_OF_RANGE]
+            remarks[_WRONG_LEFT_OVER] = found[_LEFT_OVER] - rows
+            fetch_add(remarks, _WRONG_EDGES, -edges.shape[0])
+
+
+@wp.kernel
+def _follow(
+    begin: int,
+    lanes: int,
+    edges: wp.array2d(dtype=wp.int32),
+    ahead: wp.array(dtype=wp.int64),
+    remarks: wp.array(dtype=wp.int32),
+):
+    """The edge that follows each one, and its first vertex, in one number."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    edge = thread / lanes
+    following = int(_NONE)
+    many = int(0)
+    other = lane
+    while other < edges.shape[0]:
+        if edges[other, 0] == edges[edge, 1]:
+            following = wp.min(following, other)
+            many = many + 1
+        other = other + lanes
+    many = int(sum_of_lanes(float(many)))
+    following = least_whole_of_lanes(following)
+    if lane == 0:
+        if many != 1:
+            remarks[_TANGLED] = 1
+            following = edge
+        ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(edges[edge, 0])
+
+
+@wp.kernel
+def _number_loops(
+    begin: int, lanes: int, steps: int, ahead: wp.array(dtype=wp.int64), around: wp.array(dtype=wp.int32)
+):
+    """One group of lanes: each edge's loop is known by its lowest vertex.
+
+    Each number tells of the edges up to another one, and which vertex is the lowest of those; in each step it is joined
+    with the number there. A number is read and written as a whole, so that it does not matter who is first.
+    """
+    lane = (begin + wp.tid()) % lanes
+    count = around.shape[0]
+    low = wp.int64(0x7FFFFFFF)
+    for step in range(steps + 1):
+        edge = lane
+        while edge < count:
+            mine = ahead[edge]
+            if step < steps:
+                theirs = ahead[int(mine >> wp.int64(32))]
+                ahead[edge] = (theirs & ~low) | wp.min(mine & low, theirs & low)
+            else:
+                around[edge] = int(mine & low)
+            edge = edge + lanes
+        wait_for_lanes()
+
+
+def join_edges(
+    left_over: wp.array,
+    found: wp.array,
+    vertices: wp.array,
+    edges: wp.array,
+    around: wp.array,
+    remarks: wp.array,
+    launch: Any,
+    empty: Callable[[int, Any], wp.array],
+) -> None:
+    """Boundary edges and their loops from what `sdm.kernels.topology.edge_pairing` found.
+
+    Args:
+        left_over: (N,3) int32, as many rows of what is left over as are guessed to be.
+        found: (2) int32, what `edges.pair_edges` remarks.
+        vertices: (meshes, V) vec3.
+        edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
+        around: (E) int32, filled: equal for edges of one loop.
+        remarks: (REMARKS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
+        launch: `sdm.kernels.launch.launch`.
+        empty: Allocates scratch: `empty(length, dtype)`.
+    """
+    device, rows, count = vertices.device, left_over.shape[0], edges.shape[0]
+    lanes = GPU_LANES if device.is_cuda else 1
+    same, balances, ahead = empty(2 * rows, wp.int32), empty(rows, wp.int32), empty(count, wp.int64)
+    launch(_join_ends, 2 * rows * lanes, [lanes, left_over, vertices, same], device)
+    launch(_add_up, rows * lanes, [lanes, left_over, same, balances], device)
+    launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, remarks], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, remarks], device)
+    launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, around], device)

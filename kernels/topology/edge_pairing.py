@@ -1,0 +1,179 @@
+"""Which faces of a mesh meet at an edge, and which edges are left over: one sort of all edges.
+
+Edge k of face f has the number 3 f + k. It leads from the face's corner k to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.primitives.atomics import fetch_add, keep_least
+
+wp.set_module_options({"enable_backward": False})
+
+# Places of the remarks about a mesh.
+OUT_OF_RANGE, LEFT_OVER, REMARKS = 0, 1, 2
+_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
+_LEFT_OVER = wp.constant(LEFT_OVER)
+
+
+def bits_for(vertices: int) -> int:
+    """Bits of a vertex index in a key: the key of an edge is the lower of its ends, then the higher."""
+    return max(1, (vertices - 1).bit_length())
+
+
+@wp.kernel
+def _make_keys(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    vertices: int,
+    bits: int,
+    keys: wp.array(dtype=wp.int64),
+    edges: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+):
+    edge = begin + wp.tid()
+    face = edge / 3
+    start = faces[face, edge % 3]
+    end = faces[face, (edge + 1) % 3]
+    key = wp.int64(0)
+    if start < 0 or start >= vertices:
+        remarks[_OUT_OF_RANGE] = 1
+    else:
+        keep_least(first, start, face - faces.shape[0])
+        key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
+    keys[edge] = key
+    edges[edge] = edge
+
+
+@wp.func
+def direction(faces: wp.array2d(dtype=wp.int32), edge: int):
+    """1 if an edge leads from the lower vertex to the higher, -1 if back, 0 if nowhere."""
+    start = faces[edge / 3, edge % 3]
+    end = faces[edge / 3, (edge + 1) % 3]
+    return wp.where(start < end, 1, wp.where(end < start, -1, 0))
+
+
+@wp.kernel
+def _pair(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    keys: wp.array(dtype=wp.int64),
+    edges: wp.array(dtype=wp.int32),
+    left_over: wp.array2d(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+):
+    """One thread for each group of edges with the same ends."""
+    i = begin + wp.tid()
+    total = 3 * faces.shape[0]
+    key = keys[i]
+    if i > 0:
+        if keys[i - 1] == key:
+            return
+    lead = edges[i]
+    somewhere = direction(faces, lead) != 0
+    balance = int(0)
+    edge = lead
+    at = i
+    more = bool(True)
+    while more:
+        balance = balance + direction(faces, edge)
+        at = at + 1
+        more = False
+        if at < total:
+            more = keys[at] == key
+        # The next face at the same edge; after the last comes the first.
+        following = lead
+        if more:
+            following = edges[at]
+        neighbours[edge / 3, edge % 3] = wp.where(somewhere and following != edge, following, -1)
+        owned[edge] = wp.where(somewhere and edge == lead, 1, 0)
+        edge = following
+    if balance != 0:
+        start = faces[lead / 3, lead % 3]
+        end = faces[lead / 3, (lead + 1) % 3]
+        row = fetch_add(remarks, _LEFT_OVER, 1)
+        left_over[row, 0] = wp.min(start, end)
+        left_over[row, 1] = wp.max(start, end)
+        left_over[row, 2] = balance
+
+
+@wp.kernel
+def _own(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    remarks: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+):
+    if remarks[_OUT_OF_RANGE] != 0:
+        return
+    face = begin + wp.tid()
+    bits = int(0)
+    for k in range(3):
+        bits = bits | (owned[3 * face + k] << (k + 3))
+        if first[faces[face, k]] == face - faces.shape[0]:
+            bits = bits | (1 << k)
+    neighbours[face, 3] = bits
+
+
+def pair_edges(
+    faces: wp.array,
+    first: wp.array,
+    remarks: wp.array,
+    left_over: wp.array,
+    neighbours: wp.array,
+    launch: Any,
+    empty: Callable[[int, Any], wp.array],
+) -> None:
+    """What `sdm.topology.boundary_edges` wants to know about faces, on their device.
+
+    Args:
+        faces: (F,3) int32.
+        first: (V) int32, zero; afterwards F less than the first face at each vertex.
+        remarks: (REMARKS) int32, zero; afterwards 1 if there is a vertex out of range (then all else has no meaning),
+            and the number of edges left over.
+        left_over: (3 * F, 3) int32; afterwards the first rows are the edges left over, in any order: the lower vertex,
+            the higher, and how many more of the edges between them lead up than back.
+        neighbours: (F,4) int32, filled as `sdm.topology.boundary_edges.neighbours` says.
+        launch: `sdm.kernels.launch.launch`.
+        empty: Allocates scratch: `empty(length, dtype)`.
+    """
+    count, vertices, device = faces.shape[0], first.shape[0], faces.device
+    total, bits = 3 * count, bits_for(vertices)
+    keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
+    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, remarks], device)
+    wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
+    launch(_pair, total, [faces, keys, edges, left_over, owned, neighbours, remarks], device)
+    launch(_own, count, [faces, owned, first, remarks, neighbours], device)
+
+
+@wp.kernel
+def _gather_ends(
+    begin: int,
+    left_over: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    rows: wp.array2d(dtype=wp.int32),
+    places: wp.array2d(dtype=wp.vec3),
+):
+    i = begin + wp.tid()
+    edge = i / 2
+    for k in range(3):
+        rows[edge, k] = left_over[edge, k]
+    for mesh in range(vertices.shape[0]):
+        places[i, mesh] = vertices[mesh, left_over[edge, i % 2]]
+
+
+def gather_ends(left_over: wp.array, vertices: wp.array, rows: wp.array, places: wp.array, launch: Any) -> None:
+    """Copy what is left over (N,3) to `rows`, and where its ends are in each of the `vertices` (meshes,V) to `places`.
+
+    `places` is (2 * N, meshes) vec3, the lower vertex of each edge first.
+    """
+    launch(_gather_ends, places.shape[0], [left_over, vertices, rows, places], vertices.device)

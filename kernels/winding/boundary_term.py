@@ -1,0 +1,155 @@
+"""What an open mesh's boundary adds to the count of crossings, exactly.
+
+Sweep each boundary edge to infinity along -x. Surface and swept strips together are closed, and the ray along +x
+never meets a strip, so the crossings count the winding number of both; the surface's own is that count less the
+strips' solid angles (the idea of the Antipodal Method, arXiv 2605.01536). A strip's solid angle is that of the
+triangle of its edge and the direction -x. Where the ray passes an edge, the count jumps and a strip's solid angle
+jumps back: both take the side from the same integer test, so their sum does not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, LOW_X, SCALE, Tree, to_lattice
+from sdm.kernels.winding.ray_crossings import is_left
+
+wp.set_module_options({"enable_backward": False})
+
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_LOW_X = wp.constant(LOW_X)
+_LATTICE = wp.constant(LATTICE)
+# Rays further off than this are not on the lattice: `to_lattice` stops there.
+LATTICE_LIMIT = wp.constant(wp.float64(2.0) * LATTICE_STEPS)
+# How `is_left` breaks ties, in steps of the lattice (its epsilon, squared and plain; any small number will do).
+TIE_ROW = wp.constant(wp.float64(1.0e-20))
+TIE_COLUMN = wp.constant(wp.float64(1.0e-10))
+TINY = wp.constant(wp.float64(1.0e-300))
+
+
+@wp.struct
+class Boundary:
+    """Directed boundary edges of each mesh of a batch, the surface on their left; an edge met twice stands twice."""
+
+    ends: wp.array(dtype=wp.vec3)  # (2 * meshes * count) first and last point, scaled
+    lattice: wp.array(dtype=wp.vec2i)  # (2 * meshes * count) their (y,z) on the lattice
+    apexes: wp.array(dtype=wp.vec3)  # (meshes * count) the middle of the edge's loop, for `caps`
+    count: wp.int32  # edges of each mesh
+
+
+@wp.kernel
+def _gather(
+    begin: int, vertices: wp.array2d(dtype=wp.vec3), edges: wp.array2d(dtype=wp.int32), tree: Tree, out: Boundary
+):
+    i = begin + wp.tid()
+    mesh = i / out.count
+    e = i - mesh * out.count
+    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    for end in range(2):
+        v = scale * vertices[mesh, edges[e, end]]
+        out.ends[2 * i + end] = v
+        out.lattice[2 * i + end] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
+
+
+@wp.kernel
+def _find_apexes(begin: int, loops: wp.array(dtype=wp.int32), out: Boundary):
+    i = begin + wp.tid()
+    mesh = i / out.count
+    mine = loops[i - mesh * out.count]
+    total = wp.vec3(0.0, 0.0, 0.0)
+    many = float(0.0)
+    for e in range(out.count):
+        if loops[e] == mine:
+            total = total + out.ends[2 * (mesh * out.count + e)]
+            many = many + 1.0
+    out.apexes[i] = total / many
+
+
+def gather_boundary(
+    out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array, loops: wp.array, launch: Any
+) -> None:
+    """Fill `out` from the meshes' `vertices` (meshes, V), their shared boundary `edges` (E, 2) and its `loops` (E)."""
+    count = vertices.shape[0] * edges.shape[0]
+    launch(_gather, count, [vertices, edges, tree, out], vertices.device)
+    launch(_find_apexes, count, [loops, out], vertices.device)
+
+
+@wp.func
+def strip_side(ahead: wp.float64, aside2: wp.float64, length: wp.float64):
+    """length - ahead for a vector of that length, `ahead` along +x and the rest of squared length `aside2`."""
+    if ahead > wp.float64(0.0):
+        return aside2 / (length + ahead)
+    return length - ahead
+
+
+@wp.func
+def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: int, lanes: int):
+    """A lane's part of the boundary's share of the winding number at p (scaled).
+
+    (y,z) of ray and edges are those on the lattice, so that the angles agree with the sides even where the ray passes
+    a corner and both strips that meet there turn with it. That moves the boundary by a step of the lattice at most.
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    base = mesh * _FRAME_SIZE
+    steps = tree.frame[base + _LATTICE]
+    step = one
+    if steps > zero:
+        step = one / steps
+    q = to_lattice(tree, mesh, p[1], p[2])
+    row = wp.floor((p[1] - tree.frame[base + _LOW_X + 1]) * steps)
+    column = wp.floor((p[2] - tree.frame[base + _LOW_X + 2]) * steps)
+    on_lattice = wp.max(wp.abs(row), wp.abs(column)) < LATTICE_LIMIT
+    # The sum of all half solid angles is the argument of a product of complex numbers and a count of its full turns.
+    re = one
+    im = zero
+    turns = int(0)
+    e = lane
+    while e < boundary.count:
+        at = 2 * (mesh * boundary.count + e)
+        first = boundary.lattice[at]
+        second = boundary.lattice[at + 1]
+        a = wp.vec3d(
+            wp.float64(boundary.ends[at][0]) - p[0],
+            step * (wp.float64(first[0]) - row + TIE_ROW),
+            step * (wp.float64(first[1]) - column - TIE_COLUMN),
+        )
+        b = wp.vec3d(
+            wp.float64(boundary.ends[at + 1][0]) - p[0],
+            step * (wp.float64(second[0]) - row + TIE_ROW),
+            step * (wp.float64(second[1]) - column - TIE_COLUMN),
+        )
+        across = a[1] * b[2] - a[2] * b[1]
+        left = across > zero
+        if on_lattice:
+            left = is_left(first, second, q)
+        aside_a = a[1] * a[1] + a[2] * a[2]
+        aside_b = b[1] * b[1] + b[2] * b[2]
+        la = wp.sqrt(a[0] * a[0] + aside_a)
+        lb = wp.sqrt(b[0] * b[0] + aside_b)
+        x = strip_side(a[0], aside_a, la) * strip_side(b[0], aside_b, lb) + a[1] * b[1] + a[2] * b[2]
+        y = wp.abs(across) + TINY
+        size = one / (wp.abs(x) + y)
+        x = x * size
+        y = wp.where(left, -y * size, y * size)
+        new_re = re * x - im * y
+        new_im = re * y + im * x
+        if im >= zero and y > zero and new_im < zero:
+            turns = turns + 1
+        if im < zero and y < zero and new_im >= zero:
+            turns = turns - 1
+        size = one / (wp.abs(new_re) + wp.abs(new_im) + TINY)
+        re = new_re * size
+        im = new_im * size
+        e = e + lanes
+    pi = wp.float64(wp.PI)
+    return (wp.atan2(im, re) + wp.float64(2.0) * pi * wp.float64(turns)) / (wp.float64(2.0) * pi)
+
+
+@wp.func
+def boundary_winding(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d):
+    """The boundary's share of the winding number at p (scaled): add it to the count of crossings."""
+    return boundary_part(boundary, tree, mesh, p, 0, 1)

@@ -1,0 +1,114 @@
+"""Winding numbers at every voxel of a slab.
+
+Closed and nearly closed meshes are scan converted: every triangle marks where it crosses the columns of voxels along
+x (see `columns`), and a sum along each column turns crossings into winding numbers, exactly (see `crossings`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.winding.boundary_term import boundary_winding
+from sdm.kernels.winding.dipole_tree import soup_winding
+from sdm.kernels.winding.near_holes import open_caps
+from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.scan_convert import scan_caps, scan_triangles
+from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, SOUP, Winding
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels of a column that are loaded at a time.
+AHEAD = 8
+_FRAME_SIZE = wp.constant(FRAME_SIZE)
+_SCALE = wp.constant(SCALE)
+_OPEN = wp.constant(OPEN)
+_AHEAD = wp.constant(AHEAD)
+
+Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
+
+
+@wp.kernel
+def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), values: wp.array4d(dtype=wp.float32)):
+    """From crossings to winding numbers, in the same memory: a voxel sees every crossing at or beyond it."""
+    i = begin + wp.tid()
+    columns = slab.shape[1] * slab.shape[2]
+    mesh = i / columns
+    j = (i - mesh * columns) / slab.shape[2]
+    k = i % slab.shape[2]
+    total = int(0)
+    end = slab.shape[0]
+    while end >= _AHEAD:
+        # All loads before any store, which each would wait for.
+        ahead = Ahead()
+        for back in range(_AHEAD):
+            ahead[back] = counts[mesh, end - 1 - back, j, k]
+        for back in range(_AHEAD):
+            total = total + ahead[back]
+            values[mesh, end - 1 - back, j, k] = float(total)
+        end = end - _AHEAD
+    while end > 0:
+        end = end - 1
+        total = total + counts[mesh, end, j, k]
+        values[mesh, end, j, k] = float(total)
+
+
+@wp.func
+def numbered_voxel(tree: Tree, slab: Slab, number: int):
+    """The mesh and the indices of a voxel of a batch, counted with k fastest, and its centre (scaled)."""
+    mesh, at = unravel(number, slab.shape)
+    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
+    return mesh, at[0], at[1], at[2], p
+
+
+@wp.kernel
+def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtype=wp.float32)):
+    """One ray for every voxel: for turned grids, whose columns are not along x."""
+    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
+    values[mesh, i, j, k] = float(count_crossings(tree, mesh, p))
+
+
+@wp.kernel
+def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
+    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
+    share = float(0.0)
+    if winding.kind != _OPEN:
+        share = float(soup_winding(tree, winding.moments, mesh, p))
+    else:
+        share = float(boundary_winding(winding.boundary, tree, mesh, p))
+    values[mesh, i, j, k] = values[mesh, i, j, k] + share
+
+
+def slab_winding(
+    tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
+) -> None:
+    """Winding numbers of each mesh at each voxel of a slab, for its sign.
+
+    Fills `values` (meshes, n, ny, nz) float32. Where an open mesh's winding number is within a quarter of a whole
+    number, it may be that number instead. `empty(length, dtype)` allocates scratch.
+    """
+    device = values.device
+    meshes, nx, ny, nz = values.shape
+    total = meshes * nx * ny * nz
+    # Rays along the columns close the holes and open them again; of a turned grid there are none.
+    if winding.kind == SOUP or (winding.kind == MANY and slab.turned != 0):
+        values.zero_()
+    elif slab.turned != 0:
+        launch(_count_at_voxels, total, [tree, slab, values], device)
+    else:
+        values.zero_()
+        counts = values.view(wp.int32)
+        boundary, flat = winding.boundary, counts.flatten()
+        scan_triangles(tree, slab, flat, meshes, launch, empty)
+        if winding.kind != CLOSED:
+            scan_caps(tree, boundary, slab, flat, meshes, launch)
+        launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
+        if winding.kind != CLOSED:
+            open_caps(tree, boundary, slab, values, launch, empty)
+        return
+    if winding.kind != CLOSED:
+        launch(_add_boundary, total, [tree, winding, slab, values], device)

@@ -1,0 +1,57 @@
+"""How the winding number at a point is found: the kind of mesh decides."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
+from sdm.kernels.winding.dipole_tree import soup_winding
+from sdm.kernels.winding.hole_caps import count_caps
+from sdm.kernels.winding.ray_crossings import count_crossings, winding_of_closed
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Winding:
+    """How the winding number is found: the kind of mesh decides."""
+
+    boundary: Boundary  # used if kind is OPEN or MANY
+    moments: wp.array(dtype=wp.float32)  # used if kind is MANY or SOUP
+    kind: wp.int32
+
+
+# Without a boundary; with few boundary edges, all of which are visited where they matter; with many, which are visited
+# where a whole block of voxels or points shares the cost; with so many that only the tree of dipoles is used.
+CLOSED, OPEN, MANY, SOUP = 0, 1, 2, 3
+_CLOSED = wp.constant(CLOSED)
+_OPEN = wp.constant(OPEN)
+
+
+@wp.func
+def winding_at(tree: Tree, winding: Winding, mesh: int, p: wp.vec3d):
+    """The generalised winding number at p (scaled)."""
+    if winding.kind == _CLOSED:
+        return float(winding_of_closed(tree, mesh, p))
+    if winding.kind == _OPEN:
+        return float(wp.float64(count_crossings(tree, mesh, p)) + boundary_winding(winding.boundary, tree, mesh, p))
+    return float(soup_winding(tree, winding.moments, mesh, p))
+
+
+@wp.func
+def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool, covered: bool):
+    """Whether the winding number at p (scaled) is more than 0.5.
+
+    Args:
+        tree: One mesh's hierarchy.
+        winding: How its winding number is found.
+        p: The point.
+        far: Whether the holes of an open mesh are so far away that it has the same sides with its holes closed.
+        covered: Whether the line through p along x may meet what closes them.
+    """
+    if far and covered:
+        return count_crossings(tree, 0, p) + count_caps(winding.boundary, tree, 0, p, 0, 1) > 0
+    if far:
+        return winding_of_closed(tree, 0, p) > 0
+    return winding_at(tree, winding, 0, p) > 0.5

@@ -1,0 +1,55 @@
+"""`sdm bench`: compare with the other libraries on this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def bench(
+    meshes: tuple[str, ...] = (),
+    resolutions: tuple[int, ...] = (),
+    points: int = 0,
+    peers: tuple[str, ...] = (),
+    device: str = "auto",
+    runs: int = 5,
+    budget_s: float = 30.0,
+    quick: bool = False,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    add: tuple[Path, ...] = (),
+) -> int:
+    """Time sdm and every other library that is installed, each checked against a float64 brute force first.
+
+    The extra `bench` brings the other libraries: `pip install "warp-sdm[bench]"`.
+
+    Args:
+        meshes: Mesh files, names from bench/common/meshes.py, or torus-N for a torus of N triangles; a choice if not
+            given.
+        resolutions: Voxels along each axis of the grids; 16 to 256 if not given, as the device and --quick suggest.
+        points: Also query this many scattered points, half of them near the surface.
+        peers: Only peers whose name holds one of these words, for example sdm warp libigl.
+        device: cpu, cuda or cuda:N; by default a GPU if there is one.
+        runs: Timed calls for each figure; the median counts.
+        budget_s: About how many seconds one peer may take for one mesh and grid; slower ones are asked for less.
+        quick: Small choices: under a minute on two cores.
+        out: Also write results.json, tables and log-log plots to this folder; only the results if it ends with .json.
+        add: Python files with a class for each mesh or peer of yours to compare too; bench/README.md has an example.
+    """
+    from sdm.bench.dense.compare import Options, run
+
+    return run(
+        Options(
+            device=None if device == "auto" else device,
+            meshes=meshes or None,
+            resolutions=resolutions or None,
+            points=points,
+            peers=peers or None,
+            runs=runs,
+            budget_s=budget_s,
+            quick=quick,
+            out=out,
+            add=add,
+        )
+    )

@@ -1,0 +1,89 @@
+"""`sdm compute`: signed distance maps of one mesh or many."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Ending = Literal["nii.gz", "nii", "npz", "nrrd", "zarr", "nvdb"]
+
+
+def compute(
+    meshes: Annotated[
+        tyro.conf.Positional[list[Path]],
+        tyro.conf.arg(metavar="MESH [MESH ...]", help_behavior_hint="(required)"),
+    ],
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 128)")] = None,
+    spacing: Annotated[
+        tuple[float, ...] | None, tyro.conf.arg(metavar="S [S S]", help_behavior_hint="(in place of --resolution)")
+    ] = None,
+    grid_like: Annotated[
+        Path | None, tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(in place of --resolution)")
+    ] = None,
+    margin: float = 0.05,
+    device: str = "auto",
+    format: Annotated[  # noqa: A002
+        Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
+    ] = None,
+    orient: Literal["keep", "auto"] = "keep",
+    resume: bool = False,
+) -> int | None:
+    """Compute the exact signed distance maps of meshes: negative inside, in the mesh's own unit of length.
+
+    One mesh gives one file; several meshes, or a folder of them, give a folder of maps. Of several meshes a bad one
+    is reported at the end, the others are computed, and the exit code is 2.
+
+    Args:
+        meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them.
+        out: File to write (its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb), or a folder.
+        resolution: Voxels along each axis, of a cube around the mesh.
+        spacing: Voxel size in the mesh's unit: one length, or one for each axis.
+        grid_like: The grid of this NIfTI or NRRD image, or of another map.
+        margin: Room around the mesh, as a share of the longest edge of its box.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        format: File format, for maps written to a folder. A zarr map may be larger than memory.
+        orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
+        resume: Skip meshes whose map is there already: on the same grid, and of the same triangles facing the same
+            way, as the map says. Other files under its name are replaced.
+    """
+    from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.common.jobs import Settings, run
+    from sdm.cli.common.targets import plan
+    from sdm.core.device import choose_device
+    from sdm.errors import GridError
+    from sdm.io import grid_like as read_grid
+    from sdm.io.maps.api import is_placed
+
+    given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
+    both = [name for name, value in given.items() if value is not None]
+    if len(both) > 1:
+        raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
+    if spacing is not None and len(spacing) not in (1, 3):
+        raise GridError(f"--spacing takes one length or three, not {len(spacing)}")
+    settings = Settings(
+        resolution=resolution,
+        spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
+        like=None if grid_like is None else read_grid(grid_like),
+        like_image=grid_like,
+        margin=margin,
+        device=choose_device(device),
+        orient=orient,
+        resume=resume,
+    )
+    if grid_like is not None and not is_placed(grid_like):
+        print(
+            f"sdm: {grid_like} does not say how it lies in space (qform and sform have code 0): "
+            "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
+            file=sys.stderr,
+        )
+    jobs = plan(meshes, out, format)
+    # A map that is there already is skipped by --resume, and so may give the grid of the others.
+    like = None if resume else grid_like
+    refuse_inputs((target for _, target in jobs), [*(source for source, _ in jobs), like])
+    return run(jobs, settings)

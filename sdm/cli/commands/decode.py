@@ -1,0 +1,68 @@
+"""`sdm decode`: from a code to a mesh, a map or a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def decode(
+    code: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CODE")],
+    /,
+    *,
+    model: Annotated[Path, tyro.conf.arg(aliases=["-m"])],
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    to: Annotated[Path | None, tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: none)")] = None,
+    count: int = 7,
+    resolution: int = 256,
+    device: str = "auto",
+) -> None:
+    """Turn a code of sdm encode into a mesh, a map or a picture, by how the output's name ends.
+
+    .ply is the surface, by marching cubes. .nii.gz, .nii, .npz, .nrrd, .zarr and .nvdb are the learned signed distance
+    map of the box around the shape's sphere, negative inside, in the shape's unit. .png is a picture by sphere tracing.
+
+    Args:
+        code: What sdm encode wrote.
+        model: The model that the code belongs to, or cochlea: the one that comes with the package.
+        out: File to write.
+        to: Another code: a strip of pictures from the first to this one.
+        count: Pictures of the strip.
+        resolution: Points along each axis, or pixels of a picture.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    from sdm.cli.common.inputs import refuse_inputs
+    from sdm.core.grid import Grid
+    from sdm.deepsdf import DeepSDF, decode_mesh, interpolation_strip, load_code, render, save_picture
+    from sdm.errors import FormatError
+    from sdm.io.maps.formats import FORMATS, check_file, check_target, is_map_name
+    from sdm.io.meshes.load import write_ply
+
+    if to is not None and out.suffix != ".png":
+        raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")
+    refuse_inputs([out], [code, model, to])
+    if out.suffix in (".ply", ".png"):
+        check_file(out)
+    elif is_map_name(out):
+        check_target(out)
+    else:
+        raise FormatError(f"{out} is no name for a result: use one of .ply, .png, .{', .'.join(FORMATS)}")
+    shape, found = load_code(code), DeepSDF.load(model, device)
+    if to is not None:
+        picture = interpolation_strip(found, shape.code, load_code(to).code, count=count, size=resolution)
+        save_picture(picture, out)
+    elif out.suffix == ".png":
+        save_picture(render(found, shape.code, size=resolution), out)
+    elif out.suffix == ".ply":
+        mesh = decode_mesh(found, shape.code, sphere=shape.sphere, resolution=resolution)
+        write_ply(mesh, out)
+        print(f"{out}: {len(mesh):,} triangles")
+        return
+    else:
+        sphere = shape.sphere
+        step = 2 * sphere.radius / max(resolution - 1, 1)
+        grid = Grid([c - sphere.radius for c in sphere.centre], (step,) * 3, (resolution,) * 3)
+        found.signed_distance_map(grid, shape.code, sphere).save(out)
+    print(out)

@@ -1,0 +1,107 @@
+"""`sdm fit`: a cochlea's shape and pose from a CT image."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from sdm.fit import FitResult
+
+
+def fit(
+    image: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(required)")],
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    mesh: Path | None = None,
+    picture: Path | None = None,
+    blur: float = 0.2,
+    model: Literal["partial-volume", "labels"] = "partial-volume",
+    components: tuple[int, int] = (1, 1),
+    fine: float = 0.15,
+    turn: float = 0.5,
+    backend: Literal["exact", "surrogate", "hybrid"] = "exact",
+    triangles: int = 20_000,
+    weights: Path | None = None,
+    device: str = "auto",
+) -> None:
+    """Fit the cochlea family to a CT image: shape parameters and pose with 90 % intervals.
+
+    The image is cropped to one cochlea and a few millimetres around, in millimetres, turned roughly as the family is
+    (the axis of the spiral along z). If the steps do not converge, or there is no cochlea in the image, the command
+    says so, writes the report with "trusted": false, and exits with code 2.
+
+    Args:
+        image: A NIfTI or NRRD image, in Hounsfield units or any other.
+        out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
+        mesh: Also write the fitted surface here, PLY, in the image's coordinates.
+        picture: Also draw the image with the fitted outline here (.png, .pdf, .svg).
+        blur: Standard deviation of the scanner's point spread function, mm.
+        model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
+        components: Gaussians for the intensities inside and outside, for example 1 2.
+        fine: Largest distance between the sample points of a voxel, mm.
+        turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
+        backend: exact distances; the surrogate's, anchored near the end by two exact evaluations; or hybrid, the
+            surrogate first and exact to finish.
+        triangles: Triangles of the exact backend's meshes.
+        weights: A surrogate's weights; those that come with the package if not given.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    import sdm
+    from sdm.cli.common.inputs import refuse_inputs
+    from sdm.fit import FitOptions, fit_shape
+    from sdm.fit.model.backends import make_backends
+
+    refuse_inputs([out, mesh, picture], [image, weights])
+    _check_targets(out, mesh, picture)
+    scan = sdm.load(image)
+    first, finish = make_backends(backend, triangles=triangles, weights=weights, device=device)
+    options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
+    result = fit_shape(scan.values, scan.grid, first, finish=finish, options=options)
+    result.save(out)
+    result.require()
+    if mesh is not None or picture is not None:
+        from sdm.viz.fit_figure import draw_fit, write_surface
+
+        surface = (finish or first), result
+        if mesh is not None:
+            write_surface(*surface, mesh)
+        if picture is not None:
+            draw_fit(scan.values, scan.grid, *surface, picture)
+    _print(result)
+
+
+def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
+    """Find out before the fit, which takes minutes, what could not be written after it."""
+    from sdm.errors import FormatError
+    from sdm.io.maps.formats import check_file
+    from sdm.viz.fit_figure import FORMATS
+
+    if mesh is not None and mesh.suffix.lower() != ".ply":
+        raise FormatError(f"{mesh} does not end like the surface that is written there: use .ply")
+    if picture is not None and picture.suffix.lower().lstrip(".") not in FORMATS:
+        raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
+    targets = [target for target in (out, mesh, picture) if target is not None]
+    for number, target in enumerate(targets):
+        check_file(target)
+        if target.resolve() in [other.resolve() for other in targets[:number]]:
+            raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
+
+
+def _print(result: FitResult) -> None:
+    ends = result.posterior.intervals(0.9).tolist()
+    for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=False):
+        unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+        print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
+    place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
+    print(f"centre {place} mm")
+    diagnosis = result.diagnosis
+    print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
+    built = ", ".join(f"{count} {name}" for name, count in result.evaluations.items())
+    print(f"shapes built: {built}; {result.seconds:.1f} s")
+    for sentence in diagnosis.warnings:
+        print(f"sdm: {sentence}", file=sys.stderr)

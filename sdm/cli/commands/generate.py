@@ -1,0 +1,208 @@
+"""`sdm generate`: a dataset of signed distance maps of random shapes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from sdm.shapes import Family
+
+
+def generate(
+    source: Annotated[
+        tyro.conf.Positional[str | None], tyro.conf.arg(metavar="FAMILY|FOLDER", help_behavior_hint="")
+    ] = None,
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    count: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
+    # None, so that --resume can tell what was asked for.
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 64)")] = None,
+    margin: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: 0.05)")] = None,
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 0)")] = None,
+    sampler: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: uniform)")] = None,
+    dtype: Annotated[
+        Literal["float32", "float16"] | None,
+        tyro.conf.arg(metavar="{float32,float16}", help_behavior_hint="(default: float32)"),
+    ] = None,
+    truncate: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: none)")] = None,
+    shard: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 256 MiB of them)")] = None,
+    compression: Annotated[
+        Literal["zstd", "none"] | None, tyro.conf.arg(metavar="{zstd,none}", help_behavior_hint="(default: zstd)")
+    ] = None,
+    device: str = "auto",
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
+    resume: bool = False,
+    verify: bool = False,
+    skip_bad: bool = False,
+    open_meshes: Annotated[
+        Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
+    ] = None,
+    triangles: Annotated[
+        int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the family's own)")
+    ] = None,
+    rotation: Annotated[
+        float | None, tyro.conf.arg(metavar="DEGREES", help_behavior_hint="(default: all rotations alike)")
+    ] = None,
+    scale: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH", help_behavior_hint="(default: 0.9 1.1)")
+    ] = None,
+    shift: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: 0.1)")] = None,
+    warp: Annotated[float | None, tyro.conf.arg(metavar="BOUND", help_behavior_hint="(default: 0.5)")] = None,
+) -> int | None:
+    """Write a dataset of exact signed distance maps of random shapes: negative inside, in the shapes' unit of length.
+
+    The shapes are a family (cochlea, cuboid, rhomboid, ellipsoid, cylinder, geometric-shapes) or your own closed
+    meshes in a folder, varied at random. The dataset is a Zarr 3 folder, and holds bit for bit what sdm.SDMStream
+    yields for the same seed; sdm.SDMDataset reads it. Until it is complete it is called OUT.part.
+
+    Args:
+        source: A family, or a folder of meshes. With --resume or --verify it may be left out: the dataset knows.
+        out: The dataset to write, for example cochlea.zarr.
+        count: Number of samples.
+        resolution: Voxels along each axis, of a cube that holds every shape.
+        margin: Room around the shapes, as a share of the longest edge of their box.
+        seed: Whole number that the samples depend on.
+        sampler: uniform, sobol, chebyshev (denser towards the ends of each parameter), grid:N (N points along each
+            parameter), grid:N:ordered, or mixture:SHARE (of grid:5).
+        dtype: Type of the maps in the dataset.
+        truncate: Distances beyond this length become this, with their sign.
+        shard: Samples in one file, which is what is lost at most if the work is cut off.
+        compression: zstd loses nothing; none reads faster.
+        device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none.
+        ray: Share the work among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
+        resume: Finish a dataset that was cut off. Options may be left out; those that are given must be its own.
+        verify: Look for damaged shards of a dataset, and make them again.
+        skip_bad: Go on without the files of the folder that cannot be used; they are listed either way.
+        open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
+            is kept follows the generalised winding number.
+        triangles: About how many triangles a shape of a family has.
+        rotation: Largest random rotation of the folder's meshes.
+        scale: Least and greatest random factor of the folder's meshes.
+        shift: Largest random shift of the folder's meshes, as a share of their half-length.
+        warp: How far the smooth random warp of the folder's meshes may bend, 0 to 0.95.
+    """
+    import torch
+
+    from sdm import dataset
+    from sdm.cli.common.meter import Meter
+    from sdm.errors import SDMError
+
+    options = {
+        "open_meshes": open_meshes,
+        "triangles": triangles,
+        "rotation": rotation,
+        "scale": scale,
+        "shift": shift,
+        "warp": warp,
+    }
+    if verify:
+        return _verify(source, options, out, device, ray)
+    asked: dict[str, Any] = {
+        "seed": seed,
+        "sampler": sampler,
+        "truncate": truncate,
+        "dtype": None if dtype is None else getattr(torch, dtype),
+        "shard": shard,
+        "compression": compression,
+    }
+    asked = {key: value for key, value in asked.items() if value is not None}
+    begun = None
+    if source is None and resume:
+        recipe, there, begun, known = _recipe(out)
+        asked, count = {**recipe, **asked}, there if count is None else count
+        changes = {key: value for key, value in options.items() if value is not None}
+        if changes:
+            known = _describe(known.get("family") or known.get("folder") or "", {**_options(known), **changes})
+    elif source is None:
+        raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
+    else:
+        known = _describe(source, options)
+    if count is None:
+        raise SDMError("say how many samples: --count")
+    family = _family(known, skip_bad or source is None)
+    if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
+        grid = begun
+    else:
+        voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
+        grid = family.grid(voxels, margin=0.05 if margin is None else margin)
+    with Meter("maps") as meter:
+        dataset.generate(
+            family, grid, count, out, device=device, ray=ray, resume=resume, source=known, progress=meter, **asked
+        )
+    written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
+    print(
+        f"{out}: {count:,} maps of {family.name}, {' x '.join(map(str, grid.shape))} voxels of "
+        f"{grid.spacing[0]:.4g}, {written / 2**20:,.1f} MiB"
+    )
+    return None
+
+
+def _verify(source: str | None, options: dict[str, Any], out: Path, device: str, ray: str | None) -> int | None:
+    from sdm import dataset
+    from sdm.cli.common.meter import Meter
+    from sdm.dataset.layout import part_of, read_manifest, shard_count
+    from sdm.dataset.repair import damaged, mend_arrays
+
+    if not out.exists() and part_of(out).exists():
+        out = part_of(out)
+    manifest = read_manifest(out)
+    if mended := mend_arrays(out):
+        print(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
+    with Meter("maps checked") as meter:
+        found = damaged(out, meter)
+    if not found:
+        print(f"{out}: all {shard_count(manifest):,} shards are sound")
+        return None
+    family = _family(manifest["source"] or {} if source is None else _describe(source, options), True)
+    with Meter("maps") as meter:
+        dataset.verify(out, family, device=device, ray=ray, shards=found, progress=meter)
+    numbers = ", ".join(map(str, found[:10])) + (", ..." if len(found) > 10 else "")
+    print(f"{out}: {len(found):,} of {shard_count(manifest):,} shards were damaged and have been made again: {numbers}")
+    return None
+
+
+def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
+    """What an unfinished dataset was begun with: options, count, grid and source."""
+    import torch
+
+    from sdm.core.grid import Grid
+    from sdm.dataset.layout import part_of, read_manifest
+
+    part = part_of(out)
+    manifest = read_manifest(part if part.exists() else out)
+    recipe = manifest["recipe"]
+    options = {key: recipe[key] for key in ("seed", "sampler", "truncate")}
+    options |= {"dtype": getattr(torch, recipe["dtype"])}
+    options |= {key: manifest[key] for key in ("shard", "compression")}
+    grid = Grid(**recipe["grid"])
+    return options, manifest["count"], grid, manifest["source"] or {}
+
+
+def _options(known: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in known.items() if key not in ("family", "folder")}
+
+
+def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:
+    from sdm.dataset.family_registry import describe
+
+    return describe(source, options)
+
+
+def _family(known: dict[str, Any], skip_bad: bool) -> Family:
+    from sdm.dataset.family_registry import family_from
+    from sdm.errors import MeshError
+
+    family = family_from(known)
+    rejected: tuple[tuple[str, str], ...] = getattr(family, "rejected", ())
+    for name, reason in rejected:
+        print(f"sdm: {name} is not used: {reason}", file=sys.stderr)
+    if rejected and not skip_bad:
+        raise MeshError(
+            f"{len(rejected)} files of {known['folder']} cannot be used: mend them, or go on without them by --skip-bad"
+        )
+    return family

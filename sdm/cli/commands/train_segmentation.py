@@ -1,0 +1,165 @@
+"""`sdm train segmentation`: a network for one organ, guided by its distance map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+def segmentation(
+    *,
+    data: Path,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    method: str = "baseline",
+    network: Literal["vnet", "unet"] = "vnet",
+    patch: tuple[int, int, int] = (112, 112, 80),
+    coarsen: int = 1,
+    batch: int = 4,
+    steps: int = 2000,
+    optimizer: Literal["adam", "sgd"] = "adam",
+    learning_rate: float = 1e-3,
+    schedule: Literal["cosine", "constant"] = "cosine",
+    average: float = 0.0,
+    augment: Literal["none", "published", "affine", "strong", "scanner"] = "affine",
+    mirrors: str = "xyz",
+    targets: Literal["case", "patch"] = "case",
+    filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
+    dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
+    last_dropout: float = 0.0,
+    position: bool = False,
+    spacing: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: as most cases)")
+    ] = None,
+    seed: int = 0,
+    budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
+    device: str = "auto",
+    compile: bool = False,  # noqa: A002
+    bfloat16: bool = False,
+    resume: bool = False,
+) -> int | None:
+    """Train a network that segments one organ, by one of the methods of Ma et al. and Juhl et al. (MIDL 2020, 2019).
+
+    DATA holds HDF5 files with the data sets image and label, or NIfTI files as in nnU-Net: imagesTr/NAME_0000.nii.gz
+    and labelsTr/NAME.nii.gz. The network, OUT/model.pt, is for sdm segment. If DATA has cases to validate on (val, or
+    imagesTs and labelsTs) their scores are printed. A training that is cut short goes on with --resume.
+
+    Args:
+        data: Folder of the cases. Bad ones are named before anything is trained.
+        out: Folder for the network; made if it is not there.
+        method: baseline, boundary, hausdorff, sdf-product, pwr (regression of the signed distance), or an auxiliary
+            output: head or branch, dtm or sdf, l1, l2 or l1l2, as in head-sdf-l1; also pwc, hausdorff-foreground.
+        network: vnet or unet (3D).
+        patch: Voxels of a patch along each axis, multiples of 16 (vnet) or 8 (unet).
+        coarsen: Show the network voxels so many times as large along each axis: a patch of as many of them holds more
+            of the body, or all of it. Labels and distances are still those of the image's voxels.
+        batch: Patches a step.
+        steps: Steps of the optimiser.
+        optimizer: adam or sgd.
+        learning_rate: The highest learning rate, to which it rises in a moment.
+        schedule: It falls to zero along a cosine, or stays constant.
+        average: Share of the training, up to its end, over which the weights are averaged; 0: the last ones.
+        augment: Random changes of patches: none; quarter turns and mirror images as published; affine; strong, which
+            also changes contrast, shading and sharpness; scanner, affine with these and noise.
+        mirrors: Axes along which patches are mirrored at random: xyz, any of them, or "".
+        targets: Distance maps of whole cases, or of each patch by itself, as in Ma's public code.
+        filters: Channels of the finest level.
+        dropout: Probability with which channels of the coarsest level are dropped.
+        last_dropout: The same of the last level; 0.5 in Ma's public code.
+        position: Tell the network where each voxel is in its volume. For volumes that show the same part of the body.
+        spacing: Voxel size in mm that every case must have, within 5 percent.
+        seed: Whole number that everything random depends on.
+        budget_s: Seconds of training at most; what is unfinished then goes on with --resume.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        compile: Compile the network first, for long trainings on GPUs.
+        bfloat16: On a CPU too, where it has it: twice the steps in the same time. A GPU trains so in any case.
+        resume: Go on from OUT/checkpoint.pt if it is there. Without it an unfinished training is never replaced.
+    """
+    import time
+
+    from sdm.cli.common.meter import Meter
+    from sdm.core.device import choose_device
+    from sdm.errors import FormatError
+    from sdm.io.files.lock import alone
+    from sdm.io.maps.formats import check_file
+    from sdm.segmentation import (
+        Patches,
+        Settings,
+        TrainedModel,
+        check_cases,
+        has_part,
+        read_cases,
+        save_model,
+        table,
+        train,
+        validate,
+    )
+    from sdm.training.budget import check_budget
+
+    settings = Settings(
+        method=method,
+        architecture=network,
+        patch=patch,
+        coarsen=coarsen,
+        batch=batch,
+        steps=steps,
+        optimizer=optimizer,
+        learning_rate=learning_rate,
+        schedule=schedule,
+        average=average,
+        augment=augment,
+        mirrors=mirrors,
+        targets=targets,
+        filters=filters,
+        dropout=dropout,
+        last_dropout=last_dropout,
+        position=position,
+        seed=seed,
+    )
+    # None at all is allowed: it shows that the cases can be read.
+    if budget_s:
+        check_budget(budget_s)
+    checkpoint = out / "checkpoint.pt"
+
+    def refuse_unfinished() -> None:
+        if not resume and checkpoint.exists():
+            raise FormatError(f"{checkpoint} keeps an unfinished training: --resume goes on with it; or remove it")
+
+    refuse_unfinished()
+    where = choose_device(device)
+    cases = read_cases(data, "train")
+    check_cases(cases, spacing=spacing)
+    others = read_cases(data, "val", labels=False) if has_part(data, "val") else []
+    others = [case for case in others if case.label is not None]
+    if others:
+        check_cases(others, spacing=cases[0].spacing)
+    out.mkdir(parents=True, exist_ok=True)
+    check_file(out / "model.pt")
+    patches = Patches.of_settings(cases, settings, where)
+    deadline = None if budget_s is None else time.monotonic() + budget_s
+    with alone(out):
+        # Another process may have left one while the cases were read.
+        refuse_unfinished()
+        with Meter("steps") as meter:
+            training = train(
+                patches,
+                settings,
+                checkpoint=checkpoint,
+                deadline=deadline,
+                compiled=compile,
+                bfloat16=bfloat16 or None,
+                progress=meter,
+            )
+        if training.step < steps:
+            print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")
+            return None
+        save_model(TrainedModel(training.model, settings, cases[0].spacing), out / "model.pt")
+        checkpoint.unlink(missing_ok=True)
+    print(f"{out / 'model.pt'}: {method}, {steps:,} steps on {len(cases)} cases, {training.seconds:,.0f} s")
+    if others:
+        scores = [largest for _, _, largest in validate(training.model, others, patch)]
+        columns = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm")
+        print(f"largest component of {len(others)} cases, mean (standard deviation):")
+        print(table({method: scores}, columns))
+    return None

@@ -1,0 +1,44 @@
+"""`sdm view`: a map to look at from all sides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def view(
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP_OR_MESH")],
+    *,
+    level: float = 0.0,
+    resolution: int = 96,
+    out: Annotated[
+        Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.png", help_behavior_hint="(default: a window)")
+    ] = None,
+    device: str = "auto",
+) -> None:
+    """Look at a signed distance map: its surface, and a cut through it that the mouse moves.
+
+    Of a mesh the map is computed first. Needs the extra "viewer".
+
+    Args:
+        file: A map (.nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb), or a mesh (STL, PLY, OBJ, OFF, GLB, ...).
+        level: Distance of the surface shown, in the map's unit; 0 is the mesh's own.
+        resolution: Voxels along each axis of a mesh's map.
+        out: Draw a picture in place of opening a window; needs no display.
+        device: Where a mesh's map is computed: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    from sdm.core.device import choose_device
+    from sdm.core.grid import Grid
+    from sdm.engine.api import signed_distance_map
+    from sdm.io import load, load_mesh
+    from sdm.io.maps.formats import is_map_name
+    from sdm.viz.viewer import view as show
+
+    if is_map_name(file):
+        show(load(file), level=level, picture=out)
+        return
+    mesh = load_mesh(file)
+    field = signed_distance_map(mesh, Grid.around(mesh, resolution=resolution), device=choose_device(device))
+    show(field, mesh=mesh, level=level, picture=out)

@@ -1,0 +1,1 @@
+"""What several commands share: inputs, targets, jobs, progress, errors."""

@@ -1,0 +1,1 @@
+"""Meshes, grids, signed distance maps, devices and random numbers."""

@@ -1,0 +1,201 @@
+"""The regular grid of voxel centres that a signed distance map lives on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from sdm.errors import GridError
+
+if TYPE_CHECKING:
+    from sdm.core.mesh import TriangleMesh
+
+    Numbers = Sequence[float] | np.ndarray
+
+IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid of voxel centres.
+
+    Args:
+        origin: (x,y,z) of the centre of voxel (0,0,0), in the mesh's unit.
+        spacing: Voxel size along each axis, positive.
+        shape: Number of voxels (nx,ny,nz).
+        direction: 3x3 rotation or reflection whose columns are the axes' directions, as in a medical image's
+            header; the identity if not given.
+
+    Voxel (i,j,k) has its centre at `origin + direction @ (spacing * (i,j,k))`, rounded to float32.
+
+    Raises:
+        GridError: No voxels, a spacing that is not positive and finite, or a direction that is not orthonormal.
+    """
+
+    origin: tuple[float, float, float]
+    spacing: tuple[float, float, float]
+    shape: tuple[int, int, int]
+    direction: tuple[tuple[float, float, float], ...] = IDENTITY
+
+    if TYPE_CHECKING:  # what may be given is wider than what is kept
+
+        def __init__(
+            self,
+            origin: Numbers,
+            spacing: Numbers,
+            shape: Numbers,
+            direction: Sequence[Numbers] | np.ndarray = IDENTITY,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        origin = _triple(self.origin, "origin")
+        spacing = _triple(self.spacing, "spacing")
+        size = _triple(self.shape, "shape")
+        if not all(math.isfinite(x) for x in origin):
+            raise GridError(f"the grid's origin {origin} is not finite; give three finite coordinates")
+        if not all(math.isfinite(s) and s > 0 for s in spacing):
+            raise GridError(f"the grid's spacing {spacing} must be three positive lengths")
+        if not all(math.isfinite(n) and n == int(n) and n >= 1 for n in size):
+            raise GridError(f"the grid's shape {tuple(self.shape)} must be three whole numbers of at least 1")
+        direction = _orthonormal(self.direction)
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "spacing", spacing)
+        object.__setattr__(self, "shape", tuple(int(n) for n in size))
+        object.__setattr__(self, "direction", tuple(tuple(float(x) for x in row) for row in direction))
+
+    @classmethod
+    def around(
+        cls,
+        mesh: TriangleMesh,
+        *,
+        resolution: int | None = None,
+        spacing: float | Numbers | None = None,
+        margin: float = 0.05,
+    ) -> Grid:
+        """The grid of cubic voxels that holds `mesh` with room around it.
+
+        Args:
+            mesh: The mesh to hold.
+            resolution: Voxels along each axis: a cube, centred on the mesh. Default 128 if no spacing is given.
+            spacing: Voxel size instead (one length, or one for each axis); the shape then follows the mesh's box.
+            margin: Room on each side, as a share of the box's longest edge.
+
+        Raises:
+            GridError: Both or a non-positive resolution or spacing, a negative margin, or a mesh of size zero
+                with no spacing to tell the voxel size.
+        """
+        if resolution is not None and spacing is not None:
+            raise GridError("give a resolution or a spacing for the grid, not both")
+        if not (math.isfinite(margin) and margin >= 0):
+            raise GridError(f"the grid's margin {margin} must be a share of the box of at least 0")
+        low, high = mesh.bounds
+        extent = float((high - low).max())
+        room = margin * extent
+        if spacing is not None:
+            step = np.asarray(_triple([spacing] * 3 if np.ndim(spacing) == 0 else spacing, "spacing"))
+            if not (np.isfinite(step).all() and (step > 0).all()):
+                raise GridError(f"the grid's spacing {spacing} must be positive")
+            count = np.ceil((high - low + 2 * room) / step - 1e-6) + 1
+            if count.max() >= 2**31:
+                raise GridError(
+                    f"a spacing of {spacing} gives {count.max():.0f} voxels along an axis: choose a larger one"
+                )
+            origin = (low + high) / 2 - step * (count - 1) / 2
+            return cls(origin, step, count)
+        resolution = 128 if resolution is None else resolution
+        if not (isinstance(resolution, int | float | np.number) and resolution >= 1 and resolution % 1 == 0):
+            raise GridError(f"the grid's resolution {resolution} must be a whole number of at least 1")
+        if extent == 0:
+            raise GridError(f"{mesh.name} has size zero, so a resolution says nothing: give a spacing")
+        step = (extent + 2 * room) / max(resolution - 1, 1)
+        origin = (low + high) / 2 - step * (resolution - 1) / 2
+        return cls(origin, (step,) * 3, (resolution,) * 3)
+
+    @property
+    def size(self) -> int:
+        """Number of voxels."""
+        return math.prod(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of one float32 map on this grid."""
+        return 4 * self.size
+
+    @property
+    def affine(self) -> np.ndarray:
+        """(4,4) float64 matrix from voxel indices to coordinates."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.asarray(self.direction) * np.asarray(self.spacing)
+        matrix[:3, 3] = self.origin
+        return matrix
+
+    @property
+    def is_axis_aligned(self) -> bool:
+        """Whether the direction is the identity."""
+        return self.direction == IDENTITY
+
+    @classmethod
+    def from_affine(cls, affine: np.ndarray, shape: Numbers) -> Grid:
+        """The grid of an image: `affine` (4,4) maps voxel indices to coordinates.
+
+        Raises:
+            GridError: The matrix is singular or sheared.
+        """
+        matrix = np.asarray(affine, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise GridError("an image's affine must be a finite 4 x 4 matrix")
+        spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+        if not (spacing > 0).all():
+            raise GridError("the image's affine is singular: its voxels have no volume")
+        direction = matrix[:3, :3] / spacing
+        # Headers keep float32: take the axis directions for exact where they are within its rounding.
+        if np.allclose(direction, np.round(direction), atol=1e-6):
+            direction = np.round(direction) + 0.0
+        return cls(matrix[:3, 3], spacing, shape, direction)
+
+    def points(self, begin: int = 0, end: int | None = None) -> torch.Tensor:
+        """Voxel centres (n,ny,nz,3) of the slab `begin <= i < end`, float32 on the host.
+
+        These are exactly the points at which the engine measures.
+        """
+        end = self.shape[0] if end is None else end
+        index = np.meshgrid(np.arange(begin, end), *(np.arange(n) for n in self.shape[1:]), indexing="ij")
+        # In the order in which `voxel` of `kernels/geometry/voxel_grid.py` rounds.
+        rows = np.asarray(self.direction) * np.asarray(self.spacing)
+        xyz = [
+            self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)
+        ]
+        return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
+
+
+def _triple(values: object, what: str) -> tuple[float, float, float]:
+    array = _numbers(values)
+    if array is None or array.shape != (3,):
+        raise GridError(f"the grid's {what} must be three numbers, not {values!r}")
+    return (float(array[0]), float(array[1]), float(array[2]))
+
+
+def _numbers(values: object) -> np.ndarray | None:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+
+
+def _orthonormal(matrix: object) -> np.ndarray:
+    """A direction matrix without its header's rounding: distances are measured in its frame, so it must not scale."""
+    direction = _numbers(matrix)
+    if direction is None or direction.shape != (3, 3) or not np.isfinite(direction).all():
+        raise GridError("the grid's direction must be a finite 3 x 3 matrix")
+    error = float(np.abs(direction.T @ direction - np.eye(3)).max())
+    if error > 1e-4:
+        raise GridError("the grid's direction is not a rotation or reflection: sheared grids are not supported")
+    if error > 1e-12:
+        left, _, right = np.linalg.svd(direction)
+        direction = left @ right
+    return direction

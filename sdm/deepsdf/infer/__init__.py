@@ -1,0 +1,1 @@
+"""Codes of new shapes, surfaces and renderings from a trained network."""

@@ -1,0 +1,1 @@
+"""Decoders, the auto-decoder with its codes, and the prior of codes."""

@@ -1,0 +1,115 @@
+"""From a code and a point to a signed distance: the published network and one with local codes."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import dropout, grid_sample, linear, relu, silu
+from torch.nn.utils.parametrizations import weight_norm
+
+from sdm.core.device import plain_defaults
+from sdm.core.random import torch_seed
+from sdm.deepsdf.train.settings import Settings
+
+# Which layer of the published network sees code and point again.
+SKIP = 4
+# Radius of the sphere that the local network starts from.
+START_RADIUS = 0.5
+
+
+class PublishedDecoder(nn.Module):
+    """J. Park et al., CVPR 2019: fully connected layers with ReLU, weight norm and dropout, tanh at the end.
+
+    The input (code, point) enters the first layer and, joined to that layer's input, the fifth. As a layer's weights
+    on the code are the same for all points of a shape, that part is computed once a shape: the values are those of
+    the published network, and its weights are kept in its own order.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        width, entry = settings.width, settings.global_size + 3
+        self.code_size = settings.global_size
+        self.dropout = settings.dropout
+        inputs = [entry] + [width] * (settings.layers - 1)
+        outputs = [width - entry if layer == SKIP - 1 else width for layer in range(settings.layers)]
+        self.hidden = nn.ModuleList(weight_norm(nn.Linear(i, o)) for i, o in zip(inputs, outputs, strict=True))
+        self.last = nn.Linear(width, 1)
+
+    def forward(self, codes: Tensor, points: Tensor) -> Tensor:
+        """Signed distances (B,N) for codes (B,D) and points (B,N,3) of the unit sphere's box."""
+        x = points
+        for number, layer in enumerate(self.hidden):
+            weight, bias = cast("tuple[Tensor, Tensor]", (layer.weight, layer.bias))
+            if number in (0, SKIP):
+                own = weight.shape[1] - self.code_size - 3
+                of_code = linear(codes, weight[:, own:-3], bias)[:, None]
+                y = linear(points, weight[:, -3:]) + of_code
+                x = y + linear(x, weight[:, :own]) if own else y
+            else:
+                x = linear(x, weight, bias)
+            x = dropout(relu(x), self.dropout, self.training)
+        return torch.tanh(self.last(x).float())[..., 0]
+
+
+class LocalDecoder(nn.Module):
+    """A small network on an encoded point, the shape's code, and codes interpolated from coarse grids of the box.
+
+    Local codes are those of R. Chabra et al., "Deep Local Shapes", ECCV 2020, and C. Jiang et al., "Local implicit
+    grid representations for 3D scenes", CVPR 2020; here they add to a code of the whole shape, which says what is
+    where nothing was seen. The network adds to the distance from a sphere, so that it is a distance from the start.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        width = settings.width
+        self.code_size = settings.code_size
+        self.global_size = settings.global_size
+        self.grids = settings.grids
+        self.frequencies = settings.frequencies
+        self.of_point = nn.Linear(3 + 6 * settings.frequencies, width)
+        self.of_code = nn.Linear(settings.global_size, width, bias=False)
+        self.of_grids = nn.Linear(max(1, sum(c for _, c in settings.grids)), width, bias=False)
+        # Files have this layer in any case. Where nothing goes through it, ranks must not wait for its gradient.
+        self.of_grids.requires_grad_(bool(settings.grids))
+        self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(settings.layers - 1))
+        self.last = nn.Linear(width, 1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+
+    def forward(self, codes: Tensor, points: Tensor) -> Tensor:
+        """Signed distances (B,N) for codes (B,D) and points (B,N,3) of the unit sphere's box."""
+        x = self.of_point(self._encoded(points)) + self.of_code(codes[:, : self.global_size])[:, None]
+        if self.grids:
+            x = x + self.of_grids(self._local(codes, points))
+        for layer in self.hidden:
+            x = layer(silu(x))
+        away = points.square().sum(-1).add(1e-12).sqrt() - START_RADIUS
+        return away + self.last(silu(x)).float()[..., 0]
+
+    def _encoded(self, points: Tensor) -> Tensor:
+        if not self.frequencies:
+            return points
+        octaves = math.pi * 2.0 ** torch.arange(self.frequencies, device=points.device, dtype=points.dtype)
+        angles = (points[..., None] * octaves).flatten(-2)
+        return torch.cat([points, angles.sin(), angles.cos()], -1)
+
+    def _local(self, codes: Tensor, points: Tensor) -> Tensor:
+        """Codes (B,N,C) at the points, linear between the nodes; beyond the box those of its face."""
+        start, parts = self.global_size, []
+        where = points[:, None, None]
+        for resolution, channels in self.grids:
+            size = channels * resolution**3
+            volume = codes[:, start : start + size].reshape(-1, channels, resolution, resolution, resolution)
+            start += size
+            parts.append(grid_sample(volume, where, align_corners=True, padding_mode="border")[:, :, 0, 0])
+        return torch.cat(parts, 1).transpose(1, 2)
+
+
+def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
+    """The network of these settings, with weights that are a function of the seed."""
+    with torch.random.fork_rng(devices=[]), plain_defaults():
+        torch.manual_seed(torch_seed(settings.seed))
+        return PublishedDecoder(settings) if settings.variant == "published" else LocalDecoder(settings)

@@ -1,0 +1,9 @@
+"""Points with exact signed distances, made on the device, fresh for each step: DeepSDF's training data."""
+
+from sdm.deepsdf.samples.batch import Samples, SampleSource
+from sdm.deepsdf.samples.distribution import SampleDistribution
+from sdm.deepsdf.samples.shape_set import ShapeSet
+from sdm.deepsdf.samples.surface_points import surface_points
+from sdm.deepsdf.samples.unit_sphere import UnitSphere
+
+__all__ = ["SampleDistribution", "SampleSource", "Samples", "ShapeSet", "UnitSphere", "surface_points"]

@@ -1,0 +1,101 @@
+"""Smooth closed surfaces from labels, without the steps of the voxels."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.core.signed_distance_map import SDM
+from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
+from sdm.errors import SDMError
+
+# Deviations of the Gaussian that it is cut off at, and that the volume gets as room on each side.
+CUT = 4.0
+# Surfaces that are tried for the right volume, and the share of it that is close enough.
+STEPS, CLOSE = 5, 1e-4
+
+
+def label_surface(
+    mask: Tensor, spacing_mm: float | tuple[float, float, float], *, smoothing_mm: float = 1.25
+) -> TriangleMesh:
+    """The smooth surface of a label volume: a level set of its smoothed signed distance, of the label's volume.
+
+    1. The exact signed distance from the surface made of voxel faces, with background around the volume.
+    2. A Gaussian over it, which takes away steps of voxels and whatever is thinner than about its width.
+    3. The level that encloses the label's volume, since smoothing alone would shrink curved surfaces.
+    4. Marching cubes there; the component of the largest volume.
+
+    Args:
+        mask: (x,y,z), foreground not zero.
+        spacing_mm: Size of a voxel along each axis in mm, or one number.
+        smoothing_mm: Standard deviation of the Gaussian in mm.
+
+    Returns:
+        A closed mesh in mm, facing outward; voxel (0,0,0) has its centre at the origin.
+
+    Raises:
+        SDMError: The label is empty, or the smoothing is not positive.
+        GridError: The spacing is not positive, or the mask is not a volume.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    size = spacing_of(spacing_mm)
+    if smoothing_mm <= 0:
+        raise SDMError(f"a smoothing of {smoothing_mm} mm is not positive; half a voxel or more is useful")
+    inside = mask.detach() != 0
+    if not bool(inside.any()):
+        raise SDMError("the label is empty, so it has no surface; give a volume with foreground")
+    room = [int(np.ceil(CUT * smoothing_mm / s)) + 1 for s in size]
+    padded = pad(inside.byte(), [n for axis in reversed(room) for n in (axis, axis)])
+    values = euclidean_distance_transform(padded, size, signed=True, surface="faces").cpu()
+    smooth = gaussian_filter(values.numpy(), [smoothing_mm / s for s in size], truncate=CUT, mode="nearest")
+    origin = [-n * s for n, s in zip(room, size, strict=True)]
+    grid = Grid(origin, size, smooth.shape)
+    return largest_component(_of_volume(SDM(torch.from_numpy(smooth), grid), int(inside.sum())))
+
+
+def _of_volume(field: SDM, voxels: int) -> TriangleMesh:
+    """The level set of the volume of so many voxels: secant steps from the level below which there are as many."""
+    values = field.values.reshape(-1).numpy()
+    below, above = np.partition(values, (voxels - 1, voxels))[voxels - 1 : voxels + 1]
+    wanted = voxels * float(np.prod(field.grid.spacing))
+    # Halfway between two values, so that no voxel lies on the level itself.
+    level, last = float((np.float64(below) + above) / 2), (0.0, 0.0)
+    mesh = field.to_mesh(level)
+    for step in range(STEPS):
+        volume, area = _volume_and_area(mesh)
+        if abs(volume - wanted) <= CLOSE * wanted:
+            break
+        # A level moves the surface by as much where the map is still a distance.
+        slope = (volume - last[1]) / (level - last[0]) if step else area
+        last = (level, volume)
+        level += (wanted - volume) / slope
+        mesh = field.to_mesh(level)
+    return mesh
+
+
+def _volume_and_area(mesh: TriangleMesh) -> tuple[float, float]:
+    vertices, faces = mesh.numpy()
+    a, b, c = vertices.astype(np.float64)[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    return float((a * normals).sum() / 6), float(np.linalg.norm(normals, axis=1).sum() / 2)
+
+
+def largest_component(mesh: TriangleMesh) -> TriangleMesh:
+    """The connected part of a closed mesh that encloses most, with the vertices that it uses, on the CPU."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    vertices, faces = mesh.numpy()
+    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    links = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(len(vertices),) * 2)
+    part = connected_components(links, directed=False)[1][faces[:, 0]]
+    a, b, c = vertices.astype(np.float64)[faces].transpose(1, 0, 2)
+    volume = np.bincount(part, (a * np.cross(b, c)).sum(1) / 6)
+    kept = faces[part == np.abs(volume).argmax()]
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return TriangleMesh(vertices[used], renumbered.reshape(-1, 3).astype(np.int32), mesh.name, check=False)

@@ -1,0 +1,1 @@
+"""The public calls, the acceleration structure as tensors, and the torch operators."""

@@ -1,0 +1,49 @@
+"""The three backends by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from sdm.core.device import choose_device
+from sdm.errors import SDMError
+from sdm.fit.model.backend import Backend
+from sdm.fit.model.exact import TRIANGLES, ExactBackend
+from sdm.fit.model.spline_backend import GridBackend
+from sdm.shapes import Cochlea
+from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_surrogate
+
+NAMES = ("exact", "surrogate", "hybrid")
+
+
+def make_backends(
+    name: str,
+    *,
+    triangles: int = TRIANGLES,
+    weights: Path | str | None = None,
+    device: str | torch.device | None = None,
+) -> tuple[Backend, Backend | None]:
+    """The backend to begin with, and the one to finish with if that is another.
+
+    Args:
+        name: "exact"; "surrogate", anchored near the end by two exact evaluations; or "hybrid" for the surrogate
+            first and exact to finish.
+        triangles: Triangles of the exact backend's meshes.
+        weights: A surrogate's weights; by default those that come with the package.
+        device: Where to compute; by default a GPU if there is one.
+
+    Raises:
+        SDMError: No such backend.
+        FormatError: No surrogate comes with this installation.
+    """
+    if name not in NAMES:
+        raise SDMError(f"there is no backend called {name!r}; use {', '.join(NAMES)}")
+    where = choose_device(device)
+    exact = ExactBackend(Cochlea(triangles), where)
+    if name == "exact":
+        return exact, None
+    model = load_surrogate(weights, device=where).eval()
+    rough = (model.coarse, COARSE_GRID) if isinstance(model, SDMNNPlus) else None
+    surrogate = GridBackend(model, GRID, device=where, rough=rough, exact=exact)
+    return surrogate, exact if name == "hybrid" else None

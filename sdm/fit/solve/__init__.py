@@ -1,0 +1,1 @@
+"""Finding the shape: initial guess, Gauss-Newton, posterior, diagnosis."""

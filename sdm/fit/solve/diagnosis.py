@@ -1,0 +1,134 @@
+"""Whether an answer can be trusted: did the steps converge, and is there such a shape in the image at all?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool3d, max_pool3d
+
+from sdm.core.grid import Grid
+from sdm.fit.model.appearance import Appearance
+from sdm.fit.model.prior import Prior
+from sdm.fit.solve.solver import Point
+
+# An answer is trusted from here on. A right shape explains more than 0.95 of what is around it, the best of wrong
+# ones (balls, tubes, blocks) less than 0.8: tests/unit/fit/solve/test_no_cochlea.py.
+LEAST_EXPLAINED = 0.85
+# A fit to the coarse image that explains less than this is not worth a fine one.
+HOPELESS = 0.5
+# Difference of inside and outside, in standard deviations of the noise.
+LEAST_CONTRAST = 0.7
+# Nats that a shape must gain over no shape for each of its unknowns, beyond what the BIC asks.
+LEAST_GAIN = 5.0
+# Half-width of the neighbourhood that has to be explained [mm].
+AROUND = 1.0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What speaks for an answer and against it.
+
+    Args:
+        converged: The last step was far below the posterior's standard deviations.
+        explained: Share of the structure in the shape's neighbourhood that it explains, at most 1: noise is left out.
+        contrast: Difference of the mean intensities in standard deviations of the noise.
+        gain: Gain in log-likelihood over no shape at all [nats].
+        seen: Whether gain and contrast say that there is something.
+        problems: Why the answer is not to be trusted, one sentence each; none if it is.
+        warnings: What a reader should know of a trusted answer, one sentence each.
+    """
+
+    converged: bool
+    explained: float
+    contrast: float
+    gain: float
+    seen: bool
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether finer steps would be a waste of time."""
+        return not self.seen or self.explained < HOPELESS
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against the answer."""
+        return not self.problems
+
+
+def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool, names: list[str]) -> Diagnosis:
+    """Look at an estimate with the eyes of someone who does not believe it."""
+    noise = noise_of(image)
+    explained = explained_share(image, grid, at, noise)
+    inside, outside = at.appearance.inside, at.appearance.outside
+    contrast = abs(inside.mean - outside.mean) / max(noise, 1e-12 + 1e-6 * float(image.abs().max()))
+    gain = gain_over_nothing(image, at)
+    unknowns = len(at.gradient) + 1 + 3 * len(inside.means)
+    needed = unknowns * (0.5 * math.log(image.numel()) + LEAST_GAIN)
+    problems = []
+    if not converged:
+        problems.append("the steps did not converge, so the estimate is not one")
+    seen = math.isfinite(gain) and gain >= needed and contrast >= LEAST_CONTRAST
+    if not seen:
+        problems.append(
+            f"no shape of this family is to be seen: it gains {gain:.0f} nats over none ({needed:.0f} needed), with a "
+            f"contrast of {contrast:.2f} times the noise ({LEAST_CONTRAST} needed)"
+        )
+    elif explained < LEAST_EXPLAINED:
+        problems.append(
+            f"what is seen is not a shape of this family: it explains {explained:.0%} of its neighbourhood "
+            f"({LEAST_EXPLAINED:.0%} needed)"
+        )
+    if _at_border(at.share):
+        problems.append("the shape reaches the image's border: take a larger part of the image")
+    ends = [
+        f"{name} is at an end of its range, so its interval is one-sided"
+        for name, value, low, high in zip(names, at.state.theta, prior.low, prior.high, strict=True)
+        if float(value - low) < 1e-6 or float(high - value) < 1e-6
+    ]
+    return Diagnosis(converged, explained, contrast, gain, seen, tuple(problems), tuple(ends))
+
+
+def noise_of(image: Tensor) -> float:
+    """Standard deviation of white noise, from differences of neighbours, most of which see no edge."""
+    differences = torch.cat([image.diff(dim=axis).flatten() for axis in range(3) if image.shape[axis] > 1])
+    return float(differences.abs().median()) / 0.67449 / math.sqrt(2)
+
+
+def explained_share(image: Tensor, grid: Grid, at: Point, noise: float) -> float:
+    """Share of the structure around the shape that it explains: both smoothed, and noise taken off."""
+    share = at.share
+    expected = share * at.appearance.inside.mean + (1 - share) * at.appearance.outside.mean
+    reach = [2 * math.ceil(AROUND / s) + 1 for s in grid.spacing]
+    near = max_pool3d((share > 0.01).double()[None], reach, stride=1, padding=[r // 2 for r in reach])[0] > 0
+    if not bool(near.any()):
+        return 0.0
+    rest = noise**2 / 27
+    total, left = (
+        float((_smooth(values)[near] ** 2).mean()) - rest for values in (image - image[near].mean(), image - expected)
+    )
+    return 1 - max(0.0, left) / total if total > rest else 0.0
+
+
+def gain_over_nothing(image: Tensor, at: Point) -> float:
+    """Gain in log-likelihood over an image without the shape, whose outside has one component more."""
+    voxels, share = image.flatten(), at.share.flatten()
+    kind: type[Appearance] = type(at.appearance)
+    nothing = kind.start(voxels, torch.zeros_like(share), (1, len(at.appearance.outside.means)))
+    for _ in range(10):
+        nothing = nothing.update(voxels, torch.zeros_like(share))
+    without = nothing.evidence(voxels, torch.zeros_like(share)).log_likelihood
+    return at.appearance.evidence(voxels, share).log_likelihood - without
+
+
+def _smooth(values: Tensor) -> Tensor:
+    return avg_pool3d(values[None], 3, stride=1, padding=1, count_include_pad=False)[0]
+
+
+def _at_border(share: Tensor) -> bool:
+    faces = [share.select(axis, end) for axis in range(3) for end in (0, -1)]
+    return any(bool((face > 0.5).any()) for face in faces)

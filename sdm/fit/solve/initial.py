@@ -1,0 +1,103 @@
+"""Where to begin: a few plain shapes, each laid over the image wherever it explains most of it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.fit.model.backend import Backend
+from sdm.fit.model.partial_volume import Renderer
+from sdm.fit.model.pose import State
+
+# Where in each range the plain shapes are: all corners of this smaller box, and the middle.
+PLACES = (0.25, 0.75)
+COARSE = 0.6
+LENGTH = 0.15
+# How many of the best are turned too.
+TURNED = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A state, and the share of the image's variance that it explains, 0 to 1."""
+
+    state: State
+    explained: float
+
+
+def coarser(image: Tensor, grid: Grid, spacing: float = COARSE) -> tuple[Tensor, Grid]:
+    """An image (nx,ny,nz) averaged over blocks of voxels, to about `spacing` [mm], and its grid."""
+    factor = [max(1, min(n, round(spacing / s))) for s, n in zip(grid.spacing, grid.shape, strict=True)]
+    shape = [n // f for n, f in zip(grid.shape, factor, strict=True)]
+    cut = image[tuple(slice(0, n * f) for n, f in zip(shape, factor, strict=True))]
+    blocks = cut.reshape([x for n, f in zip(shape, factor, strict=True) for x in (n, f)])
+    shift = torch.tensor([s * (f - 1) / 2 for s, f in zip(grid.spacing, factor, strict=True)], dtype=torch.float64)
+    origin = torch.tensor(grid.origin, dtype=torch.float64) + torch.tensor(grid.direction, dtype=torch.float64) @ shift
+    wide = [s * f for s, f in zip(grid.spacing, factor, strict=True)]
+    return blocks.mean((1, 3, 5)), Grid(origin.tolist(), wide, shape, grid.direction)
+
+
+def middle_of(grid: Grid) -> Tensor:
+    """The middle of a grid in the world (3,) float64."""
+    half = torch.tensor([(n - 1) / 2 for n in grid.shape] + [1.0], dtype=torch.float64)
+    return (torch.from_numpy(grid.affine) @ half)[:3]
+
+
+def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotations: list[Tensor]) -> list[Candidate]:
+    """Plain shapes, best first, each laid over the image; the best of them also turned.
+
+    Args:
+        backend: Where distances come from.
+        image: (nx,ny,nz) float64 intensities; a coarse image is enough.
+        grid: Its grid.
+        pose: The expected pose; only its rotation counts, the translation is searched through the whole image.
+        rotations: Rotation matrices (3,3) to put after the expected one, in the shape's own frame.
+
+    The translation comes from a cross-correlation by FFT. Bright or dark insides are found alike.
+    """
+    low, high = (torch.tensor([getattr(p, end) for p in backend.parameters]).double() for end in ("low", "high"))
+    units = [*itertools.product(PLACES, repeat=len(low)), (0.5,) * len(low)]
+    search = _Search(backend, image, grid)
+    plain = [(low + (high - low) * torch.tensor(unit)).to(image.device) for unit in units]
+    found = [search(State(theta, pose.rotation, search.middle, backend.centre)) for theta in plain]
+    found.sort(key=lambda c: -c.explained)
+    turned = [
+        search(State(c.state.theta, pose.rotation @ turn, search.middle, backend.centre))
+        for c in found[:TURNED]
+        for turn in rotations
+    ]
+    return sorted(found + turned, key=lambda c: -c.explained)
+
+
+class _Search:
+    """Cross-correlates an image with shapes, in every translation at once."""
+
+    def __init__(self, backend: Backend, image: Tensor, grid: Grid) -> None:
+        self.renderer = Renderer(grid, backend, blur=0.0, length=LENGTH, fine=max(grid.spacing))
+        # Twice as large, so that what leaves on one side does not come in on the other.
+        self.size = [2 * n for n in grid.shape]
+        centred = image - image.mean()
+        self.power = float((centred**2).sum().clamp_min(1e-30))
+        self.spectrum = torch.fft.rfftn(centred, s=self.size)
+        self.middle = middle_of(grid).to(image.device)
+        self.axes = torch.from_numpy(grid.affine[:3, :3]).to(image.device)
+
+    def __call__(self, state: State) -> Candidate:
+        """The state, moved to where it explains most."""
+        share = self.renderer(state, derivatives=False).share
+        template = share - share.mean()
+        power = float((template**2).sum())
+        if power == 0:
+            return Candidate(state, 0.0)
+        product = torch.fft.irfftn(self.spectrum * torch.fft.rfftn(template, s=self.size).conj(), s=self.size)
+        best = int(product.abs().argmax())
+        index = torch.tensor(np.unravel_index(best, tuple(product.shape)), device=share.device)
+        limit = torch.tensor(self.size, device=share.device)
+        shift = self.axes @ torch.where(index > limit // 2, index - limit, index).double()
+        explained = float(product.flatten()[best]) ** 2 / power / self.power
+        return Candidate(State(state.theta, state.rotation, state.translation + shift, state.centre), explained)

@@ -1,0 +1,127 @@
+"""What a fit returns."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.errors import SDMError
+from sdm.fit.model.appearance import Appearance
+from sdm.fit.model.pose import State
+from sdm.fit.solve.diagnosis import Diagnosis
+from sdm.fit.solve.posterior import Posterior
+from sdm.io.files.atomic import replacing
+from sdm.shapes import Parameter
+
+POSE_NAMES = ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z")
+
+
+class FitError(SDMError):
+    """An image that gives no answer to be trusted."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """An estimate with its uncertainty, and whether to believe it.
+
+    Args:
+        parameters: The shape parameters, in the order of theta.
+        posterior: The Laplace approximation about the estimate.
+        appearance: Intensities inside and outside.
+        share: (nx,ny,nz) expected share of inside of each voxel.
+        objective: Minus the log posterior density at the estimate, but for a constant.
+        diagnosis: Convergence, and whether there is such a shape in the image.
+        evaluations: Shapes built, by backend.
+        steps: Steps of shape and pose, by stage.
+        seconds: Wall time.
+    """
+
+    parameters: tuple[Parameter, ...]
+    posterior: Posterior
+    appearance: Appearance
+    share: Tensor
+    objective: float
+    diagnosis: Diagnosis
+    evaluations: dict[str, int]
+    steps: dict[str, int]
+    seconds: float
+
+    @property
+    def state(self) -> State:
+        """The estimated shape and pose."""
+        return self.posterior.state
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing speaks against the answer."""
+        return self.diagnosis.trusted
+
+    def require(self) -> FitResult:
+        """This result, if it is to be trusted.
+
+        Raises:
+            FitError: Says what speaks against it.
+        """
+        if not self.trusted:
+            raise FitError("the fit gives no answer: " + "; ".join(self.diagnosis.problems))
+        return self
+
+    def vertices(self, vertices: Tensor) -> Tensor:
+        """Vertices (V,3) of the shape's own frame, in the world."""
+        return self.state.to_world(vertices.to(self.state.theta))
+
+    def record(self, level: float = 0.9) -> dict[str, Any]:
+        """Everything as plain numbers, for JSON."""
+        names = [p.name for p in self.parameters]
+        ends = self.posterior.intervals(level).tolist()
+        deviations = self.posterior.deviations.tolist()
+        diagnosis = self.diagnosis
+        return {
+            "trusted": diagnosis.trusted,
+            "problems": list(diagnosis.problems),
+            "warnings": list(diagnosis.warnings),
+            "theta": {
+                p.name: {"estimate": float(v), "deviation": d, "interval": e, "unit": p.unit}
+                for p, v, d, e in zip(self.parameters, self.state.theta, deviations, ends, strict=False)
+            },
+            "level": level,
+            "pose": {
+                "rotation": self.state.rotation.tolist(),
+                "translation_mm": self.state.translation.tolist(),
+                "centre_mm": self.state.centre.tolist(),
+                "deviations": dict(zip(POSE_NAMES, deviations[len(names) :], strict=True)),
+            },
+            "covariance": self.posterior.covariance.tolist(),
+            "appearance": {
+                side: {"mean": mixture.mean, "deviation": mixture.deviation, "components": len(mixture.means)}
+                for side, mixture in (("inside", self.appearance.inside), ("outside", self.appearance.outside))
+            },
+            "objective": self.objective,
+            "converged": diagnosis.converged,
+            "explained": diagnosis.explained,
+            "contrast": diagnosis.contrast,
+            "gain_nats": diagnosis.gain,
+            "evaluations": self.evaluations,
+            "steps": self.steps,
+            "seconds": self.seconds,
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write `record` as JSON; atomic."""
+        with replacing(Path(path)) as part:
+            part.write_text(json.dumps(self.record(), indent=1) + "\n")
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals (V,3) of vertices, the faces' by area."""
+    corners = vertices[faces.long()]
+    by_face = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = torch.zeros_like(vertices)
+    for corner in range(3):
+        total.index_add_(0, faces[:, corner].long(), by_face)
+    return torch.nn.functional.normalize(total, dim=1)

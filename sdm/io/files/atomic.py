@@ -1,0 +1,106 @@
+"""Files that are whole under their final name, or not there."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sdm.errors import FormatError
+from sdm.io.files.rename_exchange import exchange
+
+# What a killed write leaves behind: hidden files or folders that end like this.
+LEFTOVER = ".part"
+
+
+@contextmanager
+def replacing(target: Path) -> Iterator[Path]:
+    """A temporary path beside `target`: what the block makes there, a file or a folder, then takes its place.
+
+    The name is `.NAME.PID-TOKEN.part`. If the block fails, nothing is left; if the process is killed, what is left has
+    that name and `target` is what it was, or already the new one. An older folder changes places with the new one;
+    where the file system cannot do that in one step it is put aside first, as `.NAME.PID-TOKEN-old.part`.
+
+    Raises:
+        FormatError: The folder is not there, or cannot be written, or the path ends without a name.
+    """
+    part = _temporary(target)
+    try:
+        yield part
+        if part.is_file():
+            _flush(part)
+        _take_place(part, target)
+    except OSError as error:
+        raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
+    finally:
+        _remove(part)
+
+
+def try_to_write(target: Path) -> None:
+    """Find out whether `target` can be written, without touching it.
+
+    Raises:
+        FormatError: The folder is not there, or cannot be written, or the path ends without a name.
+    """
+    try:
+        part = _temporary(target)
+        part.touch()
+        part.unlink()
+    except OSError as error:
+        why = error.strerror or error
+        raise FormatError(f"{target} cannot be written: {target.parent} does not take new files ({why})") from error
+
+
+def _temporary(target: Path) -> Path:
+    # An empty path, a dot and the root.
+    if not target.name:
+        raise FormatError(f"{target} cannot be written: it is a folder; give a name in it")
+    if not target.parent.exists():
+        raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
+    if not target.parent.is_dir():
+        raise FormatError(f"{target} cannot be written: {target.parent} is not a folder")
+    return own_name(target)
+
+
+def own_name(path: Path, ending: str = LEFTOVER) -> Path:
+    """A hidden name beside a path, which nobody else takes: `.NAME.PID-TOKEN` and the ending."""
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{ending}")
+
+
+def _flush(path: Path) -> None:
+    # Without this a power cut soon after the renaming may leave an empty file under the final name.
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _take_place(part: Path, target: Path) -> None:
+    # A link that leads nowhere is in the way of a folder too.
+    if not (part.is_dir() and (target.exists() or target.is_symlink())):
+        part.replace(target)
+        return
+    if exchange(part, target):
+        # What `part` names now is the old one, which goes with it.
+        return
+    old = part.with_name(f"{part.name.removesuffix(LEFTOVER)}-old{LEFTOVER}")
+    target.rename(old)
+    try:
+        part.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    _remove(old)
+
+
+def _remove(path: Path) -> None:
+    # What a link leads to is not ours.
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:
+        # A folder that cannot be written holds nothing of ours; the write's own error is the one to tell.
+        return

@@ -1,0 +1,1 @@
+"""Files of signed distance maps, one format each."""

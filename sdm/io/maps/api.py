@@ -1,0 +1,175 @@
+"""Signed distance maps to files and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError, GridError, SDMError
+from sdm.io.files.atomic import replacing
+from sdm.io.files.one_line import one_line
+from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
+from sdm.io.maps.record import MADE_FROM
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from sdm.engine.api import MeshIndex
+
+
+def save(field: SDM, path: str | Path) -> None:
+    """Write a map to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends.
+
+    Args:
+        field: The map, on any device; values are written as float32.
+        path: Where to. What is there is replaced once the new file is whole.
+
+    `load` gives the same values and, to the last bit, the same geometry. A process killed on the way leaves what was
+    there before, and a hidden file whose name ends in `.part`.
+
+    Raises:
+        FormatError: An ending that is not known, or a place that cannot be written.
+    """
+    _save(field, Path(path), None)
+
+
+def _save(field: SDM, target: Path, made_from: str | None) -> None:
+    chosen = check_target(target)
+    with replacing(target) as part:
+        getattr(chosen.module, chosen.writer)(field, part, made_from)
+
+
+def load(path: str | Path) -> SDM:
+    """Read a map that `save` wrote, or any NIfTI or NRRD image of three dimensions, onto the host.
+
+    Raises:
+        FormatError: No such file, an ending that is not known, or a file that is damaged or not a map.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS)
+    with _reading(source):
+        return chosen.module.read(source)
+
+
+def grid_like(path: str | Path) -> Grid:
+    """The geometry of a NIfTI or NRRD image, or of a map that `save` wrote, without reading the values.
+
+    World coordinates are taken as right-anterior-superior: an NRRD image in left-posterior-superior space gives the
+    grid that the same image gives as NIfTI.
+
+    Raises:
+        FormatError: As `load`.
+        GridError: The image's axes are not orthogonal.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS | HEADERS)
+    with _reading(source):
+        return chosen.module.read_grid(source)
+
+
+def is_placed(path: str | Path) -> bool:
+    """Whether an image says how it lies in space: a NIfTI image with neither qform nor sform does not.
+
+    Raises:
+        FormatError: As `load`.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS | HEADERS)
+    with _reading(source):
+        return not hasattr(chosen.module, "is_placed") or chosen.module.is_placed(source)
+
+
+def made_from(path: str | Path) -> str | None:
+    """What `write_streamed` was told that a map is made from; None where it was not, and of other images.
+
+    Raises:
+        FormatError: As `load`.
+    """
+    source = Path(path)
+    chosen = _readable(source, FORMATS)
+    with _reading(source):
+        found = chosen.module.read_record(source)
+    return found.get(MADE_FROM) if isinstance(found, dict) else None
+
+
+def write_streamed(
+    index: MeshIndex,
+    grid: Grid,
+    path: str | Path,
+    *,
+    progress: Callable[[float], Any] | None = None,
+    made_from: str | None = None,
+) -> int:
+    """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
+
+    Args:
+        index: The mesh.
+        grid: Where to measure.
+        path: Where to write, as for `save`.
+        progress: Called with the share that is done, 0 to 1; for formats other than `.zarr` at the end alone.
+        made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
+
+    Returns:
+        How many voxels are ambiguous, as in `SDM`: 0 for closed meshes.
+
+    Raises:
+        FormatError: As `save`, before anything is computed.
+        GridError: Not `.zarr`, and the map does not fit into memory.
+    """
+    target = Path(path)
+    chosen = check_target(target)
+    require_memory_to_write(chosen, grid, index.device)
+    if not chosen.streamed:
+        field = index.signed_distance_map(grid)
+        _save(field, target, made_from)
+        if progress is not None:
+            progress(1.0)
+        return field.ambiguous_voxels or 0
+    unclear = torch.zeros((), dtype=torch.int64, device=index.device)
+    with replacing(target) as part:
+        layer_bytes = 4 * grid.shape[1] * grid.shape[2]
+        slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes, ambiguous=unclear)
+        told = _told(slabs, grid.shape[0], progress)
+        chosen.module.write_slabs(told, grid, part, lambda: int(unclear), made_from)
+    return int(unclear)
+
+
+def _told(
+    slabs: Iterator[tuple[int, int, Tensor]], layers: int, progress: Callable[[float], Any] | None
+) -> Iterator[tuple[int, int, Tensor]]:
+    for begin, end, values in slabs:
+        yield begin, end, values
+        del values
+        if progress is not None:
+            progress(end / layers)
+
+
+def _readable(path: Path, formats: dict[str, Format]) -> Format:
+    with _reading(path):
+        if not path.exists():
+            raise FormatError(f"there is no file {path}")
+    return format_of(path, formats)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Whatever a library says about a damaged file, in one sentence."""
+    try:
+        yield
+    except GridError as error:
+        # Of a grid it is said what is wrong with it, but not whose it is.
+        raise GridError(f"{path}: {error}") from error
+    except (SDMError, MemoryError):
+        raise
+    except OSError as error:
+        raise FormatError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
+    # Parsers of damaged files raise whatever they come across.
+    except Exception as error:
+        why = one_line(error)
+        raise FormatError(f"{path} cannot be read; it is damaged, or not what its name says ({why})") from error

@@ -1,0 +1,125 @@
+"""`.nii` and `.nii.gz` by nibabel: the affine in sform and qform, the exact geometry in a header extension."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import nibabel as nib
+import numpy as np
+import torch
+from nibabel.fileholders import FileHolder
+from nibabel.nifti1 import Nifti1Extension
+from nibabel.nifti2 import Nifti2Header
+from nibabel.openers import ImageOpener
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError
+from sdm.io.maps.check_dtype import plain_numbers
+from sdm.io.maps.gzip_check import held
+from sdm.io.maps.record import KEY, from_record, record
+
+# NIfTI-1 counts voxels with 16 bits.
+LARGEST_NIFTI_1 = 32767
+COMMENT = 6
+SCANNER = 1
+
+
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
+    """Write `.nii`."""
+    with path.open("wb") as file:
+        _image(field, made_from).to_stream(file)
+
+
+def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
+    """Write `.nii.gz`. The same map gives the same bytes: no name, no time.
+
+    `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
+    """
+    with path.open("wb") as file, gzip.GzipFile("", "wb", compresslevel=1, fileobj=file, mtime=0) as packed:
+        _image(field, made_from, space).to_stream(packed)
+
+
+def read(path: Path) -> SDM:
+    """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
+    with held(path) as holder:
+        image = opened(path, holder)
+        grid, count = _geometry(image, path)
+        values = np.asanyarray(image.dataobj).reshape(grid.shape)
+        return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    return _geometry(opened(path), path)[0]
+
+
+def is_placed(path: Path) -> bool:
+    """Whether the image says how it lies in space. Where it does not, nibabel and ITK place it differently."""
+    header = opened(path).header
+    return int(header["qform_code"]) > 0 or int(header["sform_code"]) > 0
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values; None where that is nothing."""
+    kept = (_said(extension.get_content()) for extension in opened(path).header.extensions)
+    return next((found for found in kept if found is not None), None)
+
+
+def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
+    affine = field.grid.affine
+    large = max(field.grid.shape) > LARGEST_NIFTI_1
+    values = field.numpy().astype(np.float32, copy=False)
+    image = (nib.Nifti2Image if large else nib.Nifti1Image)(values, affine)
+    image.header.set_xyzt_units("mm", "unknown")
+    image.header["descrip"] = b"signed distance, negative inside"
+    image.header.set_intent("estimate", name="distance")
+    image.set_sform(affine, space)
+    image.set_qform(affine, space)
+    text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels, made_from)}, separators=(",", ":"))
+    image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
+    return image
+
+
+def opened(path: Path, holder: FileHolder | None = None) -> Any:
+    """An image of NIfTI-1 or NIfTI-2, whose values are not yet read.
+
+    Raises:
+        FormatError: It is neither.
+    """
+    # By content, since nibabel's own search for the file is particular about capitals.
+    with ImageOpener(str(path)) as file:
+        head = file.read(Nifti2Header.template_dtype.itemsize)
+    for kind in (nib.Nifti1Image, nib.Nifti2Image):
+        if kind.header_class.may_contain_header(head):
+            return kind.from_file_map({"image": holder or FileHolder(str(path))})
+    raise FormatError(f"{path} is not a NIfTI image")
+
+
+def _geometry(image: Any, path: Path) -> tuple[Grid, int | None]:
+    shape = tuple(image.shape)
+    if len(shape) < 3 or any(n != 1 for n in shape[3:]):
+        raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
+    for extension in image.header.extensions:
+        kept = _said(extension.get_content())
+        exact = None if kept is None else from_record(kept, str(path))
+        if exact is not None and exact[0].shape == shape[:3] and _close(exact[0].affine, image.affine):
+            return exact
+    return Grid.from_affine(image.affine, shape[:3]), None
+
+
+def _said(content: Any) -> Any:
+    try:
+        found = json.loads(content)
+    except (TypeError, ValueError):
+        return None
+    # Other software keeps its comments here too.
+    return found.get(KEY) if isinstance(found, dict) else None
+
+
+def _close(exact: np.ndarray, rounded: np.ndarray) -> bool:
+    """Whether an affine is another's float32 rounding: then nobody has moved the image since it was written."""
+    return bool(np.allclose(exact, rounded, rtol=2e-7, atol=1e-6 * np.abs(exact[:3, :3]).max()))

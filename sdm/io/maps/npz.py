@@ -1,0 +1,68 @@
+"""`.npz`: NumPy's archive: values, origin, spacing, direction, ambiguous_voxels, version, and made_from if known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import torch
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError
+from sdm.io.maps.record import MADE_FROM, from_record, record
+
+FIELDS = ("version", "origin", "spacing", "shape", "direction", "ambiguous_voxels")
+# An archive holds arrays alone, and no array is None.
+UNCOUNTED = -1
+
+
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
+    """Write a map, not compressed: distances hardly shrink."""
+    kept = record(field.grid, field.ambiguous_voxels, made_from)
+    if kept["ambiguous_voxels"] is None:
+        kept["ambiguous_voxels"] = UNCOUNTED
+    arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, MADE_FROM) if name in kept}
+    with path.open("wb") as file:
+        np.savez(file, values=field.numpy().astype(np.float32, copy=False), **arrays)
+
+
+def read(path: Path) -> SDM:
+    """Read a map."""
+    with path.open("rb") as file:
+        archive = _open(file, path)
+        grid, count = _geometry(archive, path)
+        return SDM(torch.from_numpy(archive["values"]), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    with path.open("rb") as file:
+        return _geometry(_open(file, path), path)[0]
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values."""
+    with path.open("rb") as file:
+        return _record(_open(file, path))
+
+
+def _open(file: IO[bytes], path: Path) -> Any:
+    # From a path NumPy would leave the file open where the archive is damaged.
+    archive = np.load(file, allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise FormatError(f"{path} is not an .npz archive")
+    return archive
+
+
+def _geometry(archive: Any, path: Path) -> tuple[Grid, int | None]:
+    return from_record(_record(archive), str(path))
+
+
+def _record(archive: Any) -> dict[str, Any]:
+    names = (*FIELDS, MADE_FROM) if "values" in archive else ()
+    found = {name: archive[name].tolist() for name in names if name in archive}
+    if found.get("ambiguous_voxels") == UNCOUNTED:
+        found["ambiguous_voxels"] = None
+    return found

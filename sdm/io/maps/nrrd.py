@@ -1,0 +1,95 @@
+"""`.nrrd` by pynrrd: space directions and origin, the exact geometry in a key/value pair."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import nrrd
+import numpy as np
+import torch
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError
+from sdm.io.maps.check_dtype import plain_numbers
+from sdm.io.maps.record import KEY, from_text, to_text
+
+SPACE = "right-anterior-superior"
+# Axes of the spaces of the NRRD standard that point the other way than right, anterior and superior.
+FLIPPED = {
+    "left-anterior-superior": (-1, 1, 1),
+    "las": (-1, 1, 1),
+    "left-posterior-superior": (-1, -1, 1),
+    "lps": (-1, -1, 1),
+}
+# Four-dimensional spaces end like this.
+WITH_TIME = "-time"
+
+
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
+    """Write a map, not compressed: distances hardly shrink."""
+    affine = field.grid.affine
+    header = {
+        "space": SPACE,
+        "space directions": affine[:3, :3].T,
+        "space origin": affine[:3, 3],
+        "kinds": ["domain"] * 3,
+        "endian": "little",
+        "encoding": "raw",
+        KEY: to_text(field.grid, field.ambiguous_voxels, made_from),
+    }
+    values = field.numpy().astype("<f4", copy=False)
+    with path.open("wb") as file:
+        nrrd.write(file, values, header, index_order="F")
+
+
+def read(path: Path) -> SDM:
+    """Read a map, or any image of three dimensions: values become float32."""
+    values, header = nrrd.read(str(path), index_order="F")
+    grid, count = _geometry(header, path)
+    return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone, also from a detached header (`.nhdr`). Left and posterior axes are turned to RAS+."""
+    return _geometry(nrrd.read_header(str(path)), path)[0]
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values; None where that is nothing."""
+    header = nrrd.read_header(str(path))
+    return json.loads(header[KEY]) if KEY in header else None
+
+
+def _geometry(header: Any, path: Path) -> tuple[Grid, int | None]:
+    shape = tuple(int(n) for n in header["sizes"])
+    if len(shape) != 3:
+        raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
+    affine = _affine(header, path)
+    if KEY in header:
+        exact = from_text(header[KEY], str(path))
+        scale = np.abs(exact[0].affine[:3, :3]).max()
+        if exact[0].shape == shape and np.allclose(exact[0].affine, affine, rtol=1e-12, atol=1e-9 * scale):
+            return exact
+    return Grid.from_affine(affine, shape), None
+
+
+def _affine(header: Any, path: Path) -> np.ndarray:
+    affine = np.eye(4)
+    if "space directions" in header:
+        directions = np.asarray(header["space directions"], dtype=np.float64)
+        if directions.shape != (3, 3) or not np.isfinite(directions).all():
+            raise FormatError(f"{path} has no direction for each of its axes")
+        affine[:3, :3] = directions.T
+    else:
+        affine[:3, :3] = np.diag(header.get("spacings", (1.0, 1.0, 1.0)))
+    if "space origin" not in header and np.isfinite(np.asarray(header.get("axis mins", math.nan), np.float64)).any():
+        # Programs differ in whether that is a voxel's centre or its edge.
+        raise FormatError(f"{path} says by axis mins where it begins: give it a space origin instead")
+    affine[:3, 3] = header.get("space origin", (0.0, 0.0, 0.0))
+    space = str(header.get("space", "")).lower().removesuffix(WITH_TIME)
+    affine[:3] *= np.array(FLIPPED.get(space, (1, 1, 1)))[:, None]
+    return affine + 0.0

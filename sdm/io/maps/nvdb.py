@@ -1,0 +1,129 @@
+"""`.nvdb` by Warp: NanoVDB, read by renderers and simulators.
+
+Warp sets a volume's transform in float32 and knows no metadata, so the double-precision transform that NanoVDB has room
+for is filled in here, and the grid's name (at most 255 letters) keeps the exact geometry:
+`sdm NXxNYxNZ AMBIGUOUS BASE64`, where BASE64 is origin, spacing and direction as 15 little-endian float64 numbers. If
+the mesh is known, a space and its digest follow.
+Voxels come in blocks of 8 x 8 x 8; those beyond the map have its largest value.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError
+from sdm.io.maps.record import MADE_FROM
+from sdm.kernels.launch import launch
+from sdm.kernels.nanovdb import lookup, store
+
+BLOCK = 8
+NAME = re.compile(r"sdm (\d+)x(\d+)x(\d+) (\d+|-) ([A-Za-z0-9+/=]+)(?: ([0-9a-f]+))?")
+# Layers of voxels that go between NumPy and Warp at a time.
+LAYERS = 64
+LEVEL_SET = 1
+
+# Bytes of NanoVDB's GridData, and of the file's headers before it.
+NAME_AT, NAME_SIZE = 40, 256
+DOUBLE_MAP_AT = NAME_AT + NAME_SIZE + 88
+VOXEL_SIZE_AT, CLASS_AT = 608, 632
+FILE_NAME_SIZE_AT, FILE_NAME_AT = 16 + 136, 16 + 176
+
+
+def write(field: SDM, path: Path, made_from: str | None = None) -> None:
+    """Write a map as a level set.
+
+    Raises:
+        FormatError: Warp cannot make such a volume.
+    """
+    grid, values = field.grid, field.numpy().astype(np.float32, copy=False)
+    try:
+        volume = _volume(grid, values)
+    except RuntimeError as error:
+        raise FormatError(f"Warp cannot make a NanoVDB volume of shape {grid.shape}: {error}") from error
+    for begin in range(0, len(values), LAYERS):
+        slab = np.ascontiguousarray(values[begin : begin + LAYERS])
+        store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False), launch)
+    _complete_header(volume.array().numpy().view(np.uint8), grid, field.ambiguous_voxels, made_from)
+    volume.save_to_nvdb(str(path))
+
+
+def read(path: Path) -> SDM:
+    """Read a map that sdm wrote."""
+    grid, count = _geometry(path)
+    with path.open("rb") as file:
+        volume = wp.Volume.load_from_nvdb(file, device="cpu")
+    values = np.empty(grid.shape, dtype=np.float32)
+    for begin in range(0, len(values), LAYERS):
+        slab = wp.array(values[begin : begin + LAYERS], dtype=wp.float32, device="cpu", copy=False)
+        lookup(volume, begin, slab, launch)
+    return SDM(torch.from_numpy(values), grid, count)
+
+
+def read_grid(path: Path) -> Grid:
+    """Read the geometry alone."""
+    return _geometry(path)[0]
+
+
+def read_record(path: Path) -> Any:
+    """Read what is kept beside the values, but for the geometry."""
+    return {MADE_FROM: _named(path)[-1]}
+
+
+def _volume(grid: Grid, values: np.ndarray) -> wp.Volume:
+    corners = np.meshgrid(*(np.arange(0, n, BLOCK, dtype=np.int32) for n in grid.shape), indexing="ij")
+    tiles = np.stack(corners, -1).reshape(-1, 3)
+    finite = values[np.isfinite(values)]
+    return wp.Volume.allocate_by_tiles(
+        wp.array(tiles, dtype=wp.vec3i, device="cpu"),
+        bg_value=float(finite.max()) if finite.size else 0.0,
+        translation=grid.origin,
+        transform=wp.mat33f(*grid.affine[:3, :3].ravel().tolist()),
+        device="cpu",
+    )
+
+
+def _complete_header(data: np.ndarray, grid: Grid, ambiguous_voxels: int | None, made_from: str | None) -> None:
+    """Write name, class and double-precision transform into a volume's own bytes."""
+    numbers = struct.pack("<15d", *grid.origin, *grid.spacing, *np.ravel(grid.direction))
+    count = "-" if ambiguous_voxels is None else str(ambiguous_voxels)
+    words = ["sdm", "x".join(map(str, grid.shape)), count, base64.b64encode(numbers).decode()]
+    name = " ".join(words if made_from is None else [*words, made_from]).encode()
+    matrix = grid.affine[:3, :3]
+    transform = np.concatenate([matrix.ravel(), np.linalg.inv(matrix).ravel(), grid.origin, [1.0]])
+    size = np.asarray(grid.spacing, dtype="<f8")
+    for place, content in (
+        (NAME_AT, name.ljust(NAME_SIZE, b"\0")),
+        (DOUBLE_MAP_AT, transform.astype("<f8").tobytes()),
+        (VOXEL_SIZE_AT, size.tobytes()),
+        (CLASS_AT, struct.pack("<I", LEVEL_SET)),
+    ):
+        data[place : place + len(content)] = np.frombuffer(content, dtype=np.uint8)
+
+
+def _geometry(path: Path) -> tuple[Grid, int | None]:
+    *shape, count, packed, _ = _named(path)
+    numbers = struct.unpack("<15d", base64.b64decode(packed))
+    grid = Grid(numbers[:3], numbers[3:6], [int(n) for n in shape], np.reshape(numbers[6:], (3, 3)))
+    return grid, None if count == "-" else int(count)
+
+
+def _named(path: Path) -> tuple[str, ...]:
+    """The parts of the grid's name; the last is None if no mesh is known."""
+    with path.open("rb") as file:
+        head = file.read(FILE_NAME_AT + NAME_SIZE + 1)
+    size = struct.unpack_from("<I", head, FILE_NAME_SIZE_AT)[0]
+    name = head[FILE_NAME_AT : FILE_NAME_AT + size].split(b"\0")[0].decode("latin-1")
+    found = NAME.fullmatch(name)
+    if found is None:
+        raise FormatError(f"{path} was not written by sdm: it does not say where its values are")
+    return found.groups()

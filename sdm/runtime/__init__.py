@@ -1,0 +1,1 @@
+"""Torch and Warp together: memory, streams, CUDA graphs, prefetch."""

@@ -1,0 +1,61 @@
+"""Work queued beside other work, so that a GPU that one kernel does not fill runs two.
+
+Only while a CUDA graph is recorded: there a side stream becomes a branch of the graph, and memory stays the graph's
+until it goes. Outside of one all work stays on the current stream, where torch knows when memory is free again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+from sdm.runtime.torch_warp import on_current_stream, warp_stream
+
+Join: TypeAlias = Callable[[], None]
+
+
+@cache
+def side_stream(index: int) -> torch.cuda.Stream:
+    """The stream of a GPU that becomes the branch of every graph; made before a recording begins."""
+    stream = torch.cuda.Stream(index)
+    warp_stream(torch.device("cuda", index), stream)
+    return stream
+
+
+@contextmanager
+def beside(device: torch.device) -> Iterator[Join]:
+    """Queue what is queued inside on a branch of the graph being recorded.
+
+    Gives a function that makes the current stream wait for the branch: to be called, once, after the block. What the
+    branch reads and writes has to live until then. Blocks follow each other and do not lie within each other.
+    """
+    if device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
+        yield _nothing
+        return
+    main = torch.cuda.current_stream()
+    side = side_stream(main.device_index)
+    side.wait_stream(main)
+    done = torch.cuda.Event()
+
+    def join() -> None:
+        main.wait_event(done)
+
+    with torch.cuda.stream(side):
+        yield join
+        done.record(side)
+
+
+@contextmanager
+def kernels_beside(tensor: Tensor) -> Iterator[Join]:
+    """`beside`, for Warp's kernels on `tensor`'s device."""
+    with beside(tensor.device) as join, on_current_stream(tensor):
+        yield join
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,1 @@
+"""Cases, readers, patches, augmentation and targets."""

@@ -1,0 +1,64 @@
+"""Cases in HDF5: one file each, data sets `image` and `label`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from sdm.errors import FormatError
+from sdm.io.files.list_files import visible
+from sdm.io.files.one_line import one_line
+from sdm.segmentation.data.case import Case
+from sdm.segmentation.data.labels import foreground
+
+ENDINGS = (".h5", ".hdf5")
+
+
+def hdf5_files(folder: Path) -> list[Path]:
+    """The folder's HDF5 files, by name; no hidden ones."""
+    return [p for p in visible(folder) if p.suffix.lower() in ENDINGS] if folder.is_dir() else []
+
+
+def read_hdf5(path: Path) -> Case:
+    """One case: `image` (x,y,z) of any number type, `label` (x,y,z) if there is one.
+
+    The left-atrium data of Yu et al. (UA-MT) has this layout and does not tell the size of a voxel; an attribute
+    `spacing` of the file, three lengths in mm, does.
+
+    Raises:
+        FormatError: The file cannot be read, has no `image`, or something there is not of numbers.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise FormatError(f"{path} needs h5py: pip install 'warp-sdm[segmentation]'") from None
+    try:
+        with h5py.File(path, "r") as file:
+            if "image" not in file:
+                raise FormatError(f"{path} has no data set called image: found {', '.join(file) or 'nothing'}")
+            image = np.asarray(file["image"])
+            label = np.asarray(file["label"]) if "label" in file else None
+            told = file.attrs.get("spacing", (1.0, 1.0, 1.0))
+    # Data sets of other software may be groups, or of types that numpy does not know.
+    except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
+        raise FormatError(f"{path} cannot be read: {one_line(error)}") from error
+    if image.dtype.kind not in "buif":
+        raise FormatError(f"{path} has an image of type {image.dtype}: numbers are needed")
+    try:
+        spacing = np.asarray(told, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise FormatError(f"{path} has the spacing {one_line(told)!r}: three lengths in mm are needed") from None
+    if spacing.shape != (3,):
+        raise FormatError(f"{path} has a spacing of {len(spacing)} numbers: three lengths in mm are needed")
+    if not (np.isfinite(spacing).all() and (spacing > 0).all()):
+        raise FormatError(f"{path} has the spacing {one_line(told)}: three positive lengths in mm are needed")
+    return Case(
+        name=path.stem,
+        image=torch.from_numpy(image.astype(np.float32)),
+        label=None if label is None else torch.from_numpy(foreground(label, path)),
+        spacing=(float(spacing[0]), float(spacing[1]), float(spacing[2])),
+        affine=np.diag([*spacing, 1.0]),
+        source=path,
+    )

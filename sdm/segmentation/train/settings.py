@@ -1,0 +1,133 @@
+"""What a training is: enough to do it again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from sdm.core.device import plain_defaults
+from sdm.errors import SDMError
+from sdm.segmentation.data.augment import Augment
+from sdm.segmentation.networks.model import NETWORKS, Architecture, SegmentationModel
+from sdm.segmentation.train.methods import METHODS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """One training; the same for every method of a table but for the method's name.
+
+    Args:
+        method: One of `METHODS`.
+        architecture: "vnet" or "unet".
+        patch: Voxels of a patch, multiples of 16 (vnet) or 8 (unet).
+        coarsen: The network sees voxels so many times as large along each axis, and with the same patch so much more
+            of the body; a patch counts these larger voxels. What it says is enlarged linearly.
+        batch: Patches a step.
+        steps: Steps of the optimiser.
+        optimizer: "adam" (AdamW) or "sgd" (Nesterov momentum 0.9). Its learning rate rises over the first 5 % of the
+            steps.
+        learning_rate: Highest.
+        schedule: The learning rate after that falls to zero along a "cosine", or stays ("constant").
+        weight_decay: Decoupled with adam, L2 with sgd.
+        average: Share of the training, up to its end, over which the weights are averaged: see `Average`; 0: the last
+            ones.
+        augment: "none", "published", "affine", "strong" or "scanner": see `augment.draw`.
+        mirrors: Along which of the axes "xyz" patches are mirrored at random. Mirror images are more to learn from, but
+            hide on which side a neighbouring organ lies.
+        targets: Distance maps of the whole "case", or of the "patch" as published.
+        filters: Of the network's finest level; None: the paper's.
+        dropout: Of the coarsest level; None: the paper's.
+        last_dropout: Of what the main output is made of: 0.5 in Ma's public code.
+        position: Whether the network is told where each voxel is in its volume: see `positions`. It relies on volumes
+            that show about the same part of the body.
+        seed: Of weights, patches and dropout.
+    """
+
+    method: str = "baseline"
+    architecture: Architecture = "vnet"
+    patch: tuple[int, int, int] = (112, 112, 80)
+    coarsen: int = 1
+    batch: int = 4
+    steps: int = 2000
+    optimizer: Literal["adam", "sgd"] = "adam"
+    learning_rate: float = 1e-3
+    schedule: Literal["cosine", "constant"] = "cosine"
+    weight_decay: float = 1e-4
+    average: float = 0.0
+    augment: Augment = "affine"
+    mirrors: str = "xyz"
+    targets: Literal["case", "patch"] = "case"
+    filters: int | None = None
+    dropout: float | None = None
+    last_dropout: float = 0.0
+    position: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise SDMError(f"there is no method called {self.method!r}; choose one of {', '.join(METHODS)}")
+        if self.architecture not in NETWORKS:
+            raise SDMError(f"there is no network called {self.architecture!r}; choose one of {', '.join(NETWORKS)}")
+        multiple = NETWORKS[self.architecture][2]
+        if len(self.patch) != 3 or any(n < multiple or n % multiple for n in self.patch):
+            raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
+        if self.coarsen < 1:
+            raise SDMError(f"voxels are made larger by a whole number, 1 or more, not by {self.coarsen}")
+        if self.batch < 1 or self.steps < 1:
+            raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
+        if self.batch * math.prod(n // multiple for n in self.patch) < 2:
+            raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
+        if not self.learning_rate > 0:
+            raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
+        if not set(self.mirrors) <= set("xyz"):
+            raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
+        if not 0 <= self.average <= 1:
+            raise SDMError(f"weights are averaged over a share of the training from 0 to 1, not {self.average}")
+        self._check_network()
+
+    def _check_network(self) -> None:
+        # The first of the U-Net's convolutions has half of the filters.
+        least = 2 if self.architecture == "unet" else 1
+        if self.filters is not None and self.filters < least:
+            raise SDMError(f"{self.architecture} has {least} or more filters, not {self.filters}")
+        for name in ("dropout", "last_dropout"):
+            share = getattr(self, name)
+            if share is not None and not 0 <= share < 1:
+                raise SDMError(f"{name} is a share from 0 to less than 1, not {share}")
+
+    @property
+    def mirrored(self) -> str:
+        """The axes along which patches were mirrored: `mirrors` is for augmentations that turn freely alone."""
+        return {"none": "", "published": "xy"}.get(self.augment, self.mirrors)
+
+    def learning_rate_at(self, step: int) -> float:
+        """The learning rate of a step."""
+        warm = max(1, self.steps // 20)
+        if step < warm:
+            return self.learning_rate * (step + 1) / warm
+        if self.schedule == "constant":
+            return self.learning_rate
+        return self.learning_rate * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
+
+    def record(self) -> dict[str, Any]:
+        """As plain numbers and words."""
+        return {**asdict(self), "patch": list(self.patch)}
+
+    def network(self) -> SegmentationModel:
+        """The network, not trained, float32 on the host."""
+        with plain_defaults():
+            return SegmentationModel(
+                METHODS[self.method],
+                self.architecture,
+                filters=self.filters,
+                dropout=self.dropout,
+                last_dropout=self.last_dropout,
+                position=self.position,
+                coarsen=self.coarsen,
+            )
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> Settings:
+        """The settings that `record` wrote; of what was no choice then, the default."""
+        return cls(**{**record, "patch": tuple(record["patch"])})

@@ -1,0 +1,192 @@
+"""From global numbers to a batch: the one way in which streams and datasets make samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.core.device import choose_device, require_memory
+from sdm.core.grid import Grid
+from sdm.engine.api import batch_maps
+from sdm.errors import DeviceError, SDMError
+from sdm.runtime.torch_warp import to_device
+from sdm.shapes import Family, MeshFolder
+from sdm.stream.batch import Batch
+from sdm.stream.known_boundaries import Topology
+from sdm.stream.samplers import Sampler, as_sampler
+
+# Samples that are made at once where there is a choice: so many that a GPU is busy, of so many bytes of maps and
+# triangles at most.
+MOST_AT_ONCE, BYTES_AT_ONCE, TRIANGLES_AT_ONCE = 64, 1 << 27, 1 << 21
+
+DTYPES = {torch.float32: "float32", torch.float16: "float16", torch.bfloat16: "bfloat16"}
+
+
+class Maker:
+    """Makes samples: each a pure function of (seed, global number), bit for bit on one kind of device.
+
+    Args:
+        family: The shapes.
+        grid: Where to measure.
+        seed: Any whole number of 64 bits.
+        sampler: Which parameters, by name or as a `Sampler`.
+        device: Where to compute; by default a GPU if there is one.
+        dtype: Type of the maps: float32, float16 or bfloat16.
+        truncate: Distances beyond this (in the family's unit) become this, with their sign; None keeps all.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: A map that does not fit into memory.
+        SDMError: A type or a truncation that makes no sense, or distances that float16 may not hold.
+
+    A family of your own keeps the promise if the vertices of a sample do not depend on the batch around it, which is
+    so for all arithmetic by element, but not for every matrix product.
+    """
+
+    def __init__(
+        self,
+        family: Family,
+        grid: Grid,
+        *,
+        seed: int = 0,
+        sampler: Sampler | str = "uniform",
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        truncate: float | None = None,
+    ) -> None:
+        if dtype not in DTYPES:
+            raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
+        if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
+            raise SDMError(f"the truncation {truncate} must be a positive distance")
+        if dtype == torch.float16:
+            _refuse_overflow(grid, truncate)
+        if device is None or str(device).startswith("cuda"):
+            refuse_fork(getattr(torch.cuda, "_is_in_bad_fork", bool)())
+        self.family, self.grid, self.seed = family, grid, int(seed)
+        self.sampler = as_sampler(sampler)
+        self.device = choose_device(device)
+        self.dtype, self.truncate = dtype, None if truncate is None else float(truncate)
+        require_memory(grid.nbytes, self.device, f"a map of {' x '.join(map(str, grid.shape))} voxels")
+        self.sampler.size(family)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        with torch.inference_mode(False), torch.no_grad():
+            self._topology = Topology(self.family, self.device)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is known about a family's faces is known about its tensors in this process.
+        return {key: value for key, value in self.__dict__.items() if key != "_topology"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """All that a sample depends on besides its number, ready for JSON."""
+        return {
+            "family": self.family.name,
+            "fingerprint": self.family.fingerprint,
+            "grid": grid_record(self.grid),
+            "seed": self.seed,
+            "sampler": str(self.sampler),
+            "dtype": DTYPES[self.dtype],
+            "truncate": self.truncate,
+        }
+
+    @property
+    def at_once(self) -> int:
+        """How many samples to make in one call, where there is a choice."""
+        # A folder's meshes come about equally often, each with its own faces alone.
+        meshes = len(self.family.meshes) if isinstance(self.family, MeshFolder) else 1
+        triangles = max(1, len(self.family.faces) // meshes)
+        return max(1, min(MOST_AT_ONCE, BYTES_AT_ONCE // self.grid.nbytes, TRIANGLES_AT_ONCE // triangles))
+
+    def theta(self, index: Tensor) -> Tensor:
+        """Parameters (B,P) float32 on the host for global numbers (B,) int64 on the host."""
+        return self.sampler.theta(self.family, self.seed, index)
+
+    def make(self, index: Tensor) -> Batch:
+        """The samples with these global numbers (B,) int64 on the host: fresh tensors, queued on the current stream.
+
+        Never waits for the device. What the caller has turned on (autocast, gradients, inference mode) changes nothing.
+        """
+        with self._as_ever():
+            host = self.theta(index)
+            theta = to_device(host, self.device)
+            return Batch(theta, self._maps(theta, host), index)
+
+    def make_several(self, indices: Sequence[Tensor]) -> list[Batch]:
+        """A batch for each of `indices`, as `make` gives them, by one call, which a GPU takes less time for.
+
+        Each is memory of its own, so that one of them can be kept without the others.
+        """
+        if len(indices) == 1:
+            return [self.make(indices[0])]
+        whole = self.make(torch.cat(tuple(indices)))
+        sizes = [len(index) for index in indices]
+        parts = zip(whole.theta.split(sizes), whole.sdm.split(sizes), indices, strict=True)
+        with self._as_ever():
+            return [Batch(theta.clone(), maps.clone(), index) for theta, maps, index in parts]
+
+    @contextmanager
+    def _as_ever(self) -> Iterator[None]:
+        """What the caller has turned on changes nothing here."""
+        with ExitStack() as stack:
+            stack.enter_context(torch.inference_mode(False))
+            stack.enter_context(torch.no_grad())
+            stack.enter_context(torch.autocast(self.device.type, enabled=False))
+            if self.device.type == "cuda":
+                stack.enter_context(torch.cuda.device(self.device))
+            yield
+
+    def measure(self, vertices: Tensor, faces: Tensor) -> Tensor:
+        """Maps (B,1,nx,ny,nz) of vertices (B,V,3) on the device, in the type that was asked for."""
+        values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
+        if self.truncate is not None:
+            values = values.clamp_(-self.truncate, self.truncate)
+        return values.to(self.dtype)[:, None]
+
+    def _maps(self, theta: Tensor, host: Tensor) -> Tensor:
+        if type(self.family).groups is Family.groups:
+            return self.measure(self.family.vertices(theta), self.family.faces_on(self.device))
+        values = torch.empty((theta.shape[0], 1, *self.grid.shape), dtype=self.dtype, device=self.device)
+        for group in self.family.groups(theta, host):
+            values.index_copy_(0, group.rows, self.measure(group.vertices, group.faces))
+        return values
+
+
+def _refuse_overflow(grid: Grid, truncate: float | None) -> None:
+    # No voxel is further than this from a surface within the grid.
+    diagonal = math.hypot(*(s * (n - 1) for s, n in zip(grid.spacing, grid.shape, strict=True)))
+    largest = torch.finfo(torch.float16).max
+    if min(diagonal, math.inf if truncate is None else truncate) > largest:
+        raise SDMError(
+            f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: "
+            "use float32, or truncate to less"
+        )
+
+
+def refuse_fork(forked: bool) -> None:
+    """Say what to do in a forked process, where CUDA cannot be used.
+
+    Raises:
+        DeviceError: It is one.
+    """
+    if forked:
+        raise DeviceError(
+            "a forked process cannot use CUDA: iterate over the stream itself, or give the DataLoader num_workers=0 "
+            "(batches are made ahead on the GPU, so workers gain nothing)"
+        )
+
+
+def grid_record(grid: Grid) -> dict[str, Any]:
+    """A grid ready for JSON, which keeps every digit: `Grid(**record)` makes it again."""
+    lists = {key: list(getattr(grid, key)) for key in ("origin", "spacing", "shape")}
+    return {**lists, "direction": [list(row) for row in grid.direction]}

@@ -1,0 +1,1 @@
+"""Prediction by shipped weights, with torch, ONNX Runtime or OpenVINO."""

@@ -1,0 +1,107 @@
+"""Weights of surrogates as files: safetensors, with what they are beside them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from sdm.errors import FormatError
+from sdm.io.files.atomic import replacing
+from sdm.shapes import Cochlea
+from sdm.stream.sample_maker import grid_record
+from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.models import build, name_of
+
+VERSION = 1
+# Tensors of at most this many numbers stay float32; larger ones become float16.
+SMALL = 16_384
+# Of a table of modes, these first rows (the largest) become float16, the others 8-bit with a scale each.
+FINE_ROWS = 24
+WHOLE = 127.0
+
+
+def save_weights(model: nn.Module, target: Path, **facts: Any) -> None:
+    """Write NAME.safetensors and NAME.json beside it.
+
+    Args:
+        model: A surrogate.
+        target: Path of NAME.safetensors.
+        facts: More for the JSON file, for example errors and how it was trained.
+    """
+    from safetensors.torch import save
+
+    tensors: dict[str, Tensor] = {}
+    for name, value in model.state_dict().items():
+        tensors.update(_pack(name, value.detach().cpu()))
+    config = {
+        "version": VERSION,
+        "model": name_of(model),
+        "config": model.config,
+        "grid": grid_record(GRID),
+        "parameters": [[p.name, p.low, p.high, p.unit] for p in Cochlea.parameters],
+        "family": Cochlea().fingerprint,
+        **facts,
+    }
+    with replacing(target) as part:
+        part.write_bytes(save(tensors))
+    with replacing(target.with_suffix(".json")) as part:
+        part.write_text(json.dumps(config, indent=1) + "\n")
+
+
+def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.Module, dict[str, Any]]:
+    """The surrogate in a file, in evaluation mode, and what its JSON file says.
+
+    Raises:
+        FormatError: A file that is not there, or not one of these.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    # An empty path, a dot and the root.
+    if not source.name:
+        raise FormatError(f"{source} cannot be read: it is a folder; give a file that sdm train sdmnn wrote")
+    try:
+        config = json.loads(source.with_suffix(".json").read_text())
+        packed = load(source.read_bytes())
+        if config["version"] != VERSION or config["grid"] != grid_record(GRID):
+            raise FormatError(f"{source} holds a surrogate for another grid or version of sdm; train it again")
+        model = build(config["model"], **config["config"])
+        model.load_state_dict(_unpack(packed))
+    except OSError as error:
+        raise FormatError(f"{error.filename or source} cannot be read: {error.strerror or error}") from error
+    except (SafetensorError, KeyError, RuntimeError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise FormatError(f"{source} is not a surrogate that sdm wrote, or it is damaged") from error
+    return model.eval().requires_grad_(False).to(device), config
+
+
+def training_of(source: Path) -> dict[str, Any]:
+    """How weights were trained, as their JSON file says, with what that began from, and so on."""
+    facts = json.loads(source.with_suffix(".json").read_text())
+    before = {"started_from": facts["started_from"]} if "started_from" in facts else {}
+    return {**facts.get("training", {}), **before}
+
+
+def _pack(name: str, value: Tensor) -> dict[str, Tensor]:
+    if name == "modes" and value.shape[0] > FINE_ROWS:
+        fine, coarse = value[:FINE_ROWS], value[FINE_ROWS:].float()
+        scale = coarse.abs().amax(1, keepdim=True).clamp_min(1e-12) / WHOLE
+        return {
+            f"{name}.fine": fine.half(),
+            f"{name}.whole": (coarse / scale).round().to(torch.int8),
+            f"{name}.scale": scale,
+        }
+    if value.is_floating_point() and value.numel() > SMALL:
+        return {name: value.half().contiguous()}
+    return {name: value.contiguous()}
+
+
+def _unpack(packed: dict[str, Tensor]) -> dict[str, Tensor]:
+    state = {name: v.float() if v.is_floating_point() else v for name, v in packed.items()}
+    for name in [n.removesuffix(".whole") for n in packed if n.endswith(".whole")]:
+        fine, whole, scale = (state.pop(f"{name}.{part}") for part in ("fine", "whole", "scale"))
+        state[name] = torch.cat([fine, whole.float() * scale])
+    return state

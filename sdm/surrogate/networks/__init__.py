@@ -1,0 +1,1 @@
+"""SDMNN, SDMNN+ and a decomposition, from parameters to maps on one grid."""

@@ -1,0 +1,1 @@
+"""Training on the stream, validation and accuracy."""

@@ -1,0 +1,61 @@
+"""What surrogates are trained by."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from sdm.engine.api import signed_distance_maps
+from sdm.shapes import Family
+from sdm.surrogate.networks.grid import GRID, SPACING_MM
+
+# Half-width [mm] of the shell around the surface that counts more, and how far the eikonal term reaches.
+SHELL_MM, EIKONAL_MM = 0.4, 1.0
+# How far from 1 the exact map's own slope may be where the predicted one is asked to be 1: not at its ridges.
+RIDGE = 0.05
+
+
+def surface_weighted(predicted: Tensor, exact: Tensor, weight: float) -> Tensor:
+    """Mean absolute error [mm] of maps (B,1,nx,ny,nz), and `weight` times that of the shell around the surface.
+
+    The shell's error is the mean of each shape first: a small shape's few voxels count as much as a large one's many.
+    """
+    error = (predicted - exact).abs().flatten(1)
+    shell = torch.exp(-((exact / SHELL_MM) ** 2)).flatten(1)
+    return error.mean() + weight * ((shell * error).sum(1) / shell.sum(1).clamp_min(1)).mean()
+
+
+def slopes(maps: Tensor) -> Tensor:
+    """Length (B,1,nx-2,ny-2,nz-2) of the gradient of maps (B,1,nx,ny,nz), by central differences."""
+    inner = slice(1, -1)
+    x = maps[..., 2:, inner, inner] - maps[..., :-2, inner, inner]
+    y = maps[..., inner, 2:, inner] - maps[..., inner, :-2, inner]
+    z = maps[..., inner, inner, 2:] - maps[..., inner, inner, :-2]
+    return torch.sqrt(x * x + y * y + z * z + 1e-12) / (2 * SPACING_MM)
+
+
+def eikonal(predicted: Tensor, exact: Tensor) -> Tensor:
+    """Mean | |grad f| - 1 | of predicted maps, within 1 mm of the surface and off the exact maps' ridges."""
+    here = (exact[..., 1:-1, 1:-1, 1:-1].abs() < EIKONAL_MM) & ((slopes(exact) - 1).abs() < RIDGE)
+    return ((slopes(predicted) - 1).abs() * here).sum() / here.sum().clamp_min(1)
+
+
+def sobolev(model: nn.Module, family: Family, theta: Tensor, generator: torch.Generator) -> Tensor:
+    """How wrong d(map)/d(theta) is: an unbiased estimate of its mean squared error a voxel [mm^2].
+
+    Args:
+        model: Parameters (B,4) to maps (B,1,nx,ny,nz).
+        family: The shapes; the exact engine gives their derivative.
+        theta: (B,4); derivatives are scaled to the box, as if each parameter ran from 0 to 1.
+        generator: Of the random signs, on the host.
+
+    For random signs v, E |v^T (J - J*)|^2 = |J - J*|^2 (Hutchinson 1990), so that one backward pass through the
+    exact map and one through the model are enough.
+    """
+    theta = theta.detach().requires_grad_()
+    signs = torch.randint(0, 2, (len(theta), 1, *GRID.shape), generator=generator).to(theta.device) * 2.0 - 1
+    exact = signed_distance_maps(family.vertices(theta), family.faces_on(theta.device), GRID, device=theta.device)
+    (wanted,) = torch.autograd.grad((exact[:, None] * signs).sum(), theta)
+    (found,) = torch.autograd.grad((model(theta) * signs).sum(), theta, create_graph=True)
+    widths = torch.tensor([p.high - p.low for p in family.parameters], device=theta.device)
+    return (((found - wanted) * widths) ** 2).sum(1).mean() / GRID.size

@@ -1,0 +1,215 @@
+"""Training of the neural surrogates: on the stream, in pieces that can be resumed, within a budget."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from sdm.core.device import choose_device
+from sdm.core.random import torch_seed
+from sdm.errors import FormatError, SDMError
+from sdm.io.files.atomic import try_to_write
+from sdm.io.files.torch_file import load_torch, save_torch
+from sdm.shapes import Cochlea
+from sdm.stream import SDMStream
+from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
+from sdm.surrogate.train.curves import Curves
+from sdm.surrogate.train.losses import eikonal, sobolev, surface_weighted
+from sdm.surrogate.train.map_buffer import Replay
+from sdm.surrogate.train.schedule import Clock, learning_rate
+from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin, identity
+from sdm.surrogate.train.validation import validation_batches, validation_theta
+from sdm.surrogate.train.warm_start import warm_start
+
+# Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
+RISE = 500
+NO_CHECKPOINT = "is not a checkpoint of a training of a surrogate: remove it, or give another file"
+
+
+class Trainer:
+    """A training that can be cut off after any step and goes on from its checkpoint.
+
+    Args:
+        settings: What to train, how.
+        device: By default a GPU if there is one.
+        checkpoint: File to go on from if it is there, and to write to; None for none.
+        curves: Folder for curve.jsonl, and TensorBoard's events if it is installed.
+        validation: How many shapes of the fixed validation set are looked at on the way.
+        report: Is told in one line now and then how it goes.
+
+    Raises:
+        DeviceError: The device is not there.
+        FormatError: The checkpoint is of another training, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        device: torch.device | str | None = None,
+        checkpoint: Path | None = None,
+        curves: Path | None = None,
+        validation: int = 32,
+        report: Callable[[str], None] = print,
+    ) -> None:
+        self.settings, self.checkpoint, self._report = settings, checkpoint, report
+        if checkpoint is not None:
+            # The store is filled before it is written to, which may take hours.
+            try_to_write(checkpoint)
+        self.device = choose_device(device)
+        self.family = Cochlea()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(torch_seed(settings.seed))
+            self.model = begin(settings).to(self.device)
+        self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
+        self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
+        self.step, spent = 0, 0.0
+        static = settings.recipe == "static"
+        stream = SDMStream(
+            self.family,
+            GRID,
+            # A batch of which the 625 are a multiple, so that each is there once.
+            5 if static else max(1, settings.fresh),
+            settings.seed,
+            0,
+            1,
+            sampler=RECIPES[settings.recipe],
+            device=self.device,
+        )
+        if checkpoint is not None and checkpoint.exists():
+            spent = self._load(checkpoint, stream)
+        self.clock = Clock(settings.steps, settings.budget_s, spent)
+        self.replay = Replay(stream, STATIC if static else settings.store, settings.seed)
+        self._fresh = 0 if static else settings.fresh
+        self._curves = Curves(curves)
+        theta = validation_theta(self.family)[:validation]
+        self._validation = [(b.theta, b.sdm.half()) for b in validation_batches(theta, self.device)]
+        if self.device.type == "cuda":
+            self.model.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]
+            torch.backends.cudnn.benchmark = True
+        self._fast: Any = torch.compile(self._loss) if self.device.type == "cuda" else self._loss
+
+    def run(self) -> nn.Module:
+        """Train to the end and return the running mean of the model, on the device, in evaluation mode.
+
+        Raises:
+            SDMError: The loss, or the error that follows from it, is not finite any more; the checkpoint stays as it
+                was.
+        """
+        settings = self.settings
+        budget = settings.budget_s or float("inf")
+        self.replay.fill(settings.fill_share * budget)
+        self._report(f"{self.replay.count:,} maps stored after {self.clock.seconds:.1f} s")
+        if self.step == 0 and settings.start is None and isinstance(self.model, SDMNNPlus):
+            seconds = settings.warm_share * budget
+            warm_start(self.model, self.replay, seconds=seconds, seed=settings.seed, report=self._report)
+            self.ema.module.load_state_dict(self.model.state_dict())
+        look, loss = 0.0, None
+        while (share := self.clock.share(self.step)) < 1:
+            loss = self._train(share)
+            self.step += 1
+            if self.clock.seconds > look:
+                look = self.clock.seconds + max(5.0, 0.05 * (settings.budget_s or 0))
+                self._look(loss, share)
+        self._look(loss, 1.0)
+        return self.ema.module.eval()
+
+    def _train(self, share: float) -> Tensor:
+        settings = self.settings
+        for group in self._optimizer.param_groups:
+            group["lr"] = settings.rate * group["share"] * learning_rate(share) * min(1.0, (self.step + 1) / RISE)
+        if self._fresh:
+            self.replay.renew()
+        theta, exact = self.replay.draw(settings.batch_size, self.step)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+            loss = self._fast(theta, exact)
+        if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
+            generator = torch.Generator().manual_seed(torch_seed(settings.seed * 999_983 + self.step))
+            loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self._optimizer.step()
+        self.ema.update_parameters(self.model)
+        return loss
+
+    def _loss(self, theta: Tensor, exact: Tensor) -> Tensor:
+        settings = self.settings
+        if settings.loss == "mse":
+            return nn.functional.mse_loss(self.model(theta), exact)
+        if isinstance(self.model, SDMNNPlus):
+            coarse, predicted = self.model.both(theta)
+            loss = settings.coarse * (coarse.flatten(1) - self.model.coarse_of(exact)).abs().mean()
+        else:
+            predicted, loss = self.model(theta), 0.0
+        loss = loss + surface_weighted(predicted, exact, settings.surface)
+        return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
+
+    @torch.no_grad()
+    def _look(self, loss: Tensor | None, share: float) -> None:
+        """Errors on a part of the validation set: say them, write them, and write the checkpoint.
+
+        `loss` is that of the last step, None if there was none since the checkpoint.
+        """
+        self.ema.eval()
+        errors, near = [], []
+        for theta, exact in self._validation:
+            error = (self.ema(theta) - exact.float()).abs()
+            errors.append(error.mean())
+            near.append(error[exact.abs() < 0.5].mean())
+        mae, shell = float(torch.stack(errors).mean()), float(torch.stack(near).mean())
+        record: dict[str, float] = {"step": self.step, "seconds": round(self.clock.seconds, 1)}
+        record |= {} if loss is None else {"loss": float(loss.detach())}
+        # Weights that are no numbers must take the place of good ones in no file.
+        if not all(math.isfinite(value) for value in (*record.values(), mae)):
+            raise SDMError(f"the loss is not finite at step {self.step:,}: lower the learning rate")
+        self._curves.add(record | {"mae": mae, "near": shell})
+        self._report(
+            f"step {self.step:,}, {self.clock.seconds:.0f} s, {100 * share:.0f} %: "
+            + (f"loss {record['loss']:.4f}, " if "loss" in record else "")
+            + f"validation {mae:.4f} mm, within 0.5 mm of the surface {shell:.4f} mm"
+        )
+        if self.checkpoint is not None:
+            self._save(self.checkpoint)
+
+    def _save(self, target: Path) -> None:
+        state = {
+            "settings": json.dumps(identity(self.settings)),
+            "model": self.model.state_dict(),
+            "ema": self.ema.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "step": self.step,
+            "seconds": self.clock.seconds,
+            "stream": self.replay.stream.state_dict(),
+        }
+        save_torch(state, target)
+
+    def _load(self, source: Path, stream: SDMStream) -> float:
+        state = load_torch(source, NO_CHECKPOINT, device=self.device)
+        try:
+            known = json.loads(state["settings"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(f"{source} {NO_CHECKPOINT}") from error
+        if known != json.loads(json.dumps(identity(self.settings))):
+            raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
+        self.model.load_state_dict(state["model"])
+        self.ema.load_state_dict(state["ema"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        stream.load_state_dict(state["stream"])
+        self.step = state["step"]
+        return float(state["seconds"])
+
+
+def _groups(model: nn.Module) -> list[dict[str, Any]]:
+    """Parameters with their share of the learning rate: what a decomposition has set moves slowly."""
+    slow = [p for name, p in model.named_parameters() if name in ("modes", "mean", "place")]
+    quick = [p for name, p in model.named_parameters() if name not in ("modes", "mean", "place")]
+    return [{"params": quick, "share": 1.0}] + ([{"params": slow, "share": 0.1}] if slow else [])

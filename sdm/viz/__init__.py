@@ -1,0 +1,1 @@
+"""Figures, and a window with a map."""

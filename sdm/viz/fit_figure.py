@@ -1,0 +1,111 @@
+"""A fit as a surface, and as a picture to check by eye."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.errors import FormatError
+from sdm.fit.model.backend import Backend
+from sdm.fit.model.exact import ExactBackend
+from sdm.fit.model.jacobian import vertices_with_jacobian
+from sdm.fit.solve.result import FitResult, vertex_normals
+from sdm.io.files.atomic import replacing
+from sdm.io.meshes.load import write_ply
+from sdm.shapes import Cochlea, Family
+
+FORMATS = ("png", "pdf", "svg")
+
+
+def surface_of(backend: Backend, result: FitResult) -> TriangleMesh:
+    """The fitted surface in the world's coordinates: the backend's own mesh, or a cochlea's."""
+    vertices, _, faces = _vertices(backend, result)
+    return TriangleMesh(result.vertices(vertices).float().cpu(), faces.cpu(), "fit")
+
+
+def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
+    """(V,) standard deviation [mm] of the surface along its normal at each vertex of `surface_of`."""
+    vertices, jacobian, faces = _vertices(backend, result)
+    return result.posterior.surface_deviation(vertices, jacobian, vertex_normals(vertices, faces))
+
+
+def write_surface(backend: Backend, result: FitResult, path: Path) -> None:
+    """Write the fitted surface as PLY; atomic."""
+    write_ply(surface_of(backend, result), path)
+
+
+def draw_fit(
+    image: Tensor, grid: Grid, backend: Backend, result: FitResult, path: str | Path, *, title: str = "Fit to the image"
+) -> None:
+    """Draw the image's three middle slices with the fitted outline, what is left over, and the estimates.
+
+    Raises:
+        FormatError: An ending that is not known, or a place that cannot be written.
+    """
+    target = Path(path)
+    kind = target.suffix.lower().lstrip(".")
+    if kind not in FORMATS:
+        raise FormatError(f"{target} does not end like a picture: use one of .{', .'.join(FORMATS)}")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.3, 7.5), facecolor="white")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=18, fontweight="bold", x=0.03, ha="left")
+    axes = figure.subplots(2, 4, gridspec_kw={"left": 0.04, "right": 0.98, "top": 0.88, "bottom": 0.06})
+    values, share = image.double().cpu().numpy(), result.share.cpu().numpy()
+    expected = share * result.appearance.inside.mean + (1 - share) * result.appearance.outside.mean
+    left = values - expected
+    limits, spread = np.percentile(values, [0.5, 99.5]), 3 * float(left.std()) or 1.0
+    inside = np.argwhere(share > 0.5)
+    middle = inside.mean(0).round().astype(int) if len(inside) else np.array(values.shape) // 2
+    for column, normal in enumerate((2, 1, 0)):
+        up, right = (axis for axis in (2, 1, 0) if axis != normal)
+        for row, (shown, colours, low, high) in enumerate(
+            ((values, "gray", *limits), (left, "RdBu_r", -spread, spread))
+        ):
+            panel = axes[row, column]
+            cut, outline = (np.take(a, middle[normal], axis=normal).T for a in (shown, share))
+            panel.imshow(cut, cmap=colours, vmin=low, vmax=high, origin="lower", interpolation="none",
+                         aspect=grid.spacing[up] / grid.spacing[right])  # fmt: skip
+            if outline.min() < 0.5 < outline.max():
+                panel.contour(outline, levels=[0.5], colors="#e0a010", linewidths=1.3)
+            panel.set_title(f"{'image' if row == 0 else 'left over'}, {'xyz'[normal]} slice", fontsize=10)
+            panel.set_xticks([])
+            panel.set_yticks([])
+    _list(axes[0, 3], _estimates(result))
+    axes[1, 3].axis("off")
+    deviations = surface_deviations(backend, result)
+    _list(axes[1, 3], [f"surface within {float(deviations.mean()):.4f} mm (1 sd)",
+                       f"explains {result.diagnosis.explained:.1%} of its neighbourhood",
+                       f"contrast {result.diagnosis.contrast:.1f} times the noise",
+                       f"{sum(result.evaluations.values())} shapes built, {result.seconds:.1f} s"])  # fmt: skip
+    with replacing(target) as part:
+        figure.savefig(part, format=kind, dpi=110)
+
+
+def _estimates(result: FitResult) -> list[str]:
+    ends = result.posterior.intervals(0.9)[: len(result.parameters)].tolist()
+    lines = ["estimate and 90 % interval"]
+    for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=True):
+        lines.append(f"{parameter.name} = {value:.4f} ({low:.4f} to {high:.4f}) {parameter.unit}")
+    return lines
+
+
+def _list(panel: Any, lines: list[str]) -> None:
+    panel.axis("off")
+    for row, line in enumerate(lines):
+        panel.text(0.0, 0.9 - 0.11 * row, line, fontsize=10, transform=panel.transAxes)
+
+
+def _vertices(backend: Backend, result: FitResult) -> tuple[Tensor, Tensor, Tensor]:
+    family: Family = backend.family if isinstance(backend, ExactBackend) else Cochlea()
+    theta = result.state.theta
+    vertices, jacobian = vertices_with_jacobian(family, theta)
+    return vertices, jacobian, family.faces_on(theta.device).to(torch.int64)

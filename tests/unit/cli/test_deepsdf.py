@@ -1,0 +1,165 @@
+"""sdm train deepsdf, sdm encode, sdm decode: from meshes to a model, to codes, and back to meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+import sdm
+from sdm.cli.app import main
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a model of ellipsoids, and one more ellipsoid."""
+    folder = tmp_path_factory.mktemp("deepsdf")
+    (folder / "meshes").mkdir()
+    for number, sizes in enumerate([(3, 2, 2), (2, 3, 2), (2, 2, 3), (3, 3, 2)]):
+        ball = trimesh.creation.icosphere(2)
+        ball.apply_scale(sizes)
+        ball.export(folder / "meshes" / f"{number}.ply")
+    ball = trimesh.creation.icosphere(3)
+    ball.apply_scale((3, 2.5, 2))
+    ball.apply_translation((10, 0, 0))
+    ball.export(folder / "new.ply")
+    words = ["train", "deepsdf", str(folder / "meshes"), "--out", str(folder / "model")]
+    words += ["--epochs", "150", "--points", "256", "--width", "32", "--device", "cpu"]
+    assert main(words) == 0
+    return folder
+
+
+def test_a_mesh_becomes_a_code_and_the_code_a_mesh_where_it_was(work: Path, tmp_path: Path) -> None:
+    model, code, out = work / "model" / "model.pt", tmp_path / "new.npz", tmp_path / "new.ply"
+    assert main(["encode", str(work / "new.ply"), "-m", str(model), "-o", str(code), "--steps", "60"]) == 0
+    assert main(["decode", str(code), "-m", str(model), "-o", str(out), "--resolution", "48"]) == 0
+    away = sdm.signed_distance(sdm.load_mesh(work / "new.ply"), sdm.load_mesh(out).vertices)
+    assert away.abs().mean() < 0.15
+
+
+def test_a_code_becomes_a_map_and_pictures(work: Path, tmp_path: Path) -> None:
+    model, code = work / "model" / "model.pt", tmp_path / "new.npz"
+    assert main(["encode", str(work / "new.ply"), "-m", str(model), "-o", str(code), "--steps", "5"]) == 0
+    common = ["decode", str(code), "-m", str(model), "--resolution", "16", "-o"]
+    assert main([*common, str(tmp_path / "map.npz")]) == 0
+    field = sdm.load(tmp_path / "map.npz")
+    assert field.grid.shape == (16, 16, 16)
+    assert field.grid.origin[0] == pytest.approx(10 - 3 * 1.03, abs=0.02)
+    assert main([*common, str(tmp_path / "one.png")]) == 0
+    assert main([*common, str(tmp_path / "strip.png"), "--to", str(code), "--count", "2"]) == 0
+    assert (tmp_path / "strip.png").stat().st_size > 0
+
+
+def test_several_shapes_and_a_scan(work: Path, tmp_path: Path) -> None:
+    model = str(work / "model" / "model.pt")
+    meshes = [str(work / "meshes" / f"{n}.ply") for n in (0, 1)]
+    assert main(["encode", *meshes, "-m", model, "-o", str(tmp_path / "codes"), "--steps", "3"]) == 0
+    assert sorted(p.name for p in (tmp_path / "codes").iterdir()) == ["0.npz", "1.npz"]
+    points = trimesh.load_mesh(work / "new.ply").vertices
+    np.save(tmp_path / "scan.npy", points[points[:, 2] > 0])
+    words = ["encode", str(tmp_path / "scan.npy"), "--scan", "--sphere", "10", "0", "0", "3.1", "-m", model]
+    assert main([*words, "-o", str(tmp_path / "scan.npz"), "--steps", "3"]) == 0
+
+
+def test_shapes_of_one_name_lose_no_code(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model, out, ball = str(work / "model" / "model.pt"), tmp_path / "codes", work / "meshes" / "0.ply"
+    (tmp_path / "0.ply").write_bytes(ball.read_bytes())
+    words = ["-m", model, "-o", str(out), "--steps", "2"]
+    assert main(["encode", str(ball), str(tmp_path / "0.ply"), *words]) == 2
+    assert "several files are called 0.ply" in capsys.readouterr().err
+    assert not out.exists()
+    trimesh.load_mesh(ball).export(tmp_path / "0.stl")
+    assert main(["encode", str(ball), str(ball), str(tmp_path / "0.stl"), *words]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["0.ply.npz", "0.stl.npz"]
+
+
+def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "model.pt").write_bytes(b"mine")
+    assert main(["train", "deepsdf", "cochlea", "-o", str(tmp_path), "--epochs", "1"]) == 2
+    assert "keeps an unfinished training: --resume goes on with it; or remove it" in capsys.readouterr().err
+    assert (tmp_path / "checkpoint" / "model.pt").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["encode", "{new}", "-m", "{none}", "-o", "x.npz"], "is not there; train a model first"),
+        (["encode", "{new}", "-m", "{model}", "-o", "x.ply"], "does not end like a code: use .npz"),
+        (["encode", "{new}", "{new}", "-m", "{model}", "-o", "x.npz"], "is one file, but 2 shapes were given"),
+        (["encode", "{few}", "--scan", "-m", "{model}", "-o", "x.npz"], "has 50 points; at least 100 are needed"),
+        (["encode", "{nan}", "--scan", "-m", "{model}", "-o", "x.npz"], "1 of the points are not finite"),
+        (["encode", "{wide}", "--scan", "-m", "{model}", "-o", "x.npz"], "(N, 3), or (N, 6) with normals, is needed"),
+        (
+            ["encode", "{new}", "--scan", "--sphere", "0", "0", "0", "4", "-m", "{model}", "-o", "x.npz"],
+            "642 of the 642 points of the scan are outside the sphere with centre (0.0, 0.0, 0.0) and radius 4.0",
+        ),
+        (["decode", "{short}", "-m", "{model}", "-o", "x.ply"], "the code has 3 numbers; this model's codes have"),
+        (["decode", "{short}", "-m", "{model}", "-o", "x.ply", "--to", "{short}"], "does not end like a picture"),
+        (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
+        (
+            ["decode", "{new}", "-m", "{model}", "-o", "x.stl"],
+            "is no name for a result: use one of .ply, .png, .nii.gz",
+        ),
+        (
+            ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],
+            "a width of 100 has no room for code and point: 260 or more are needed",
+        ),
+        (["train", "deepsdf", "cochlea", "-o", "x"], "say how long to train: --budget-s or --epochs"),
+        (["train", "deepsdf", "nothing", "-o", "x", "--epochs", "1"], "neither a family"),
+        (["train", "deepsdf", "cochlea", "-o", "x", "--budget-s", "0"], "a budget of 0 seconds trains nothing"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
+    from sdm.deepsdf import ShapeCode, save_code
+    from sdm.deepsdf.samples import UnitSphere
+
+    broken = np.ones((200, 3))
+    broken[5, 2] = np.nan
+    for name, array in (("few", np.ones((50, 3))), ("nan", broken), ("wide", np.ones((200, 4)))):
+        np.save(tmp_path / f"{name}.npy", array)
+    save_code(ShapeCode(torch.zeros(3), UnitSphere((0.0, 0.0, 0.0), 1.0)), tmp_path / "short.npz")
+    places = {name: str(tmp_path / f"{name}.npy") for name in ("few", "nan", "wide")}
+    places |= {"new": str(work / "new.ply"), "model": str(work / "model"), "none": str(tmp_path / "none.pt")}
+    places |= {"short": str(tmp_path / "short.npz")}
+    filled = [word.format(**places) for word in words]
+    filled[filled.index("-o") + 1] = str(tmp_path / filled[filled.index("-o") + 1])
+    assert main(filled) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "x.ply").exists()
+
+
+def test_a_place_that_cannot_be_is_refused_before_the_work(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sdm import deepsdf
+    from sdm.deepsdf import ShapeCode, save_code
+    from sdm.deepsdf.samples import UnitSphere
+
+    for name in ("encode_meshes", "encode_scan", "decode_mesh", "render", "train"):
+        monkeypatch.setattr(deepsdf, name, pytest.fail)
+    new, model, code = str(work / "new.ply"), str(work / "model"), str(tmp_path / "code.npz")
+    size = deepsdf.DeepSDF.load(model, "cpu").code_size
+    save_code(ShapeCode(torch.zeros(size), UnitSphere((0.0, 0.0, 0.0), 1.0)), code)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "net" / "model.pt").mkdir(parents=True)
+    for words in (
+        ["encode", new, "-m", model, "-o", str(tmp_path / "nowhere" / "new.npz")],
+        ["encode", new, "-m", model, "-o", str(tmp_path / "folder.npz")],
+        ["encode", new, "--scan", "-m", model, "-o", str(tmp_path / "folder.npz")],
+        ["encode", new, str(work / "meshes" / "0.ply"), "-m", model, "-o", str(tmp_path / "file")],
+        ["decode", code, "-m", model, "-o", str(tmp_path / "nowhere" / "new.ply")],
+        ["decode", code, "-m", model, "-o", str(tmp_path / "nowhere" / "new.png")],
+        ["train", "deepsdf", str(work / "meshes"), "-o", str(tmp_path / "file"), "--epochs", "1"],
+        ["train", "deepsdf", str(work / "meshes"), "-o", str(tmp_path / "net"), "--epochs", "1"],
+    ):
+        assert main([*words, "--device", "cpu"]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

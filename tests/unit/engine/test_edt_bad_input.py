@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from sdm.engine.distance_transform import euclidean_distance_transform
+from sdm.errors import GridError, SDMError
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (2, 3, 4, 4, 4), (1, 1, 1, 2, 2, 2)])
+def test_shapes_that_are_no_volumes(shape):
+    with pytest.raises(GridError, match="give"):
+        euclidean_distance_transform(torch.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    "spacing", [0, -1.0, (1, 1), (1, 1, 0), (1, 1, float("nan")), (1, 1, float("inf")), (1, 1, 1e10)]
+)
+def test_spacings_that_are_none(spacing):
+    with pytest.raises(GridError, match="spacing"):
+        euclidean_distance_transform(torch.zeros(3, 3, 3), spacing)
+
+
+@pytest.mark.parametrize("spacing", [np.float32(0.5), np.int64(2), np.array(0.5), torch.tensor(0.5)])
+def test_one_number_of_any_kind_is_a_spacing(spacing):
+    mask = torch.zeros(3, 4, 5)
+    mask[1, 1, 1] = 1
+    found = euclidean_distance_transform(mask, spacing)
+    assert torch.equal(found, euclidean_distance_transform(mask, float(spacing)))
+
+
+def test_a_line_that_is_too_long():
+    with pytest.raises(GridError, match="32767"):
+        euclidean_distance_transform(torch.zeros(1, 1, 40_000))
+
+
+def test_the_longest_line():
+    mask = torch.zeros(32_767, 1, 1)
+    mask[0] = 1
+    assert torch.equal(euclidean_distance_transform(mask).flatten(), torch.arange(32_767.0))
+
+
+def test_an_unknown_surface():
+    with pytest.raises(SDMError, match="'centres' or 'faces'"):
+        euclidean_distance_transform(torch.zeros(3, 3, 3), surface="edges")

@@ -1,0 +1,98 @@
+"""Masks whose distance transforms can be told by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from sdm.engine.distance_transform import euclidean_distance_transform
+
+INF = math.inf
+
+
+def single(shape=(4, 5, 6), at=(1, 2, 3)) -> torch.Tensor:
+    mask = torch.zeros(shape, dtype=torch.bool)
+    mask[at] = True
+    return mask
+
+
+def test_a_single_voxel(device):
+    mask = single().to(device)
+    values = euclidean_distance_transform(mask, (1.0, 2.0, 0.5)).cpu()
+    i, j, k = torch.meshgrid(*(torch.arange(n) for n in mask.shape), indexing="ij")
+    expected = torch.sqrt((i - 1.0) ** 2 + (2.0 * (j - 2)) ** 2 + (0.5 * (k - 3)) ** 2)
+    torch.testing.assert_close(values, expected, rtol=2.0**-22, atol=0)
+
+
+def test_faces_are_half_a_voxel_away(device):
+    mask = single((3, 3, 3), (1, 1, 1)).to(device)
+    values = euclidean_distance_transform(mask, (1.0, 2.0, 4.0), signed=True, surface="faces").cpu()
+    assert values[1, 1, 1] == -0.5
+    assert values[0, 1, 1] == 0.5
+    assert values[1, 0, 1] == 1.0
+    assert values[1, 1, 0] == 2.0
+    torch.testing.assert_close(values[0, 0, 0], torch.tensor(math.sqrt(0.25 + 1 + 4)))
+
+
+def test_a_row_by_hand():
+    row = torch.tensor([0, 0, 1, 1, 1, 0, 1]).bool()
+    for shape in ((7, 1, 1), (1, 7, 1), (1, 1, 7)):
+        mask = row.reshape(shape)
+        signed = euclidean_distance_transform(mask, 2.0, signed=True).flatten()
+        assert signed.tolist() == [4, 2, -2, -4, -2, 2, -2]
+        assert euclidean_distance_transform(mask, 2.0).flatten().tolist() == [4, 2, 0, 0, 0, 2, 0]
+        faces = euclidean_distance_transform(mask, 2.0, signed=True, surface="faces").flatten()
+        assert faces.tolist() == [3, 1, -1, -3, -1, 1, -1]
+
+
+@pytest.mark.parametrize("surface", ["centres", "faces"])
+def test_without_foreground_or_background(surface, device):
+    empty, full = torch.zeros(3, 4, 5, device=device), torch.ones(3, 4, 5, device=device)
+
+    def values(mask, **options):
+        found = euclidean_distance_transform(mask, surface=surface, **options).unique()
+        assert len(found) == 1
+        return found.item()
+
+    assert values(empty) == INF
+    assert values(empty, signed=True) == INF
+    assert values(full) == 0
+    assert values(full, signed=True) == -INF
+    assert values(empty, missing=7.0) == 7
+    assert values(full, missing=7.0, signed=True) == -7
+    assert values(full, missing=0.0, signed=True) == 0
+
+
+def test_samples_of_a_batch_do_not_mix(device):
+    batch = torch.stack([single(), ~single(), torch.zeros(4, 5, 6).bool(), single(at=(0, 0, 0))]).to(device)
+    for layout in (batch, batch[:, None]):
+        values = euclidean_distance_transform(layout, (1, 2, 3), signed=True)
+        assert values.shape == layout.shape
+        for n in range(4):
+            assert torch.equal(values[n].squeeze(), euclidean_distance_transform(batch[n], (1, 2, 3), signed=True))
+
+
+def test_any_type_and_layout():
+    mask = single()
+    expected = euclidean_distance_transform(mask)
+    for other in (mask.float() * 0.3, mask.to(torch.uint8) * 255, -mask.long(), mask.double().requires_grad_()):
+        assert torch.equal(euclidean_distance_transform(other), expected)
+    turned = mask.permute(2, 0, 1)
+    assert torch.equal(euclidean_distance_transform(turned), expected.permute(2, 0, 1))
+    assert torch.equal(mask, single())
+
+
+def test_no_voxels():
+    assert euclidean_distance_transform(torch.zeros(0, 1, 3, 4, 5)).shape == (0, 1, 3, 4, 5)
+    assert euclidean_distance_transform(torch.zeros(3, 0, 5)).shape == (3, 0, 5)
+
+
+def test_batches_beyond_a_launch_are_split(monkeypatch):
+    import sdm.engine.distance_transform as module
+
+    batch = torch.rand(5, 4, 3, 8, generator=torch.Generator().manual_seed(0)) < 0.2
+    expected = euclidean_distance_transform(batch, signed=True)
+    monkeypatch.setattr(module, "MOST_VOXELS", 2 * 4 * 3 * 32)
+    assert torch.equal(euclidean_distance_transform(batch, signed=True), expected)

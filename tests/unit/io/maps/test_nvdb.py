@@ -1,0 +1,88 @@
+# Kernels are typed by Warp's rules.
+# pyright: reportInvalidTypeForm=false, reportOperatorIssue=false
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import FormatError
+from sdm.io import load, save
+
+TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), (17, 7, 10), TURN)
+
+
+@wp.kernel
+def to_world(volume: wp.uint64, index: wp.array(dtype=wp.vec3), world: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    world[i] = wp.volume_index_to_world(volume, index[i])
+
+
+@pytest.fixture
+def saved(tmp_path):
+    values = torch.from_numpy(np.random.default_rng(0).normal(size=GRID.shape).astype(np.float32))
+    field = SDM(values, GRID, None)
+    save(field, tmp_path / "map.nvdb")
+    return field, tmp_path / "map.nvdb"
+
+
+def test_warp_sees_the_grid_where_it_is(saved):
+    _, path = saved
+    volume = wp.Volume.load_from_nvdb(path.read_bytes(), device="cpu")
+    index = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [3, 4, 5]], np.float32)
+    world = wp.zeros(4, dtype=wp.vec3, device="cpu")
+    wp.launch(to_world, 4, [volume.id, wp.array(index, dtype=wp.vec3, device="cpu"), world], device="cpu")
+    expected = index @ GRID.affine[:3, :3].T + GRID.affine[:3, 3]
+    np.testing.assert_allclose(world.numpy(), expected, rtol=1e-5)
+
+
+def test_the_header_has_the_transform_in_double_precision(saved):
+    _, path = saved
+    data = path.read_bytes()
+    # GridData comes after the file's header, its metadata and the name.
+    at = 16 + 176 + struct.unpack_from("<I", data, 16 + 136)[0]
+    assert data[at : at + 7] == b"NanoVDB"
+    doubles = struct.unpack_from("<22d", data, at + 40 + 256 + 88)
+    np.testing.assert_array_equal(np.reshape(doubles[:9], (3, 3)), GRID.affine[:3, :3])
+    np.testing.assert_allclose(np.reshape(doubles[9:18], (3, 3)) @ GRID.affine[:3, :3], np.eye(3), atol=1e-12)
+    assert doubles[18:21] == GRID.origin
+    assert struct.unpack_from("<3d", data, at + 608) == GRID.spacing
+    assert struct.unpack_from("<2I", data, at + 632) == (1, 1)  # a level set of floats
+
+
+def test_around_the_map_it_is_outside(saved):
+    field, path = saved
+    volume = wp.Volume.load_from_nvdb(path.read_bytes(), device="cpu")
+    outside = wp.zeros(2, dtype=wp.float32, device="cpu")
+
+    wp.launch(look, 2, [volume.id, outside], device="cpu")
+    assert outside.numpy().tolist() == [float(field.values.max())] * 2
+
+
+@wp.kernel
+def look(volume: wp.uint64, values: wp.array(dtype=wp.float32)):
+    i = wp.tid()
+    values[i] = wp.volume_lookup_f(volume, 17 + 50 * i, 0, 0)
+
+
+def test_a_volume_of_other_software(tmp_path):
+    volume = wp.Volume.load_from_numpy(np.zeros((8, 8, 8), np.float32), device="cpu")
+    volume.save_to_nvdb(str(tmp_path / "fog.nvdb"))
+    with pytest.raises(FormatError, match="not written by sdm"):
+        load(tmp_path / "fog.nvdb")
+
+
+def test_what_warp_cannot_make_is_said(tmp_path, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise RuntimeError("no volumes on this device")
+
+    monkeypatch.setattr(wp.Volume, "allocate_by_tiles", refuse)
+    with pytest.raises(FormatError, match=r"Warp cannot make .* no volumes on this device"):
+        save(SDM(torch.zeros(GRID.shape), GRID), tmp_path / "map.nvdb")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,71 @@
+"""CPU launches cover every index once, on any number of threads."""
+# pyright: reportInvalidTypeForm=false, reportOperatorIssue=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+import sdm.engine.acceleration  # noqa: F401 (starts Warp quietly)
+from sdm.kernels import launch
+
+
+@wp.kernel
+def _count(begin: int, hits: wp.array(dtype=wp.int32)):
+    i = begin + wp.tid()
+    hits[i] = hits[i] + 1
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "3", "16"])
+@pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 5000, 100_003])
+def test_every_index_once(monkeypatch, threads, count):
+    monkeypatch.setenv("SDM_NUM_THREADS", threads)
+    launch._pool.cache_clear()
+    hits = wp.zeros(max(count, 1), dtype=wp.int32, device="cpu")
+    launch.launch(_count, count, [hits], "cpu")
+    launch._pool.cache_clear()
+    assert (hits.numpy()[:count] == 1).all()
+    assert hits.numpy()[count:].sum() == 0
+
+
+def test_threads(monkeypatch):
+    import os
+
+    monkeypatch.setenv("SDM_NUM_THREADS", "3")
+    assert launch.threads() == 3
+    for nonsense in ("", "many", "-2"):
+        monkeypatch.setenv("SDM_NUM_THREADS", nonsense)
+        assert launch.threads() == len(os.sched_getaffinity(0))
+    monkeypatch.setenv("SDM_NUM_THREADS", "0")
+    assert launch.threads() == 1
+
+
+def test_an_error_in_a_thread_is_raised(monkeypatch):
+    monkeypatch.setenv("SDM_NUM_THREADS", "2")
+    launch._pool.cache_clear()
+    hits = wp.zeros(4, dtype=wp.float32, device="cpu")
+    with pytest.raises(Exception, match="hits"):
+        launch.launch(_count, 10_000, [hits], "cpu")
+    launch._pool.cache_clear()
+
+
+def test_results_do_not_hang_on_the_threads(monkeypatch):
+    """Boxes are reduced and crossings are counted by many threads at once; no update may get lost."""
+    import torch
+
+    import sdm
+    from sdm.bench.common.meshes import load_case
+
+    case = load_case("torus-20000")
+    # Every triangle thrice: many threads meet at every voxel.
+    mesh = sdm.TriangleMesh(case.vertices, np.concatenate([case.faces] * 3))
+    grid = sdm.Grid([-1, -1, -0.3], [0.25, 0.25, 0.1], [9, 9, 7])
+    maps = []
+    for threads in ("1", "8"):
+        monkeypatch.setenv("SDM_NUM_THREADS", threads)
+        for _ in range(4):
+            launch._pool.cache_clear()
+            maps.append(sdm.signed_distance_map(mesh, grid, device="cpu").values)
+    launch._pool.cache_clear()
+    assert all(torch.equal(values, maps[0]) for values in maps)

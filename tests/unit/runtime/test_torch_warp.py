@@ -1,0 +1,129 @@
+"""Warp's views of torch's memory: remembered by address, right for whatever is there now."""
+# pyright: reportInvalidTypeForm=false, reportOperatorIssue=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import gc
+import threading
+import weakref
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+import sdm
+from sdm.bench.common.meshes import cube, sphere
+from sdm.kernels.launch import launch
+from sdm.runtime.torch_warp import as_warp, scratch_on
+
+
+@wp.kernel
+def _scale(begin: int, by: int, offset: float, source: wp.array(dtype=wp.float32), target: wp.array(dtype=wp.float32)):
+    i = begin + wp.tid()
+    target[i] = float(by) * source[i] + offset
+
+
+@wp.kernel
+def _fill(begin: int, number: int, target: wp.array(dtype=wp.int32)):
+    target[begin + wp.tid()] = number
+
+
+def _scaled(count: int, by: int, offset: float) -> bool:
+    source = torch.arange(count, dtype=torch.float32)
+    target = torch.full((count + 1,), -1.0)
+    launch(_scale, count, [by, offset, as_warp(source, wp.float32), as_warp(target, wp.float32)], "cpu")
+    return torch.equal(target[:count], by * source + offset) and float(target[count]) == -1
+
+
+def test_a_launch_does_what_its_own_arguments_say():
+    for count, by, offset in ((10, 2, 0.5), (10, 3, 0.5), (700, 2, -1.0), (10, 2, 0.5), (1, -1, 0.0)):
+        assert _scaled(count, by, offset)
+
+
+def test_a_launch_after_a_refused_one():
+    assert _scaled(5, 2, 0.0)
+    room = as_warp(torch.zeros(9), wp.float32)
+    for wrong in ([2, 0.0, room], [2, 0.0, room, as_warp(torch.zeros(9, dtype=torch.int32), wp.int32)]):
+        with pytest.raises(RuntimeError, match="_scale"):
+            launch(_scale, 9, wrong, "cpu")
+    assert _scaled(5, 2, 0.0)
+
+
+def test_many_threads_launch_at_once():
+    wrong = []
+
+    def work(number: int) -> None:
+        wrong.extend(n for n in range(200) if not _scaled(1 + (number * 37 + n) % 90, number, float(n)))
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_vectors_lose_their_last_axis():
+    assert as_warp(torch.zeros(4, 3), wp.vec3).shape == (4,)
+    assert as_warp(torch.zeros(2, 5, 3), wp.vec3).shape == (2, 5)
+    assert as_warp(torch.zeros(0, 3), wp.vec3).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("tensor", "dtype"),
+    [
+        (torch.zeros(4, 3).T, wp.float32),
+        (torch.zeros(4, 2), wp.vec3),
+        (torch.zeros(3), wp.float64),
+        (torch.zeros(4, 3, dtype=torch.float64), wp.vec3),
+    ],
+)
+def test_what_is_no_such_array(tensor, dtype):
+    with pytest.raises(ValueError, match="is no"):
+        as_warp(tensor, dtype)
+
+
+def test_scratch_arrays_share_no_byte():
+    empty = scratch_on(torch.device("cpu"))
+    sizes = [1, 1000, 0, 7, 1 << 16, (1 << 16) + 1, 3, 1 << 16, 1 << 16, 1 << 16, 5, 1 << 20, 2]
+    arrays = [empty(size, wp.int32) for size in sizes]
+    for number, array in enumerate(arrays):
+        launch(_fill, array.size, [number, array], "cpu")
+    for number, (size, array) in enumerate(zip(sizes, arrays, strict=True)):
+        assert array.shape == (size,)
+        assert array.ptr % 64 == 0
+        assert (array.numpy() == number).all()
+    assert empty(7, wp.vec3).capacity == 84
+
+
+def test_an_address_used_again_by_another_mesh():
+    """Hierarchies of the same size come to lie where others lay; each gives its own distances."""
+    points = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
+    vertices, faces = sphere(8)
+    grid = sdm.Grid([-1.2] * 3, [0.3] * 3, [9] * 3)
+    for scale in (1.0, 0.5, 1.5, 1.0):
+        index = sdm.MeshIndex(sdm.TriangleMesh(np.float32(scale) * vertices, faces), "cpu")
+        fresh = sdm.signed_distance(index.mesh, points, device="cpu")
+        assert torch.equal(index.signed_distance(points), fresh)
+        kept = index.signed_distance_map(grid).values
+        at = torch.stack(torch.meshgrid(*[torch.tensor(a) for a in grid_axes(grid)], indexing="ij"), -1).float()
+        assert torch.allclose(kept, index.signed_distance(at), atol=1e-6)
+        del index
+
+
+def grid_axes(grid: sdm.Grid) -> list[np.ndarray]:
+    return [o + s * np.arange(n) for o, s, n in zip(grid.origin, grid.spacing, grid.shape, strict=True)]
+
+
+def test_a_hierarchy_is_let_go_with_its_index():
+    index = sdm.MeshIndex(sdm.TriangleMesh(*cube()), "cpu")
+    index.signed_distance(np.zeros((3, 3), np.float32))
+    index.signed_distance_map(sdm.Grid([0, 0, 0], [0.5] * 3, [4, 4, 4]))
+    block = weakref.ref(index._hierarchy[0].untyped_storage())
+    assert index._hierarchy[0].untyped_storage().data_ptr() == index._hierarchy[-1].untyped_storage().data_ptr()
+    tensors = [weakref.ref(tensor) for tensor in index._hierarchy]
+    del index
+    gc.collect()
+    assert block() is None
+    assert all(tensor() is None for tensor in tensors)

@@ -1,0 +1,187 @@
+"""Joining boundary edges at equal positions: host, torch and plain loops over all faces agree."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdm.topology.boundary_edges
+from sdm.bench.common.meshes import cube, load_case, sphere
+from sdm.topology.boundary_edges import boundary_edges, loops
+from sdm.topology.joining import join_on_device, join_on_host
+from tests import strategies
+
+
+def _plain(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:
+    """The definition: all vertices of (B,V,3) are joined, all edges of all faces are added up."""
+    loose = _balance(faces, {vertex: vertex for vertex in range(vertices.shape[1])})
+    first: dict[tuple, int] = {}
+    for vertex in sorted({vertex for edge in loose for vertex in edge}):
+        first.setdefault(_place(vertices, vertex), vertex)
+    # A vertex that no edge is left over at may have any number, so long as its place has one.
+    same = {v: first.setdefault(_place(vertices, v), v) for v in range(vertices.shape[1])}
+    joined = _balance(faces, same)
+    found = []
+    for low, high in sorted(joined):
+        times = joined[low, high]
+        found += [(low, high) if times > 0 else (high, low)] * abs(times)
+    return found
+
+
+def _place(vertices: np.ndarray, vertex: int) -> tuple:
+    return tuple((vertices[:, vertex] + 0.0).ravel().tolist())
+
+
+def _balance(faces: np.ndarray, same: dict[int, int]) -> dict[tuple[int, int], int]:
+    balance: Counter = Counter()
+    for face in faces.tolist():
+        for k in range(3):
+            start, end = same[face[k]], same[face[(k + 1) % 3]]
+            if start != end:
+                balance[min(start, end), max(start, end)] += 1 if start < end else -1
+    return {edge: times for edge, times in balance.items() if times}
+
+
+def _both(vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
+    """Boundary edges by both ways, which must be one."""
+    batch, index = torch.tensor(vertices), torch.tensor(faces)
+    found = boundary_edges(batch, index)
+    left_over = sdm.topology.boundary_edges._pair_up(index, batch.shape[-2]).left_over
+    if left_over.shape[0]:
+        # In any order.
+        left_over = left_over[torch.randperm(len(left_over), generator=torch.Generator().manual_seed(3))]
+        batch = batch.reshape(-1, *batch.shape[-2:])
+        by_torch = join_on_device(left_over, batch)
+        places = batch.numpy()[:, left_over[:, :2].reshape(-1).numpy()].transpose(1, 0, 2)
+        by_numpy = join_on_host(left_over.numpy(), np.ascontiguousarray(places).reshape(len(places), -1))
+        for other in (by_torch, torch.from_numpy(by_numpy)):
+            assert other.dtype == torch.int32
+            assert torch.equal(other, found)
+        _by_kernels(batch, index, len(left_over), found)
+    else:
+        assert len(found) == 0
+    return found
+
+
+def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: torch.Tensor) -> None:
+    """The same by kernels that are told how many there are, and their remarks if that is wrong."""
+    remarks, left_over, _ = sdm.topology.boundary_edges.queue_pairing(index, batch.shape[1])
+
+    def joined(rows: int, edges: int) -> tuple[list[int], torch.Tensor, torch.Tensor]:
+        said, bounds, around = sdm.topology.boundary_edges.queue_joining(left_over, remarks, batch, rows, edges)
+        return said.tolist(), bounds, around
+
+    count = len(expected)
+    said, bounds, around = joined(rows, count)
+    assert torch.equal(bounds, expected)
+    simple = len(set(expected[:, 0].tolist())) == count
+    assert said == [0, 0, 0, int(not simple)]
+    if simple and count:
+        wanted = loops(expected)
+        assert torch.equal(around[:, None] == around, wanted[:, None] == wanted)
+    for other in ((rows + 1, count), (rows - 1, count), (rows, count + 1), (rows, max(count - 1, 0))):
+        if other != (rows, count) and 0 < other[0] <= len(left_over):
+            assert any(joined(*other)[0])
+
+
+def _loose(mesh: strategies.Arrays, share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A part of the faces with corners of their own, and half of the zeros negative."""
+    rng = np.random.default_rng(seed)
+    own = rng.random(len(mesh.faces)) < share
+    faces = mesh.faces.copy()
+    faces[own] = len(mesh.vertices) + np.arange(3 * own.sum()).reshape(-1, 3)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[own]].reshape(-1, 3)])
+    vertices = np.where((vertices == 0) & (rng.random(vertices.shape) < 0.5), np.float32(-0.0), vertices)
+    number = rng.permutation(len(vertices))
+    moved = np.empty_like(vertices)
+    moved[number] = vertices
+    return moved.astype(np.float32), number[faces].astype(np.int32)
+
+
+@settings(max_examples=150)
+@given(
+    st.one_of(strategies.soups(), strategies.closed()),
+    st.sampled_from([0.0, 0.3, 1.0]),
+    st.integers(1, 3),
+    strategies.seeds,
+)
+def test_all_ways_agree(mesh, share, meshes, seed):
+    vertices, faces = _loose(mesh, share, seed)
+    rng = np.random.default_rng(seed)
+    batch = np.stack([vertices] * meshes)
+    # The other meshes are torn at a few vertices, or have others that coincide.
+    for other in batch[1:]:
+        where = rng.integers(0, len(vertices), 2)
+        other[where[0]] = other[where[1]] if rng.random() < 0.5 else other[where[0]] + 1
+    assert _both(batch, faces).tolist() == [list(edge) for edge in _plain(batch, faces)]
+
+
+@pytest.mark.parametrize("name", ["open hemisphere", "torus"])
+@pytest.mark.parametrize("meshes", [1, 40])
+def test_torn_meshes(name, meshes):
+    case = load_case(name)
+    faces = case.faces[np.arange(len(case.faces)) % 97 != 0]
+    vertices, faces = _loose(strategies.Arrays(case.vertices, faces), 0.3, 5)
+    batch = np.stack([vertices * np.float32(1 + m) for m in range(meshes)])
+    found = _both(batch, faces)
+    assert found.tolist() == [list(edge) for edge in _plain(batch[:1], faces)]
+    assert len(set(loops(found).tolist())) >= len(case.faces) // 97
+
+
+def test_a_closed_soup_of_triangles_is_closed():
+    vertices, faces = sphere(12)
+    loose, index = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+    assert _both(loose, index).shape == (0, 2)
+    assert _both(np.stack([loose] * 3), index).shape == (0, 2)
+
+
+def test_a_vertex_within_the_surface_at_the_same_place_changes_nothing():
+    """The flap's corner touches a cube's: the cube has no edge left over, so the flap keeps its own vertices."""
+    vertices, faces = cube()
+    flap = np.array([vertices[0], [5, 5, 5], [6, 5, 5]], np.float32)
+    found = _both(np.concatenate([vertices, flap]), np.concatenate([faces, [[8, 9, 10]]]).astype(np.int32))
+    assert found.tolist() == [[8, 9], [10, 8], [9, 10]]
+
+
+@pytest.mark.parametrize("limit", ["MOST_ON_HOST", "MOST_ON_HOST_IN_ALL"])
+def test_beyond_the_limit_the_result_is_the_same(monkeypatch, limit):
+    case = load_case("open hemisphere")
+    vertices, faces = _loose(strategies.Arrays(case.vertices, case.faces), 0.5, 7)
+    batch = torch.tensor(np.stack([vertices] * 2))
+    few = boundary_edges(batch, torch.tensor(faces))
+    monkeypatch.setattr(sdm.topology.boundary_edges, limit, 1)
+    monkeypatch.setattr(sdm.topology.boundary_edges, "join_on_host", None)
+    index = torch.tensor(faces)
+    many = boundary_edges(batch, index)
+    assert torch.equal(few, many)
+    assert torch.equal(loops(few), loops(many))
+    # And once more, from what was remembered.
+    assert torch.equal(boundary_edges(batch, index), many)
+
+
+def test_the_order_of_faces_changes_neither_edges_nor_loops():
+    case = load_case("open hemisphere")
+    vertices, faces = _loose(strategies.Arrays(case.vertices, case.faces[5:]), 0.3, 9)
+    found = _both(vertices, faces)
+    turned = _both(vertices, np.roll(faces[::-1], 1, 1).copy())
+    assert torch.equal(found, turned)
+    assert torch.equal(loops(found), loops(turned))
+
+
+@settings(max_examples=100)
+@given(strategies.soups(most=8))
+def test_loops_are_what_hangs_together(mesh):
+    edges = boundary_edges(torch.tensor(mesh.vertices), torch.tensor(mesh.faces)).tolist()
+    lowest = {vertex: vertex for edge in edges for vertex in edge}
+    for _ in edges:
+        for edge in edges:
+            lowest[edge[0]] = lowest[edge[1]] = min(lowest[edge[0]], lowest[edge[1]])
+    numbers = {vertex: number for number, vertex in enumerate(sorted(set(lowest.values())))}
+    assert loops(torch.tensor(edges, dtype=torch.int32).reshape(-1, 2)).tolist() == [
+        numbers[lowest[start]] for start, _ in edges
+    ]
