@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
+
+from sdm.kernels.launch import launch
 
 
 @wp.kernel
@@ -18,7 +18,7 @@ def _store(begin: int, volume: wp.uint64, first: int, values: wp.array3d(dtype=w
     wp.volume_store_f(volume, first + i, j, k, values[i, j, k])
 
 
-def store(volume: wp.Volume, first: int, values: wp.array, launch: Any) -> None:
+def store(volume: wp.Volume, first: int, values: wp.array) -> None:
     """Put `values` (n,ny,nz) float32 at the voxels (first + i, j, k), which the volume must have allocated."""
     launch(_store, values.size, [volume.id, first, values], values.device)
 
@@ -34,6 +34,6 @@ def _lookup(begin: int, volume: wp.uint64, first: int, values: wp.array3d(dtype=
     values[i, j, k] = wp.volume_lookup_f(volume, first + i, j, k)
 
 
-def lookup(volume: wp.Volume, first: int, values: wp.array, launch: Any) -> None:
+def lookup(volume: wp.Volume, first: int, values: wp.array) -> None:
     """Fill `values` (n,ny,nz) float32 from the voxels (first + i, j, k)."""
     launch(_lookup, values.size, [volume.id, first, values], values.device)

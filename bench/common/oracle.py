@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 
 # Below this share of its longest edge a triangle's width leaves its plane without digits; its edges then do for it.
-NARROWEST = wp.constant(wp.float64(1e-11))
-TURN = wp.constant(wp.float64(2 * np.pi))
+NARROWEST = wp.float64(1e-11)
+TURN = wp.float64(2 * np.pi)
 # One launch takes this many points, so that progress shows and no launch runs for long.
 CHUNK = 1 << 18
 

@@ -19,7 +19,7 @@ from sdm.kernels.launch import launch
 # Views that are traced at a time: rays of all hundred at once take 600 MB.
 AT_ONCE = 10
 # A camera's distance from the middle in unit-sphere radii, and the cosine below which a face counts as seen edge-on.
-AWAY, EDGE_ON = 1.1, wp.constant(0.001)
+AWAY, EDGE_ON = 1.1, 0.001
 
 
 @dataclass(frozen=True)

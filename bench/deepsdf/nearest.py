@@ -22,8 +22,7 @@ from sdm.kernels.launch import launch
 VOTES = 11
 LEAF = 8
 # As fine as a curve through many points should be.
-CURVE_BITS = wp.constant(FINE_BITS)
-_VOTES, _LEAF = wp.constant(VOTES), wp.constant(LEAF)
+CURVE_BITS = FINE_BITS
 
 Distances = wp.types.vector(length=VOTES, dtype=wp.float32)
 Numbers = wp.types.vector(length=VOTES, dtype=wp.int32)
@@ -53,7 +52,7 @@ def _search(
     p = queries[q]
     best = Distances()
     number = Numbers()
-    for i in range(_VOTES):
+    for i in range(VOTES):
         best[i] = wp.inf
         number[i] = -1
     nodes = Waiting()
@@ -62,13 +61,13 @@ def _search(
     node = int(1)
     while node > 0:
         if node >= leaves:
-            first = (node - leaves) * _LEAF
-            for n in range(first, first + _LEAF):
+            first = (node - leaves) * LEAF
+            for n in range(first, first + LEAF):
                 d = wp.length_sq(points[n] - p)
-                if d < best[_VOTES - 1]:
+                if d < best[VOTES - 1]:
                     # The new one sinks to its place, the last falls out.
                     this = n
-                    for i in range(_VOTES):
+                    for i in range(VOTES):
                         if d < best[i]:
                             other = best[i]
                             best[i] = d
@@ -88,16 +87,16 @@ def _search(
                 swap = near2
                 near2 = far2
                 far2 = swap
-            if far2 < best[_VOTES - 1]:
+            if far2 < best[VOTES - 1]:
                 nodes[waiting] = far
                 distances[waiting] = far2
                 waiting = waiting + 1
-            node = wp.where(near2 < best[_VOTES - 1], near, 0)
+            node = wp.where(near2 < best[VOTES - 1], near, 0)
         while node == 0 and waiting > 0:
             waiting = waiting - 1
-            if distances[waiting] < best[_VOTES - 1]:
+            if distances[waiting] < best[VOTES - 1]:
                 node = nodes[waiting]
-    for i in range(_VOTES):
+    for i in range(VOTES):
         found[q, i] = number[i]
 
 

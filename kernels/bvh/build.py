@@ -7,8 +7,6 @@ arrays that it is given.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import (
@@ -28,6 +26,7 @@ from sdm.kernels.bvh.tree import (
 )
 from sdm.kernels.geometry.hilbert import curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
 from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
@@ -37,11 +36,9 @@ wp.set_module_options({"enable_backward": False})
 
 # Levels of boxes that one launch makes, and triangles that each lane looks at for the mesh's.
 LEVELS_AT_ONCE, RUN = 8, 8
-LARGEST_SCALE = wp.constant(wp.float64(2.0**126))
+LARGEST_SCALE = wp.float64(2.0**126)
 # Bytes of a triangle's corners on the lattice.
-_LATTICE_SIZE = wp.constant(24)
-_SCALE, _UNSCALE, _LOW_X = wp.constant(SCALE), wp.constant(UNSCALE), wp.constant(LOW_X)
-_LATTICE, _DIAGONAL, _FRAME_SIZE = wp.constant(LATTICE), wp.constant(DIAGONAL), wp.constant(FRAME_SIZE)
+_LATTICE_SIZE = 24
 
 
 @wp.kernel
@@ -99,20 +96,20 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     # It stays a float32 even for the smallest numbers.
     while largest * scale <= half and scale < LARGEST_SCALE:
         scale = scale * two
-    base = mesh * _FRAME_SIZE
-    frame[base + _SCALE] = scale
-    frame[base + _UNSCALE] = wp.float64(1.0) / scale
+    base = mesh * FRAME_SIZE
+    frame[base + SCALE] = scale
+    frame[base + UNSCALE] = wp.float64(1.0) / scale
     extent = wp.float64(0.0)
     diagonal2 = wp.float64(0.0)
     for axis in range(3):
         low = wp.float64(bounds[6 * mesh + axis]) * scale
         high = wp.float64(bounds[6 * mesh + 3 + axis]) * scale
-        frame[base + _LOW_X + axis] = low
+        frame[base + LOW_X + axis] = low
         if axis > 0:
             extent = wp.max(extent, high - low)
         diagonal2 = diagonal2 + (high - low) * (high - low)
-    frame[base + _DIAGONAL] = wp.sqrt(diagonal2)
-    frame[base + _LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
+    frame[base + DIAGONAL] = wp.sqrt(diagonal2)
+    frame[base + LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
 
 
 @wp.kernel
@@ -130,7 +127,7 @@ def _make_keys(
     count = faces.shape[0]
     mesh = i / count
     f = i - mesh * count
-    scale = float(frame[mesh * _FRAME_SIZE + _SCALE])
+    scale = float(frame[mesh * FRAME_SIZE + SCALE])
     a = scale * vertices[mesh, faces[f, 0]]
     b = scale * vertices[mesh, faces[f, 1]]
     c = scale * vertices[mesh, faces[f, 2]]
@@ -155,7 +152,7 @@ def _gather_triangles(
     mesh = i / tree.count
     f = sorted_faces[i]
     tree.face[i] = f
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
     a = scale * vertices[mesh, faces[f, 0]]
     b = scale * vertices[mesh, faces[f, 1]]
     c = scale * vertices[mesh, faces[f, 2]]
@@ -220,7 +217,6 @@ def build_tree(
     keys: wp.array,
     slots: wp.array,
     normals: wp.array,
-    launch: Any,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
 
@@ -232,7 +228,6 @@ def build_tree(
         keys: (2 * meshes * F) int64, scratch.
         slots: (2 * meshes * F) int32, scratch.
         normals: (4 * meshes * F) float32: afterwards each face's unit normal, in the order of the faces, and 0.
-        launch: `sdm.kernels.launch.launch`.
     """
     device = vertices.device
     meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]

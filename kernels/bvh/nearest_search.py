@@ -18,7 +18,7 @@ DistanceStack = wp.types.vector(length=32, dtype=wp.float32)
 
 
 # Float32 tells two triangles apart if their distances differ by more than this share of the coordinates.
-CLOSE = wp.constant(6.0e-7)
+CLOSE = 6.0e-7
 
 
 @wp.func

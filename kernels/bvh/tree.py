@@ -25,17 +25,14 @@ TRIANGLES_PER_LEAF = 5
 LARGEST_LEAF = 8
 BOX_FLOATS = 8
 # The projected (y,z) coordinates are snapped to a lattice of this many steps: their cross products fit in int64.
-LATTICE_STEPS = wp.constant(wp.float64(2.0**29))
+LATTICE_STEPS = wp.float64(2.0**29)
 # Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
-LATTICE_SLACK = wp.constant(wp.float64(2.0**-27))
+LATTICE_SLACK = wp.float64(2.0**-27)
 
 # Entries of a mesh's frame.
 SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, DIAGONAL, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 6, 8
-_LOW_X = wp.constant(LOW_X)
-_LATTICE = wp.constant(LATTICE)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
 # Bytes of a triangle's corners and normal.
-_CORNERS_SIZE = wp.constant(48)
+_CORNERS_SIZE = 48
 
 
 @wp.struct
@@ -150,9 +147,9 @@ def to_lattice(tree: Tree, mesh: int, y: wp.float64, z: wp.float64):
 
     A subtraction and a product cannot be fused, so every kernel on every device snaps a point to the same place.
     """
-    base = mesh * _FRAME_SIZE
-    steps = tree.frame[base + _LATTICE]
-    row = wp.floor((y - tree.frame[base + _LOW_X + 1]) * steps)
-    column = wp.floor((z - tree.frame[base + _LOW_X + 2]) * steps)
+    base = mesh * FRAME_SIZE
+    steps = tree.frame[base + LATTICE]
+    row = wp.floor((y - tree.frame[base + LOW_X + 1]) * steps)
+    column = wp.floor((z - tree.frame[base + LOW_X + 2]) * steps)
     limit = wp.float64(2.0) * LATTICE_STEPS
     return wp.vec2i(int(wp.clamp(row, -limit, limit)), int(wp.clamp(column, -limit, limit)))

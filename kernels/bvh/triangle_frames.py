@@ -6,12 +6,11 @@ are rounded once, a sliver is measured as well as any other triangle.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.geometry.triangle_distance import unit_normal
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, floats_at, put4
 from sdm.kernels.primitives.fast_math import inverse_root
 from sdm.kernels.primitives.vector_loads import load4
@@ -20,7 +19,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Per triangle: (corner a, |ab|) (x axis, c_x) (y axis, c_y) (normal, 1/|bc|^2) (1/|ca|^2, solid, 0, 0).
 FRAME_FLOATS = 20
-_ROWS = wp.constant(5)
+_ROWS = 5
 
 
 @wp.struct
@@ -186,6 +185,6 @@ def _make_frames(
     end_record(rows, record, 16 * _ROWS, slot, tree.face.shape[0])
 
 
-def make_frames(tree: Tree, frames: wp.array, launch: Any) -> None:
+def make_frames(tree: Tree, frames: wp.array) -> None:
     """Fill `frames` (slots * FRAME_FLOATS float32) from a built tree."""
     launch(_make_frames, frames.shape[0] // FRAME_FLOATS, [tree, frames], frames.device)

@@ -24,12 +24,11 @@ of d from a double cone is |d - (d.n) n| cos T - |d.n| sin T.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, nodes_of
 from sdm.kernels.culling.witness_bound import Cell
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.primitives.vector_loads import load4, load_row, read4, write4
@@ -37,16 +36,16 @@ from sdm.kernels.primitives.vector_loads import load4, load_row, read4, write4
 wp.set_module_options({"enable_backward": False})
 
 # Faces around a corner that are looked at before it counts as one that faces everywhere.
-MOST_AROUND = wp.constant(32)
+MOST_AROUND = 32
 # Levels of the tree, from the leaves up, whose nodes have cones: wider ones face everywhere, or nearly.
-LEVELS = wp.constant(6)
+LEVELS = 6
 # More than rounding can take from an angle, and what it adds to a distance, in shares of the longer vectors.
-ANGLE_ROOM = wp.constant(2.0e-5)
-DISTANCE_ROOM = wp.constant(2.0e-6)
+ANGLE_ROOM = 2.0e-5
+DISTANCE_ROOM = 2.0e-6
 # Beyond this half-angle a cone is as good as none.
-WIDEST = wp.constant(1.5)
+WIDEST = 1.5
 # Instead of a squared sine: every direction.
-NONE = wp.constant(2.0)
+NONE = 2.0
 
 
 @wp.struct
@@ -257,7 +256,7 @@ def node_cone(tree: Tree, cones: Cones, base: int, node: int):
     return cone
 
 
-def make_cones(tree: Tree, normals: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones, launch: Any) -> None:
+def make_cones(tree: Tree, normals: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones) -> None:
     """Fill `cones` from a built tree, the faces' `normals` (see there) and their neighbours (F,4)."""
     device, slots = normals.device, normals.shape[0] // 4
     meshes = slots // tree.count

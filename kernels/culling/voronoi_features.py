@@ -20,8 +20,6 @@ shared part then all its triangles are equally near, and no test here or in `cul
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, load_corners
@@ -35,6 +33,7 @@ from sdm.kernels.culling.witness_bound import (
     reach,
     sum_abs,
 )
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.coalesced_stores import begin_record, doubles_at, end_record, floats_at, put4, put_double
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_root, inverse_root
 from sdm.kernels.primitives.vector_loads import load4, load_row, write4
@@ -46,20 +45,17 @@ wp.set_module_options({"enable_backward": False})
 # corner that the triangle owns and that has one, which is `first`, or -1.
 PARTS_ROWS = 6
 PARTS_FLOATS = 4 * PARTS_ROWS
-_ROWS, _FLOATS = wp.constant(PARTS_ROWS), wp.constant(PARTS_FLOATS)
+_ROWS, _FLOATS = PARTS_ROWS, PARTS_FLOATS
 # Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
 INVERSES = 4
-_INVERSES = wp.constant(INVERSES)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
 
 # Bits of the parts: as these are numbered, see `leaves`.
-CORNER, EDGE, FACE = wp.constant(1), wp.constant(8), wp.constant(64)
+CORNER, EDGE, FACE = 1, 8, 64
 # Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
-ROOM = wp.constant(2.0e-6)
+ROOM = 2.0e-6
 
 # Squares of lengths below this one may vanish, but not if the lengths are so many times as large.
-SMALL_SQUARE, ENLARGED = wp.constant(2.0**-100), wp.constant(2.0**66)
+SMALL_SQUARE, ENLARGED = 2.0**-100, 2.0**66
 
 
 @wp.struct
@@ -293,7 +289,7 @@ def _make_parts(
 ):
     slot = begin + wp.tid()
     mesh = slot / tree.count
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
     face = tree.face[slot]
     around = load_row(neighbours, face)
     at_a = faces[face, 0]
@@ -334,12 +330,12 @@ def _make_parts(
     bc = wp.vec3d(c) - wp.vec3d(b)
     ca = wp.vec3d(a) - wp.vec3d(c)
     inverses = doubles_at(parts.inverses)
-    record = begin_record(inverses, 8 * _INVERSES, slot)
+    record = begin_record(inverses, 8 * INVERSES, slot)
     put_double(record, 0, inverse_length(ab))
     put_double(record, 1, inverse_length(bc))
     put_double(record, 2, inverse_length(ca))
     put_double(record, 3, inverse_length(wp.cross(ab, -ca)))
-    end_record(inverses, record, 8 * _INVERSES, slot, total)
+    end_record(inverses, record, 8 * INVERSES, slot, total)
 
 
 def make_parts(
@@ -349,7 +345,6 @@ def make_parts(
     faces: wp.array,
     neighbours: wp.array,
     parts: Parts,
-    launch: Any,
 ) -> None:
     """Fill `parts` from a built tree, its meshes, their normals, and the neighbours of their faces (F,4)."""
     inputs = [tree, vertices, normals, faces, neighbours, parts]

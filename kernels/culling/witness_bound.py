@@ -34,11 +34,11 @@ from sdm.kernels.primitives.lanes import from_lane, lane_of_least
 wp.set_module_options({"enable_backward": False})
 
 # Relative room for rounding in D, of the squares that it is a difference of: about 64 float32 roundings.
-SLACK = wp.constant(4.0e-6)
+SLACK = 4.0e-6
 # Twice how far rounding may have put a witness off the surface, in units of the mesh's diagonal.
-OFF_SURFACE = wp.constant(1.0e-6)
+OFF_SURFACE = 1.0e-6
 # Squares beyond this one may overflow.
-LARGEST_SQUARE = wp.constant(1.0e36)
+LARGEST_SQUARE = 1.0e36
 
 
 @wp.struct

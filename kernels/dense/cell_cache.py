@@ -16,8 +16,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Floats of a place: its centre and half^2; its half-widths and the mesh's diagonal; its first voxel and its mesh.
 PLACE_FLOATS = 12
-_PLACE_FLOATS = wp.constant(PLACE_FLOATS)
-_ROWS = wp.constant(PLACE_FLOATS // 4)
+_ROWS = PLACE_FLOATS // 4
 
 
 @wp.struct
@@ -60,7 +59,7 @@ def noted_start(lists: Lists, number: int):
 @wp.func
 def noted_half2(lists: Lists, number: int):
     """The square of its half-diagonal."""
-    return lists.places[_PLACE_FLOATS * number + 3]
+    return lists.places[PLACE_FLOATS * number + 3]
 
 
 @wp.func

@@ -55,7 +55,6 @@ def query_slab(
     values: wp.array,
     ambiguous: wp.array,
     address: wp.array | None,
-    launch: Any,
     empty: Callable[[int, Any], wp.array],
     beside: Beside,
     method: str = "auto",
@@ -73,7 +72,6 @@ def query_slab(
         ambiguous: (meshes,) int32: the number of voxels whose winding number is within 0.25 of 0.5 is added.
         address: (1,) int64: where the distances go, if not to `values`, which then is scratch; known only when kernels
             run.
-        launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
         beside: What is launched in `with beside() as join:` may run beside what comes after it, until `join()`.
         method: `"cells"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
@@ -84,7 +82,7 @@ def query_slab(
             values.zero_()
         else:
             # This is bound by memory, and making lists is not.
-            slab_winding(tree, winding, slab, values, launch, empty)
+            slab_winding(tree, winding, slab, values, empty)
     meshes, *shape = values.shape
     gpu = values.device.is_cuda
     if method == "auto":
@@ -97,7 +95,7 @@ def query_slab(
     out.address = empty(1, wp.int64) if address is None else address
     if method == "search":
         join()
-        search_slab(tree, slab, out, meshes, launch)
+        search_slab(tree, slab, out, meshes)
         return
     lanes = GPU_LANES if gpu else 1
 
@@ -150,18 +148,18 @@ def query_slab(
         lists.count = -(-(total - first) // passes)
         lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
         lists.counts.zero_()
-        find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes, launch)
-        list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes, launch)
-        list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes, launch)
-        plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes, launch)
+        find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes)
+        list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes)
+        list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes)
+        plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
-            begin_sliced(slab, lists, out, sliced, launch)
-        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes, launch)
+            begin_sliced(slab, lists, out, sliced)
+        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes)
         if first == 0:
             # From here on winding numbers are looked at.
             join()
         join_sliced()
-        measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes, launch)
-        end_sliced(slab, lists, out, sliced, launch)
-    mend_slab(whole, slab, out, workers(GPU_BLOCKS) * lanes, launch)
+        measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes)
+        end_sliced(slab, lists, out, sliced)
+    mend_slab(whole, slab, out, workers(GPU_BLOCKS) * lanes)

@@ -7,8 +7,6 @@ region found, or what is found from its own centre.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
@@ -17,6 +15,7 @@ from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_wi
 from sdm.kernels.dense.cell_cache import note_place
 from sdm.kernels.dense.workspace import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
 from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members
 from sdm.kernels.primitives.vector_loads import load4, write4
@@ -24,9 +23,7 @@ from sdm.kernels.primitives.vector_loads import load4, write4
 wp.set_module_options({"enable_backward": False})
 
 # Sides on which to look.
-PROBES = wp.constant(32)
-
-_NEXT_WITNESS = wp.constant(NEXT_WITNESS)
+PROBES = 32
 
 
 @wp.func
@@ -102,7 +99,7 @@ def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness)
 @wp.kernel
 def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
     lane = (begin + wp.tid()) % lanes
-    item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_WITNESS, 1, lane)
     while item < lists.count:
         mesh, start = region_start(lists, item)
         region = make_cell(tree, slab, mesh, start, 2 * lists.cell)
@@ -130,7 +127,7 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
                     lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
                 )
             octant = octant + lanes
-        item = fetch_add_once(lists.counts, _NEXT_WITNESS, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_WITNESS, 1, lane)
 
 
 @wp.func
@@ -143,8 +140,6 @@ def read_witness(rows: wp.array(dtype=wp.float32), number: int):
     return known
 
 
-def find_witnesses(
-    tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int, launch: Any
-) -> None:
+def find_witnesses(tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int) -> None:
     """Fill `lists.witnesses` for the regions and cells of one pass, `workers` groups of lanes at work."""
     launch(_find_witnesses, workers * lanes, [lanes, tree, frames, slab, lists], frames.device, smallest=1)

@@ -5,8 +5,6 @@ One group of lanes descends the tree for one region, or one share of the tree, a
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
@@ -16,6 +14,7 @@ from sdm.kernels.culling.witness_bound import Cell, Witness, box_is_farther
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves, read_witness
 from sdm.kernels.dense.workspace import NEXT_REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import ballot, members, rank, wait_for_lanes
@@ -27,10 +26,7 @@ wp.set_module_options({"enable_backward": False})
 REGION_BLOCKS = 6
 
 # With more shares each has too few nodes to fill its lanes from.
-MOST_WITH_GRANDCHILDREN = wp.constant(8)
-
-_STACK = wp.constant(STACK)
-_NEXT_REGION = wp.constant(NEXT_REGION)
+MOST_WITH_GRANDCHILDREN = 8
 
 
 @wp.func
@@ -78,7 +74,7 @@ def _list_regions(
     # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
     # parents' tests would drop, their own do too. Either lie side by side in memory.
     fan = wp.where(lists.region_shares > MOST_WITH_GRANDCHILDREN, 2, 4)
-    item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_REGION, 1, lane)
     while item < lists.count * lists.region_shares:
         region = item / lists.region_shares
         mesh, start = region_start(lists, region)
@@ -97,7 +93,7 @@ def _list_regions(
             if top < leaves:
                 stack[lane] = top + first + lane
             else:
-                stack[_STACK - 1 - lane] = top + first + lane
+                stack[STACK - 1 - lane] = top + first + lane
         if top == leaves:
             ripe = waiting
             waiting = int(0)
@@ -126,7 +122,7 @@ def _list_regions(
                     kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
                     mask = ballot(keep and child >= leaves)
                     if keep and child >= leaves:
-                        stack[_STACK - 1 - ripe - rank(mask, lane)] = child
+                        stack[STACK - 1 - ripe - rank(mask, lane)] = child
                     ripe = ripe + members(mask)
                     i = i + lanes
                 waiting = waiting + kept
@@ -137,7 +133,7 @@ def _list_regions(
                 low = wp.vec3()
                 high = wp.vec3()
                 if lane < taken:
-                    leaf = stack[_STACK - 1 - ripe - lane] - leaves
+                    leaf = stack[STACK - 1 - ripe - lane] - leaves
                     low, high = node_box(tree, base + leaves + leaf)
                 known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 chain = append(lists, chain, leaf >= 0, leaf, lane)
@@ -145,7 +141,7 @@ def _list_regions(
         if lane == 0:
             lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, item, -1)
             lists.region_lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, _NEXT_REGION, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_REGION, 1, lane)
 
 
 def list_regions(
@@ -157,7 +153,6 @@ def list_regions(
     stacks: wp.array,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch, see `stacks`."""
     launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)

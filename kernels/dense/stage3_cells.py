@@ -6,8 +6,6 @@ many, each would be tested for every cell, and a leaf's box and cone tell nearly
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
@@ -28,14 +26,13 @@ from sdm.kernels.dense.workspace import (
     start_reading,
 )
 from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 
 wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
 CELL_BLOCKS = 6
-
-_NEXT_CELL = wp.constant(NEXT_CELL)
 
 
 @wp.kernel(launch_bounds=(128, CELL_BLOCKS))
@@ -50,7 +47,7 @@ def _list_cells(
 ):
     lane = (begin + wp.tid()) % lanes
     leaves = 1 << tree.depth
-    item = fetch_add_once(lists.counts, _NEXT_CELL, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_CELL, 1, lane)
     while item < 8 * lists.count * lists.shares:
         number = item / lists.shares
         place = noted_place(lists, number)
@@ -90,7 +87,7 @@ def _list_cells(
                 write_witness(lists.nearest, item, known)
                 lists.heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
                 lists.lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, _NEXT_CELL, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_CELL, 1, lane)
 
 
 def list_cells(
@@ -101,7 +98,6 @@ def list_cells(
     lists: Lists,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill the cells' lists and `nearest` of one pass from their regions' lists, with `workers` groups of lanes."""
     launch(_list_cells, workers * lanes, [lanes, tree, frames, cones, slab, lists], frames.device, smallest=1)

@@ -8,8 +8,6 @@ when some of the device has nothing to do, are short.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of
@@ -35,6 +33,7 @@ from sdm.kernels.dense.workspace import (
     start_reading,
 )
 from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.vector_loads import load4
 
@@ -45,26 +44,22 @@ PLAN_BLOCKS = 8
 
 # A cell's number, which of its slices, how many there are less one, in one integer.
 CELL_BITS, SLICE_BITS = 18, 6
-_CELL_BITS, _SLICE_BITS = wp.constant(CELL_BITS), wp.constant(SLICE_BITS)
-_MOST_SLICES = wp.constant(1 << SLICE_BITS)
-_COARSE, _WHOLE, _SLICED = wp.constant(COARSE), wp.constant(WHOLE), wp.constant(SLICED)
-_LENGTHS = wp.constant(LENGTHS)
-_NEXT_PLAN = wp.constant(NEXT_PLAN)
+_MOST_SLICES = 1 << SLICE_BITS
 
 
 @wp.func
 def cell_of(code: int):
-    return code & ((1 << _CELL_BITS) - 1)
+    return code & ((1 << CELL_BITS) - 1)
 
 
 @wp.func
 def slice_of(code: int):
-    return (code >> _CELL_BITS) & (_MOST_SLICES - 1)
+    return (code >> CELL_BITS) & (_MOST_SLICES - 1)
 
 
 @wp.func
 def slices_of(code: int):
-    return 1 + (code >> (_CELL_BITS + _SLICE_BITS))
+    return 1 + (code >> (CELL_BITS + SLICE_BITS))
 
 
 @wp.func
@@ -72,7 +67,7 @@ def whole_blocks(lists: Lists):
     """How many blocks are whole cells, or slices of their lists."""
     total = int(0)
     for length in range(LENGTHS):
-        total = total + lists.counts[_WHOLE + length]
+        total = total + lists.counts[WHOLE + length]
     return total
 
 
@@ -98,7 +93,7 @@ def whole_block(lists: Lists, item: int):
 def length_class(length: int):
     """Which of the lengths a list has: the power of two that is in it."""
     power = int(0)
-    while power < _LENGTHS - 1 and (length >> (power + 1)) > 0:
+    while power < LENGTHS - 1 and (length >> (power + 1)) > 0:
         power = power + 1
     return power
 
@@ -172,18 +167,18 @@ def share_out(lists: Lists, whole: bool, number: int, length: int, slice_length:
     """Note a cell, `whole` or brick by brick, once for each slice of its list."""
     slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
     if slices > 1:
-        lists.sliced[fetch_add(lists.counts, _SLICED, 1)] = number
+        lists.sliced[fetch_add(lists.counts, SLICED, 1)] = number
         lists.lacking[number] = 0
-    code = number | ((slices - 1) << (_CELL_BITS + _SLICE_BITS))
+    code = number | ((slices - 1) << (CELL_BITS + SLICE_BITS))
     if whole:
         kind = length_class(wp.min(length, slice_length))
-        first = kind * lists.slices + fetch_add(lists.counts, _WHOLE + kind, slices)
+        first = kind * lists.slices + fetch_add(lists.counts, WHOLE + kind, slices)
         for i in range(slices):
-            lists.whole[first + i] = code | (i << _CELL_BITS)
+            lists.whole[first + i] = code | (i << CELL_BITS)
     else:
-        first = fetch_add(lists.counts, _COARSE, slices)
+        first = fetch_add(lists.counts, COARSE, slices)
         for i in range(slices):
-            lists.coarse[first + i] = code | (i << _CELL_BITS)
+            lists.coarse[first + i] = code | (i << CELL_BITS)
 
 
 @wp.kernel(launch_bounds=(128, PLAN_BLOCKS))
@@ -198,7 +193,7 @@ def _plan_blocks(
     lists: Lists,
 ):
     lane = (begin + wp.tid()) % lanes
-    number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
+    number = fetch_add_once(lists.counts, NEXT_PLAN, 1, lane)
     while number < 8 * lists.count:
         place = noted_place(lists, number)
         mesh = place.mesh
@@ -219,7 +214,7 @@ def _plan_blocks(
                     note_bricks(tree, slab, lists, number, place, known, lane, lanes)
             if lane == 0:
                 share_out(lists, not is_coarse(cell), number, length, slice_length)
-        number = fetch_add_once(lists.counts, _NEXT_PLAN, 1, lane)
+        number = fetch_add_once(lists.counts, NEXT_PLAN, 1, lane)
 
 
 def plan_blocks(
@@ -231,7 +226,6 @@ def plan_blocks(
     slice_length: int,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill `lists.whole` with the cells of one pass, and `lists.coarse` with those that are too coarse.
 

@@ -9,8 +9,6 @@ This is apart from `blocks` because a GPU's caches hold either's instructions, b
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
@@ -40,6 +38,7 @@ from sdm.kernels.dense.workspace import (
     start_reading,
 )
 from sdm.kernels.geometry.voxel_grid import Slab, index_of
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import wait_for_lanes
@@ -49,12 +48,6 @@ wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks.
 SELECT_BLOCKS = 4
-
-_WAITING, _RIPE, _PARTS = wp.constant(WAITING), wp.constant(RIPE), wp.constant(PARTS)
-_COARSE = wp.constant(COARSE)
-_NEXT_SELECT, _NEXT_CHUNK = wp.constant(NEXT_SELECT), wp.constant(NEXT_CHUNK)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_UNSCALE = wp.constant(UNSCALE)
 
 
 @wp.func
@@ -99,7 +92,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
     block.bits = wp.where(size == 4, 2, wp.where(size == 8, 3, 4))
     block.slice = slice_of(code)
     block.slices = slices_of(code)
-    block.unscale = float(tree.frame[block.mesh * _FRAME_SIZE + _UNSCALE])
+    block.unscale = float(tree.frame[block.mesh * FRAME_SIZE + UNSCALE])
     block.cell = place.cell
     block.known = read_witness(lists.witnesses, lists.count + box)
     # A brick whose witness is its cell's has its floor from there.
@@ -162,7 +155,7 @@ def select_for(
             found = found - taken
             part = int(0)
             if lane < taken:
-                part = stack[_PARTS + found + lane]
+                part = stack[PARTS + found + lane]
             chain = append(lists, chain, lane < taken, part, lane)
         elif ripe >= lanes or reader.left + waiting == 0:
             taken = wp.min(lanes, ripe)
@@ -170,19 +163,19 @@ def select_for(
             which = int(0)
             slot = int(0)
             if lane < taken:
-                slot = stack[_RIPE + ripe + lane]
+                slot = stack[RIPE + ripe + lane]
                 which = parts_that_matter(block.cell, block.known, tree, parts, slot)
-            found = push_parts(stack, _PARTS + found, slot, which, lane) - _PARTS
+            found = push_parts(stack, PARTS + found, slot, which, lane) - PARTS
         elif waiting >= lanes or reader.left == 0:
             taken = wp.min(lanes, waiting)
             waiting = waiting - taken
             keep = False
             slot = int(0)
             if lane < taken:
-                slot = stack[_WAITING + waiting + lane]
+                slot = stack[WAITING + waiting + lane]
                 radius = about_root(block.cell.half2)
                 keep = triangle_matters(block.cell, radius, block.known, tree, parts.balls, cones, slot)
-            ripe = ripe + push(stack, _RIPE + ripe, keep, slot, lane)
+            ripe = ripe + push(stack, RIPE + ripe, keep, slot, lane)
         else:
             leaf = upcoming
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
@@ -197,7 +190,7 @@ def select_for(
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
                     low, high = node_box(tree, base + leaves + leaf)
                     keep = not box_is_farther(block.cell, block.known, low, high)
-            waiting = push_triangles(stack, _WAITING + waiting, tree, block.mesh, keep, leaf, lane) - _WAITING
+            waiting = push_triangles(stack, WAITING + waiting, tree, block.mesh, keep, leaf, lane) - WAITING
             batch = batch + 1
         wait_for_lanes()
     return chain
@@ -217,10 +210,10 @@ def _select_parts(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    bricks = 8 * lists.counts[_COARSE]
+    bricks = 8 * lists.counts[COARSE]
     total = bricks + whole_blocks(lists)
     stack = stack_of(stacks, thread / lanes)
-    item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_SELECT, 1, lane)
     while item < total:
         block, number = block_of(tree, slab, lists, item, bricks, -1)
         head = int(-1)
@@ -231,7 +224,7 @@ def _select_parts(
             if not is_coarse(block.cell):
                 if item < bricks:
                     block.known = find_brick_witness(tree, frames, parts, lists, item, number, block, lane, lanes)
-                head = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+                head = lists.given + fetch_add_once(lists.counts, NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
                     tree,
@@ -251,7 +244,7 @@ def _select_parts(
                 lists.lacking[number] = 1
             lists.part_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
             lists.part_lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, _NEXT_SELECT, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_SELECT, 1, lane)
 
 
 def select_parts(
@@ -264,7 +257,6 @@ def select_parts(
     stacks: wp.array,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill the blocks' lists of parts of one pass, `workers` groups of lanes at work.
 

@@ -7,8 +7,6 @@ octant; then measures one part in one eighth a lane. In the end all voxels are w
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
@@ -35,6 +33,7 @@ from sdm.kernels.dense.workspace import (
     start_reading,
 )
 from sdm.kernels.geometry.voxel_grid import Output, Slab
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import small_stack_of
@@ -44,13 +43,6 @@ wp.set_module_options({"enable_backward": False})
 
 # Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
 FACES, EDGES, CORNERS = 0, 64, 128
-
-_PAIRS, _ITEMS, _MOST_ITEMS = wp.constant(PAIRS), wp.constant(ITEMS), wp.constant(MOST_ITEMS)
-_PARTS = wp.constant(PARTS)
-_PART_BITS, _PAIR_BITS = wp.constant(PART_BITS), wp.constant(PAIR_BITS)
-_FACES, _EDGES, _CORNERS = wp.constant(FACES), wp.constant(EDGES), wp.constant(CORNERS)
-_COARSE = wp.constant(COARSE)
-_NEXT_BLOCK = wp.constant(NEXT_BLOCK)
 
 
 @wp.func
@@ -66,17 +58,17 @@ def measure_parts(
     # The next of the pairs; before all of them, the parts themselves.
     first = int(-1)
     while first < pairs or items > 0:
-        if first < pairs and items + 8 * lanes <= _MOST_ITEMS:
+        if first < pairs and items + 8 * lanes <= MOST_ITEMS:
             level = wp.where(first < 0, 0, 1)
             tag = int(lane)
             boxes = int(octants)
             if level == 1:
                 boxes = int(0)
                 if first + lane < pairs:
-                    tag = in_line(rows, _PAIRS, first + lane)
-                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (_PARTS - 1))))
-            begin = wp.where(level == 0, _PAIRS, _ITEMS)
-            bits = wp.where(level == 0, _PART_BITS, _PAIR_BITS)
+                    tag = in_line(rows, PAIRS, first + lane)
+                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (PARTS - 1))))
+            begin = wp.where(level == 0, PAIRS, ITEMS)
+            bits = wp.where(level == 0, PART_BITS, PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
             if level == 0:
                 pairs = total
@@ -88,8 +80,8 @@ def measure_parts(
             taken = wp.min(lanes, items)
             items = items - taken
             if lane < taken:
-                item = in_line(rows, _ITEMS, items + lane)
-                measure_item(rows, item, kind_of(mix, item & (_PARTS - 1)), room, near, turned)
+                item = in_line(rows, ITEMS, items + lane)
+                measure_item(rows, item, kind_of(mix, item & (PARTS - 1)), room, near, turned)
         wait_for_lanes()
 
 
@@ -129,10 +121,10 @@ def measure_block(
             upcoming = read_entry(lists, reader, lane)
             which = part & 7
             code = 4 * (part >> 3)
-            corners = corners + push(stack, _CORNERS + corners, part >= 0 and which < 3, code + which, lane)
+            corners = corners + push(stack, CORNERS + corners, part >= 0 and which < 3, code + which, lane)
             is_edge = part >= 0 and which >= 3 and which < 6
-            edges = edges + push(stack, _EDGES + edges, is_edge, code + which - 3, lane)
-            faces = faces + push(stack, _FACES + faces, part >= 0 and which == 6, code, lane)
+            edges = edges + push(stack, EDGES + edges, is_edge, code + which - 3, lane)
+            faces = faces + push(stack, FACES + faces, part >= 0 and which == 6, code, lane)
         else:
             mix = taken_now(corners, edges, faces, lanes)
             corners = corners - mix.corners
@@ -142,13 +134,13 @@ def measure_block(
             there = int(0)
             if lane < mix.parts:
                 if which == CORNER_KIND:
-                    code = stack[_CORNERS + corners + lane]
+                    code = stack[CORNERS + corners + lane]
                     add_corner(rows, lane, tree, parts, code, block.cell, block.floor)
                 elif which == EDGE_KIND:
-                    code = stack[_EDGES + edges + lane - mix.corners]
+                    code = stack[EDGES + edges + lane - mix.corners]
                     add_edge(rows, lane, tree, parts, code, block.cell, block.floor)
                 else:
-                    code = stack[_FACES + faces + lane - mix.corners - mix.edges]
+                    code = stack[FACES + faces + lane - mix.corners - mix.edges]
                     add_face(rows, lane, tree, parts, code, block.cell, block.floor)
                 there = octants & octants_of(rows, lane, tests_of(which))
             wait_for_lanes()
@@ -175,11 +167,11 @@ def _measure_blocks(
     thread = begin + wp.tid()
     lane = thread % lanes
     worker = thread / lanes
-    bricks = 8 * lists.counts[_COARSE]
+    bricks = 8 * lists.counts[COARSE]
     # Cells of more voxels than a block are measured brick by brick.
     times = wp.where(lists.cell > BLOCK, 8, 1)
     total = bricks + times * whole_blocks(lists)
-    item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
     while item < total:
         listed = int(item)
         part = int(-1)
@@ -191,7 +183,7 @@ def _measure_blocks(
             noted = rows_of(rows, worker)
             stack = small_stack_of(stacks, worker)
             measure_block(tree, parts, slab, lists, listed, noted, stack, out, block, lane, lanes)
-        item = fetch_add_once(lists.counts, _NEXT_BLOCK, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
 
 
 def measure_blocks(
@@ -204,7 +196,6 @@ def measure_blocks(
     out: Output,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Distances of every voxel of one pass, block by block, with `workers` groups of lanes.
 

@@ -6,26 +6,24 @@ found no room, that is nothing: the least of the others may not be the least.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.dense.cell_cache import noted_start
 from sdm.kernels.dense.workspace import BLOCK, SLICED, Lists, is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks: a voxel is little work, and four reads that wait for each other.
 SLICED_BLOCKS = 16
-_SLICED = wp.constant(SLICED)
 
 
 @wp.func
 def sliced_voxels(lists: Lists):
     """How many voxels there are in cells whose lists are cut into several slices."""
-    return lists.cell * lists.cell * lists.cell * lists.counts[_SLICED]
+    return lists.cell * lists.cell * lists.cell * lists.counts[SLICED]
 
 
 @wp.func
@@ -70,11 +68,11 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
         number = number + threads
 
 
-def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
     """What `blocks` needs of the winding numbers where a block's list is cut into several slices."""
     launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
 
 
-def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int, launch: Any) -> None:
+def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
     """After `blocks`: write what several slices came to where distances go, and count what was missed there."""
     launch(_end_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
@@ -19,15 +17,13 @@ from sdm.kernels.geometry.voxel_grid import (
     voxel,
     write_distance,
 )
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
 
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
-_UNSCALE = wp.constant(UNSCALE)
 # The tile of (x,y) that neighbouring threads share.
-TILE = wp.constant(4)
+TILE = 4
 # Voxels along z that one thread takes one after the other, each from the answer before it. A GPU would rather have
 # more threads.
 CPU_RUN = 8
@@ -36,10 +32,10 @@ CPU_RUN = 8
 @wp.func
 def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
     """Distance of a point from a mesh, and the slot of the triangle nearest to it."""
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    scale = tree.frame[mesh * FRAME_SIZE + SCALE]
     slot = nearest_slot(tree, mesh, float(scale) * point, guess)
     hit = exact_hit(tree, slot, scale * wp.vec3d(point))
-    return float(wp.sqrt(hit.distance2) * tree.frame[mesh * _FRAME_SIZE + _UNSCALE]), slot
+    return float(wp.sqrt(hit.distance2) * tree.frame[mesh * FRAME_SIZE + UNSCALE]), slot
 
 
 @wp.kernel
@@ -75,7 +71,7 @@ def _measure(
         fetch_add(out.ambiguous, mesh, unclear)
 
 
-def search_slab(tree: Tree, slab: Slab, out: Output, meshes: int, launch: Any) -> None:
+def search_slab(tree: Tree, slab: Slab, out: Output, meshes: int) -> None:
     """Replace winding numbers by signed distances, and count the unclear ones."""
     nx, ny, nz = slab.shape
     tile, run = int(TILE), 1 if out.values.device.is_cuda else CPU_RUN
@@ -98,6 +94,6 @@ def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
         number = number + step
 
 
-def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int, launch: Any) -> None:
+def mend_slab(tree: Tree, slab: Slab, out: Output, threads: int) -> None:
     """Search for the distances of the voxels that were missed, if there are any: those that are infinite."""
     launch(_mend, threads, [tree, slab, threads, out], out.values.device, smallest=1)

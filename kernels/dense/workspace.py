@@ -21,9 +21,9 @@ from sdm.kernels.primitives.lanes import ballot, members, rank
 wp.set_module_options({"enable_backward": False})
 
 # Voxels along the edge of the largest block that is measured at a time.
-BLOCK = wp.constant(8)
+BLOCK = 8
 # Half-width of a box of voxels, scaled, beyond which it is not measured as a whole.
-COARSEST = wp.constant(0.125)
+COARSEST = 0.125
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
@@ -32,11 +32,6 @@ NEXT_CHUNK, COARSE, SLICED, WHOLE = range(6, 10)
 # Blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of slices.
 LENGTHS = 10
 COUNTS = WHOLE + LENGTHS
-
-_FRAME_SIZE, _SCALE, _DIAGONAL = wp.constant(FRAME_SIZE), wp.constant(SCALE), wp.constant(DIAGONAL)
-_CHUNK = wp.constant(CHUNK)
-_ROOM = wp.constant(ROOM)
-_NEXT_CHUNK = wp.constant(NEXT_CHUNK)
 
 
 @wp.struct
@@ -106,9 +101,9 @@ def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
 @wp.func
 def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
     """The same for what is compared with a mesh's surface points."""
-    frame = mesh * _FRAME_SIZE
-    cell = box_of_voxels(slab, start, size, float(tree.frame[frame + _SCALE]))
-    cell.diagonal = float(tree.frame[frame + _DIAGONAL])
+    frame = mesh * FRAME_SIZE
+    cell = box_of_voxels(slab, start, size, float(tree.frame[frame + SCALE]))
+    cell.diagonal = float(tree.frame[frame + DIAGONAL])
     return cell
 
 
@@ -167,18 +162,18 @@ def append(lists: Lists, chain: Chain, keep: bool, entry: int, lane: int):
     added = members(mask)
     at = chain.fill + rank(mask, lane)
     fresh = chain.chunk
-    if chain.fill + added > _ROOM:
-        fresh = lists.given + fetch_add_once(lists.counts, _NEXT_CHUNK, 1, lane)
+    if chain.fill + added > ROOM:
+        fresh = lists.given + fetch_add_once(lists.counts, NEXT_CHUNK, 1, lane)
         if fresh < lists.chunks and lane == 0:
-            lists.pool[chain.chunk * _CHUNK + _ROOM] = fresh
+            lists.pool[chain.chunk * CHUNK + ROOM] = fresh
     if keep:
-        if at < _ROOM:
-            lists.pool[chain.chunk * _CHUNK + at] = entry
+        if at < ROOM:
+            lists.pool[chain.chunk * CHUNK + at] = entry
         elif fresh < lists.chunks:
-            lists.pool[fresh * _CHUNK + at - _ROOM] = entry
+            lists.pool[fresh * CHUNK + at - ROOM] = entry
     chain.fill = chain.fill + added
-    if chain.fill > _ROOM:
-        chain.fill = chain.fill - _ROOM
+    if chain.fill > ROOM:
+        chain.fill = chain.fill - ROOM
     chain.chunk = fresh
     chain.length = chain.length + added
     return chain
@@ -235,8 +230,8 @@ def start_reading(heads: wp.array(dtype=wp.int32), lengths: wp.array(dtype=wp.in
 @wp.func
 def read_entry(lists: Lists, reader: Reader, lane: int):
     """A lane's entry, or -1 if there is none for it."""
-    if reader.at + lane < wp.min(reader.left, _ROOM):
-        return lists.pool[reader.chunk * _CHUNK + reader.at + lane]
+    if reader.at + lane < wp.min(reader.left, ROOM):
+        return lists.pool[reader.chunk * CHUNK + reader.at + lane]
     return -1
 
 
@@ -246,11 +241,11 @@ def read_on(
 ):
     """The place after the lanes' entries."""
     reader.at = reader.at + lanes
-    if reader.at >= wp.min(reader.left, _ROOM):
-        reader.left = reader.left - wp.min(reader.left, _ROOM)
+    if reader.at >= wp.min(reader.left, ROOM):
+        reader.left = reader.left - wp.min(reader.left, ROOM)
         reader.at = 0
         if reader.left > 0:
-            reader.chunk = lists.pool[reader.chunk * _CHUNK + _ROOM]
+            reader.chunk = lists.pool[reader.chunk * CHUNK + ROOM]
         else:
             reader = next_chain(heads, lengths, reader)
     return reader

@@ -18,7 +18,7 @@ wp.set_module_options({"enable_backward": False})
 
 # A stack's entry keeps two positions in 32 bits.
 LONGEST_LINE = (1 << 15) - 1
-_LOW = wp.constant((1 << 16) - 1)
+_LOW = (1 << 16) - 1
 
 
 @wp.func

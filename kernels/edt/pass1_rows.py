@@ -13,7 +13,7 @@ from sdm.kernels.primitives.lanes import ballot
 
 wp.set_module_options({"enable_backward": False})
 
-NOWHERE = wp.constant(1 << 28)
+NOWHERE = 1 << 28
 
 
 @wp.func_native(

@@ -16,7 +16,6 @@ wp.set_module_options({"enable_backward": False})
 
 # Voxels that ask together.
 TILE = 8
-_TILE = wp.constant(TILE)
 Tile = wp.types.vector(length=TILE, dtype=wp.float32)
 
 
@@ -186,7 +185,7 @@ def nearest_on_line(
             if other >= 0 and other < pieces:
                 low = first_of(other, pieces, length)
                 high = first_of(other + 1, pieces, length)
-                gap = wp.max(wp.max(low - (x + _TILE - 1), x - (high - 1)), 0)
+                gap = wp.max(wp.max(low - (x + TILE - 1), x - (high - 1)), 0)
                 count = counts[other * lines + line]
                 if count > 0 and cost(gap, 0, 0.0, weight, half) < most:
                     pile = base + low * stride
@@ -204,4 +203,4 @@ def nearest_on_line(
             if best[i] >= 0.0:
                 mark(following, crossing + (x + i) * stride, side * best[i])
                 out[base + (x + i) * stride] = side * finished(best[i], scale, missing)
-        x = x + _TILE
+        x = x + TILE

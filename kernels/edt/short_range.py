@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 # A line is marked if one of its voxels might have to look further than this. In noise whose voxels are twice as long
 # along rows as along lines, six would mark nine lines in ten, twelve one in twenty.
-NEIGHBOURS = wp.constant(12)
+NEIGHBOURS = 12
 
 
 @wp.func

@@ -19,6 +19,7 @@ from sdm.kernels.edt.envelopes import find_envelopes
 from sdm.kernels.edt.pass1_rows import nearest_in_row
 from sdm.kernels.edt.pass2_lines import nearest_on_line
 from sdm.kernels.edt.short_range import NEIGHBOURS, Marks, nearest_among_neighbours
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES
 
 # Lines are few and long: small blocks spread them over all of a GPU.
@@ -49,7 +50,6 @@ def transform(
     missing: float,
     room: dict[str, wp.array],
     out: wp.array,
-    launch: Any,
 ) -> None:
     """Fill `out` with distances to the nearest voxel of the other class.
 
@@ -62,7 +62,6 @@ def transform(
         missing: Distance where there is no voxel of the other class.
         room: Scratch, as large as `room_for` says: `between` float32, all else int32, `marks` zeros.
         out: float32, flat.
-        launch: See `launch.launch`.
     """
     meshes, nx, ny, nz = shape
     device = mask.device

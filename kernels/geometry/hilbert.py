@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 # points, of which there may be many more to a triangle.
 COARSE_BITS, FINE_BITS = 8, 10
 FEW = 1 << 17
-POINT_BITS = wp.constant(13)
+POINT_BITS = 13
 
 
 def curve_bits(triangles: int) -> int:

@@ -15,7 +15,7 @@ from sdm.kernels.primitives.fast_math import inverse_root
 wp.set_module_options({"enable_backward": False})
 
 # Below this height over longest edge a triangle is as thin as float32 rounding of its own corners: its edges tell all.
-FLATTEST = wp.constant(wp.float64(1.0e-10))
+FLATTEST = wp.float64(1.0e-10)
 
 
 @wp.func

@@ -19,9 +19,7 @@ from sdm.kernels.winding.ray_crossings import Ray, lattice_box, meets_ray
 
 wp.set_module_options({"enable_backward": False})
 
-_LEAVES, _FOUND = wp.constant(LEAVES), wp.constant(FOUND)
-_MOST = wp.constant(MOST)
-_LEAF = wp.constant(TRIANGLES_PER_LEAF)
+_LEAF = TRIANGLES_PER_LEAF
 
 
 @wp.func
@@ -40,7 +38,7 @@ def gather_near(
     radius = wp.sqrt(cell.half2)
     descent = start_descent(tree, scratch, at, lane)
     found = int(0)
-    while descent.waiting + descent.ripe > 0 and found <= _MOST:
+    while descent.waiting + descent.ripe > 0 and found <= MOST:
         if descent.waiting > 0 and descent.ripe < full_of_leaves(lanes):
             descent = next_nodes(tree, scratch, at, descent, lane, lanes)
             for side in range(2):
@@ -61,14 +59,14 @@ def gather_near(
                 cones,
                 0,
                 scratch,
-                at + _LEAVES + descent.ripe,
+                at + LEAVES + descent.ripe,
                 taken,
-                at + _FOUND + found,
+                at + FOUND + found,
                 lane,
                 lanes,
             )
         wait_for_lanes()
-    return wp.where(found <= _MOST, found, -1)
+    return wp.where(found <= MOST, found, -1)
 
 
 @wp.func
@@ -102,7 +100,7 @@ def gather_on_rays(
     """
     descent = start_descent(tree, scratch, at, lane)
     found = int(0)
-    while descent.waiting + descent.ripe > 0 and found <= _MOST:
+    while descent.waiting + descent.ripe > 0 and found <= MOST:
         if descent.waiting > 0 and descent.ripe < full_of_leaves(lanes):
             descent = next_nodes(tree, scratch, at, descent, lane, lanes)
             for side in range(2):
@@ -119,11 +117,11 @@ def gather_on_rays(
                 keep = False
                 slot = int(0)
                 if i < taken * _LEAF:
-                    leaf = scratch[at + _LEAVES + descent.ripe + i / _LEAF]
+                    leaf = scratch[at + LEAVES + descent.ripe + i / _LEAF]
                     slot = first_triangle(tree, leaf) + i % _LEAF
                     if slot < first_triangle(tree, leaf + 1):
                         keep = triangle_meets(tree, slot, ray, low, high)
-                found = found + push(scratch, at + _FOUND + found, keep, slot, lane)
+                found = found + push(scratch, at + FOUND + found, keep, slot, lane)
                 i = i + lanes
         wait_for_lanes()
-    return wp.where(found <= _MOST, found, -1)
+    return wp.where(found <= MOST, found, -1)

@@ -25,8 +25,6 @@ TIES = OWN + OWN_ROOM * GPU_LANES
 SQUARES = TIES + TIES_ROOM * GPU_LANES
 SCRATCH = SQUARES + TIES_ROOM * GPU_LANES
 
-_LEAVES = wp.constant(LEAVES)
-
 
 @wp.struct
 class Descent:
@@ -43,7 +41,7 @@ def start_descent(tree: Tree, scratch: wp.array(dtype=wp.int32), at: int, lane: 
     descent = Descent()
     if lane == 0:
         scratch[at] = 1
-        scratch[at + _LEAVES] = 0
+        scratch[at + LEAVES] = 0
     if tree.depth > 0:
         descent.waiting = 1
     else:
@@ -83,6 +81,6 @@ def keep_children(
     leaves = 1 << tree.depth
     descent.waiting = descent.waiting + push(scratch, at + descent.waiting, keep and child < leaves, child, lane)
     descent.ripe = descent.ripe + push(
-        scratch, at + _LEAVES + descent.ripe, keep and child >= leaves, child - leaves, lane
+        scratch, at + LEAVES + descent.ripe, keep and child >= leaves, child - leaves, lane
     )
     return descent

@@ -16,8 +16,7 @@ from sdm.kernels.primitives.lanes import from_lane, int_from_lane, lane_of_least
 
 wp.set_module_options({"enable_backward": False})
 
-_LEAVES = wp.constant(LEAVES)
-_LEAF = wp.constant(TRIANGLES_PER_LEAF)
+_LEAF = TRIANGLES_PER_LEAF
 
 
 @wp.func
@@ -85,7 +84,7 @@ def nearest_together(tree: Tree, p: wp.vec3, scratch: wp.array(dtype=wp.int32), 
             leaf = int(-1)
             which = lane / _LEAF
             if which < taken:
-                leaf = scratch[at + _LEAVES + descent.ripe + which]
+                leaf = scratch[at + LEAVES + descent.ripe + which]
                 if node_distance2(tree, (1 << tree.depth) + leaf, p) >= best2:
                     leaf = -1
             best, best2 = nearest_of_leaves(tree, p, leaf, best, best2, lane)

@@ -7,14 +7,13 @@ and what can be said about the signs of all its points at once (see `caps` for o
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit
 from sdm.kernels.bvh.tree import DIAGONAL, SCALE, Tree
 from sdm.kernels.culling.witness_bound import Cell, cell_of_rows, no_witness
 from sdm.kernels.dense.stage1_witnesses import write_witness
+from sdm.kernels.launch import launch
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.group_search import nearest_together
 from sdm.kernels.primitives.atomics import fetch_add_once
@@ -31,17 +30,11 @@ GROUP = 32
 POINT_BLOCKS = 5
 # What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
 # may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
-FAR, COVERED, APART = wp.constant(1), wp.constant(2), wp.constant(4)
+FAR, COVERED, APART = 1, 2, 4
 # Places of the shared counts.
 NEXT_BOX, NEXT_LIST, NEXT_SIDE, COUNTS = range(4)
 # Room for rounding in the distance from a box's centre and its radius.
-ROOM = wp.constant(1.0e-5)
-
-_GROUP, _SCRATCH = wp.constant(GROUP), wp.constant(SCRATCH)
-_SCALE = wp.constant(SCALE)
-_DIAGONAL = wp.constant(DIAGONAL)
-_NEXT_BOX = wp.constant(NEXT_BOX)
-_CLOSED, _SOUP = wp.constant(CLOSED), wp.constant(SOUP)
+ROOM = 1.0e-5
 
 
 @wp.struct
@@ -72,7 +65,7 @@ def numbered(order: wp.array(dtype=wp.int32), at: int):
 @wp.func
 def group_end(group: int, points: int):
     """One past the last of a group's places in the order."""
-    return wp.min(_GROUP * (group + 1), points)
+    return wp.min(GROUP * (group + 1), points)
 
 
 @wp.func
@@ -84,7 +77,7 @@ def point_or_middle(
     if at < end:
         point = points[numbered(order, at)]
         if is_finite(point):
-            p = tree.frame[_SCALE] * wp.vec3d(point)
+            p = tree.frame[SCALE] * wp.vec3d(point)
     return p
 
 
@@ -95,18 +88,18 @@ def box_around(
     """The box around a group's finite points, scaled; without any, or where it is not finite, at the origin."""
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     negated_high = low
-    at = _GROUP * group + lane
+    at = GROUP * group + lane
     while at < group_end(group, points.shape[0]):
         i = numbered(order, at)
         if is_finite(points[i]):
-            p = float(tree.frame[_SCALE]) * points[i]
+            p = float(tree.frame[SCALE]) * points[i]
             low = wp.min(low, p)
             negated_high = wp.min(negated_high, -p)
         at = at + lanes
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
     high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
     cell = Cell()
-    cell.diagonal = float(tree.frame[_DIAGONAL])
+    cell.diagonal = float(tree.frame[DIAGONAL])
     cell.centre = 0.5 * low + 0.5 * high
     if is_finite(cell.centre):
         # A rounding more than the points need, so that none sticks out.
@@ -137,19 +130,19 @@ def _look_around(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
+    group = fetch_add_once(groups.counts, NEXT_BOX, 1, lane)
     while group < groups.count:
         cell = box_around(tree, points, order, group, lane, lanes)
-        slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * _SCRATCH, lane, lanes)
+        slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
         known = no_witness()
         hint = int(0)
-        if winding.kind == _CLOSED:
+        if winding.kind == CLOSED:
             hint = FAR
         if cell.half2 < float(wp.inf):
             hit = exact_hit(tree, slot, wp.vec3d(cell.centre))
             known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
             known.distance2 = float(hit.distance2)
-            if winding.kind != _CLOSED and winding.kind != _SOUP:
+            if winding.kind != CLOSED and winding.kind != SOUP:
                 if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
                     hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
             if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
@@ -161,7 +154,7 @@ def _look_around(
             write_witness(groups.witnesses, group, known)
             groups.nearest[group] = slot
             groups.hints[group] = hint
-        group = fetch_add_once(groups.counts, _NEXT_BOX, 1, lane)
+        group = fetch_add_once(groups.counts, NEXT_BOX, 1, lane)
 
 
 def look_around(
@@ -173,7 +166,6 @@ def look_around(
     scratch: wp.array,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill `groups` for points (N,) in their order, or as they come if `order` is empty.
 

@@ -25,22 +25,20 @@ from sdm.kernels.winding.ray_crossings import lattice_box
 
 wp.set_module_options({"enable_backward": False})
 
-_FOUND, _OWN, _OWN_ROOM = wp.constant(FOUND), wp.constant(OWN), wp.constant(OWN_ROOM)
-_TIES, _TIES_ROOM = wp.constant(TIES), wp.constant(TIES_ROOM)
 # From one of those that tie to its squared distance.
-_TO_SQUARE = wp.constant(SQUARES - TIES)
+_TO_SQUARE = SQUARES - TIES
 
 
 @wp.func
 def own(at: int, k: int, lane: int, lanes: int):
     """Where in the scratch the place of the lane's own triangle number k in its group's list is."""
-    return at + _OWN + k * lanes + lane
+    return at + OWN + k * lanes + lane
 
 
 @wp.func
 def own_slot(scratch: wp.array(dtype=wp.int32), at: int, k: int, lane: int, lanes: int):
     """The slot of the lane's own triangle number k."""
-    return scratch[at + _FOUND + scratch[own(at, k, lane, lanes)]]
+    return scratch[at + FOUND + scratch[own(at, k, lane, lanes)]]
 
 
 @wp.func
@@ -61,14 +59,14 @@ def nearest_middle(
     while first < found:
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if first + lane < found:
-            ball = load4(balls, scratch[at + _FOUND + first + lane])
+            ball = load4(balls, scratch[at + FOUND + first + lane])
         show(board, ball, lane)
         nearest = nearest_shown(board, wp.min(lanes, found - first), p, ball)
         if nearest[0] < least2:
             least2 = nearest[0]
             place = first + int(nearest[1])
         first = first + lanes
-    return scratch[at + _FOUND + place]
+    return scratch[at + FOUND + place]
 
 
 @wp.struct
@@ -109,8 +107,8 @@ def measure_kept(
                     # All those before are out.
                     ties.count = 0
                 ties.best2 = d2
-            if ties.count < _TIES_ROOM:
-                place = at + _TIES + ties.count * lanes + lane
+            if ties.count < TIES_ROOM:
+                place = at + TIES + ties.count * lanes + lane
                 scratch[place] = 4 * slot + part
                 scratch[place + _TO_SQUARE] = wp.cast(d2, wp.int32)
             ties.count = ties.count + 1
@@ -146,7 +144,7 @@ def keep_nearest(
     while first < found:
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if first + lane < found:
-            ball = load4(balls, scratch[at + _FOUND + first + lane])
+            ball = load4(balls, scratch[at + FOUND + first + lane])
         show(board, ball, lane)
         near = shown_within(board, wp.min(lanes, found - first), p, bound, ball)
         while near != wp.uint32(0):
@@ -156,17 +154,17 @@ def keep_nearest(
             kept = kept + 1
         first = first + lanes
         # Before any lane's column is full, and at the end.
-        if ballot(kept > _OWN_ROOM - lanes) != wp.uint32(0) or first >= found:
+        if ballot(kept > OWN_ROOM - lanes) != wp.uint32(0) or first >= found:
             ties = measure_kept(tree, p, room, ties, scratch, at, kept, lane, lanes)
             bound = wp.sqrt(ties.best2) + 4.0 * room
             kept = 0
-    if ties.count > _TIES_ROOM:
+    if ties.count > TIES_ROOM:
         return 0
     left = int(0)
     for k in range(ties.count):
-        place = at + _TIES + k * lanes + lane
+        place = at + TIES + k * lanes + lane
         if wp.cast(scratch[place + _TO_SQUARE], wp.float32) <= ties.out2:
-            scratch[at + _TIES + left * lanes + lane] = scratch[place]
+            scratch[at + TIES + left * lanes + lane] = scratch[place]
             left = left + 1
     return left
 
@@ -191,14 +189,14 @@ def keep_covering(
     while first < found:
         box = wp.vec4i(0, 0, 0, 0)
         if first + lane < found:
-            low, high = lattice_box(tree, scratch[at + _FOUND + first + lane])
+            low, high = lattice_box(tree, scratch[at + FOUND + first + lane])
             box = wp.vec4i(low[0], low[1], high[0], high[1])
         show_whole(board, box, lane)
         around = shown_around(board, wp.min(lanes, found - first), q, box)
         while around != wp.uint32(0):
             k = first_member(around)
             around = around & (around - wp.uint32(1))
-            if kept < _OWN_ROOM:
+            if kept < OWN_ROOM:
                 scratch[own(at, kept, lane, lanes)] = first + k
             kept = kept + 1
         first = first + lanes

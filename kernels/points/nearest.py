@@ -6,8 +6,6 @@ those that float32 cannot tell apart.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_distance2
@@ -15,6 +13,7 @@ from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
 from sdm.kernels.dense.stage1_witnesses import read_witness
+from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_near
 from sdm.kernels.points.group_descent import SCRATCH, TIES
 from sdm.kernels.points.groups import GROUP, NEXT_LIST, POINT_BLOCKS, Groups, group_end, point_or_middle, read_box
@@ -24,17 +23,13 @@ from sdm.kernels.primitives.lanes import wait_for_lanes
 
 wp.set_module_options({"enable_backward": False})
 
-_GROUP = wp.constant(GROUP)
-_SCRATCH, _TIES = wp.constant(SCRATCH), wp.constant(TIES)
-_NEXT_LIST = wp.constant(NEXT_LIST)
-
 
 @wp.func
 def nearest_of_ties(
     tree: Tree, p: wp.vec3, scratch: wp.array(dtype=wp.int32), at: int, left: int, lane: int, lanes: int
 ):
     """The slot of the nearest to p (scaled) of the lane's `left` triangles, as float64 sees it; -1 without any."""
-    first = at + _TIES + lane
+    first = at + TIES + lane
     nearest = int(-1)
     if left > 0:
         nearest = scratch[first]
@@ -64,8 +59,8 @@ def _find_nearest(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    room = (thread / lanes) * _SCRATCH
-    group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
+    room = (thread / lanes) * SCRATCH
+    group = fetch_add_once(groups.counts, NEXT_LIST, 1, lane)
     while group < groups.count:
         cell = read_box(groups, group)
         known = read_witness(groups.witnesses, group)
@@ -73,7 +68,7 @@ def _find_nearest(
         if known.distance2 < LARGEST_SQUARE and cell.half2 < LARGEST_SQUARE:
             found = gather_near(tree, balls, cones, cell, known, scratch, room, lane, lanes)
         end = group_end(group, points.shape[0])
-        first = _GROUP * group
+        first = GROUP * group
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
@@ -86,7 +81,7 @@ def _find_nearest(
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(groups.counts, _NEXT_LIST, 1, lane)
+        group = fetch_add_once(groups.counts, NEXT_LIST, 1, lane)
 
 
 def find_nearest(
@@ -100,7 +95,6 @@ def find_nearest(
     slots: wp.array,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill `slots` (N,), in their order, with the triangle nearest to each of points (N,), or -1 for one to search for.
 

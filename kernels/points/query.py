@@ -21,7 +21,7 @@ from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, node_box
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Parts
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
-from sdm.kernels.launch import threads
+from sdm.kernels.launch import launch, threads
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.groups import (
     COUNTS,
@@ -41,9 +41,6 @@ from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
 
-_SCALE, _UNSCALE = wp.constant(SCALE), wp.constant(UNSCALE)
-_GROUP = wp.constant(GROUP)
-_UNKNOWN, _INSIDE = wp.constant(UNKNOWN), wp.constant(INSIDE)
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
 CPU_RUN = 8
@@ -73,7 +70,7 @@ def _point_keys(
     if edge > 0.0:
         keys[i] = curve_code(points[i], corner, corner + wp.vec3(edge, edge, edge), POINT_BITS)
     else:
-        p = float(tree.frame[_SCALE]) * points[i]
+        p = float(tree.frame[SCALE]) * points[i]
         # Twice the mesh's box: most points that people ask for are inside it.
         low, high = node_box(tree, 1)
         middle = 0.5 * (low + high)
@@ -92,8 +89,8 @@ def answer(
     hits: Hits,
 ):
     """Write what is asked of point i, whose nearest triangle is in a slot."""
-    unscale = tree.frame[_UNSCALE]
-    hit = exact_hit(tree, slot, tree.frame[_SCALE] * wp.vec3d(point))
+    unscale = tree.frame[UNSCALE]
+    hit = exact_hit(tree, slot, tree.frame[SCALE] * wp.vec3d(point))
     distance = float(wp.sqrt(hit.distance2) * unscale)
     values[i] = wp.where(inside, -distance, distance)
     if hits.wanted != 0:
@@ -115,8 +112,8 @@ def _finish(
 ):
     at = begin + wp.tid()
     i = numbered(order, at)
-    if slots[at] >= 0 and sides[at] != _UNKNOWN and is_finite(points[i]):
-        answer(tree, slots[at], sides[at] == _INSIDE, points[i], i, values, hits)
+    if slots[at] >= 0 and sides[at] != UNKNOWN and is_finite(points[i]):
+        answer(tree, slots[at], sides[at] == INSIDE, points[i], i, values, hits)
 
 
 @wp.kernel
@@ -134,7 +131,7 @@ def _query(
     hits: Hits,
 ):
     run = begin + wp.tid()
-    scale = tree.frame[_SCALE]
+    scale = tree.frame[SCALE]
     guess = int(-1)
     # The bound is a variable so that Warp does not write the loop out.
     steps = int(length)
@@ -144,7 +141,7 @@ def _query(
             i = numbered(order, at)
             point = points[i]
             slot = int(-1)
-            side = _UNKNOWN
+            side = UNKNOWN
             if slots.shape[0] > 0:
                 slot = slots[at]
                 side = sides[at]
@@ -154,15 +151,15 @@ def _query(
                     hits.points[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
                     hits.faces[i] = -1
                     hits.barycentric[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
-            elif slot < 0 or side == _UNKNOWN:
+            elif slot < 0 or side == UNKNOWN:
                 if slot < 0:
                     if guess < 0:
-                        guess = groups.nearest[at / _GROUP]
+                        guess = groups.nearest[at / GROUP]
                     slot = nearest_slot(tree, 0, float(scale) * point, guess)
                     guess = slot
-                inside = side == _INSIDE
-                if side == _UNKNOWN:
-                    hint = groups.hints[at / _GROUP]
+                inside = side == INSIDE
+                if side == UNKNOWN:
+                    hint = groups.hints[at / GROUP]
                     inside = inside_at(tree, winding, scale * wp.vec3d(point), (hint & FAR) != 0, (hint & COVERED) != 0)
                 answer(tree, slot, inside, point, i, values, hits)
 
@@ -174,11 +171,11 @@ def _winding(
     i = begin + wp.tid()
     values[i] = float(wp.nan)
     if is_finite(points[i]):
-        values[i] = winding_at(tree, winding, 0, tree.frame[_SCALE] * wp.vec3d(points[i]))
+        values[i] = winding_at(tree, winding, 0, tree.frame[SCALE] * wp.vec3d(points[i]))
 
 
 def sort_points(
-    points: wp.array, tree: Tree, keys: wp.array, order: wp.array, launch: Any, cube: Sequence[float] | None = None
+    points: wp.array, tree: Tree, keys: wp.array, order: wp.array, cube: Sequence[float] | None = None
 ) -> None:
     """Fill `order` with the points' order along a curve through the tree's box, or through a cube.
 
@@ -187,7 +184,6 @@ def sort_points(
         tree: One mesh's hierarchy.
         keys: (2N,) int64, scratch.
         order: (2N,) int32, filled: the first N are the order.
-        launch: `sdm.kernels.launch.launch`.
         cube: The least x, y and z, and the edge. The curve takes each eighth of it as a whole, each eighth of that, ...
     """
     count = points.shape[0]
@@ -205,7 +201,6 @@ def query_points(
     order: wp.array,
     values: wp.array,
     hits: tuple[wp.array, wp.array, wp.array] | None,
-    launch: Any,
     empty: Callable[[int, Any], wp.array],
     method: str = "auto",
 ) -> None:
@@ -220,7 +215,6 @@ def query_points(
         order: (N,) the order to go through them, or empty: as they come.
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
-        launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
         method: `"lists"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
             faster. Both are exact.
@@ -239,21 +233,21 @@ def query_points(
     scratch = empty(workers * SCRATCH, wp.int32)
     groups.counts = empty(COUNTS, wp.int32)
     groups.counts.zero_()
-    look_around(tree, winding, points, order, groups, scratch, workers, lanes, launch)
+    look_around(tree, winding, points, order, groups, scratch, workers, lanes)
     slots = empty(count if lists else 0, wp.int32)
     sides = empty(count if lists else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
     if lists:
-        find_nearest(tree, parts.balls, cones, points, order, groups, scratch, slots, workers, lanes, launch)
-        find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes, launch)
+        find_nearest(tree, parts.balls, cones, points, order, groups, scratch, slots, workers, lanes)
+        find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
     length = 1 if device.is_cuda else CPU_RUN
     inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]
     launch(_query, -(-count // length), inputs, device)
 
 
-def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array, launch: Any) -> None:
+def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array) -> None:
     """The generalised winding number at each point, (N,) float32."""
     launch(_winding, points.shape[0], [tree, winding, points, values], points.device)

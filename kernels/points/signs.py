@@ -7,12 +7,11 @@ centre. Elsewhere each point has its own winding number, which is not found here
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, to_lattice
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Cell
+from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_on_rays
 from sdm.kernels.points.group_descent import OWN_ROOM, SCRATCH
 from sdm.kernels.points.groups import (
@@ -37,11 +36,6 @@ from sdm.kernels.winding.winding_number import Winding
 wp.set_module_options({"enable_backward": False})
 
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
-
-_UNKNOWN, _OUTSIDE, _INSIDE = wp.constant(UNKNOWN), wp.constant(OUTSIDE), wp.constant(INSIDE)
-_GROUP = wp.constant(GROUP)
-_SCRATCH, _OWN_ROOM = wp.constant(SCRATCH), wp.constant(OWN_ROOM)
-_NEXT_SIDE = wp.constant(NEXT_SIDE)
 
 
 @wp.func
@@ -89,7 +83,7 @@ def crossings_in_list(
     """`count_on_ray` from the lane's p (scaled), of the triangles found for its group."""
     q = to_lattice(tree, 0, p[1], p[2])
     kept = keep_covering(tree, q, scratch, room, found, lane, lanes)
-    if kept > _OWN_ROOM:
+    if kept > OWN_ROOM:
         return count_on_ray(tree, 0, p, back)
     total = int(0)
     for k in range(kept):
@@ -112,9 +106,9 @@ def _find_sides(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    room = (thread / lanes) * _SCRATCH
+    room = (thread / lanes) * SCRATCH
     low, high = node_box(tree, 1)
-    group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
+    group = fetch_add_once(groups.counts, NEXT_SIDE, 1, lane)
     while group < groups.count:
         cell = read_box(groups, group)
         hint = groups.hints[group]
@@ -127,24 +121,24 @@ def _find_sides(
                 cell.half = wp.vec3(0.0, 0.0, 0.0)
             found = list_rays(tree, cell, back, scratch, room, lane, lanes)
         end = group_end(group, points.shape[0])
-        first = _GROUP * group
+        first = GROUP * group
         while first < end:
             at = first + lane
             p = wp.vec3d(cell.centre)
             if not apart:
                 p = point_or_middle(tree, points, order, at, end, cell)
-            side = _UNKNOWN
+            side = UNKNOWN
             if found >= 0:
                 total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
                 if covered:
                     total = total + count_caps(winding.boundary, tree, 0, p, 0, 1)
-                side = wp.where(total > 0, _INSIDE, _OUTSIDE)
+                side = wp.where(total > 0, INSIDE, OUTSIDE)
             if at < end:
                 sides[at] = side
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(groups.counts, _NEXT_SIDE, 1, lane)
+        group = fetch_add_once(groups.counts, NEXT_SIDE, 1, lane)
 
 
 def find_sides(
@@ -157,7 +151,6 @@ def find_sides(
     sides: wp.array,
     workers: int,
     lanes: int,
-    launch: Any,
 ) -> None:
     """Fill `sides` (N,), in their order, with INSIDE, OUTSIDE or UNKNOWN for each of points (N,).
 

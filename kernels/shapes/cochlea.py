@@ -10,7 +10,7 @@ from sdm.kernels.launch import launch_grid
 
 wp.set_module_options({"enable_backward": True})
 
-TURN = wp.constant(6.283185307179586)
+TURN = 6.283185307179586
 # Columns of the table of stations along the centre line.
 STATION_SIZE = 8
 

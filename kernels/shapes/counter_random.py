@@ -14,13 +14,12 @@ wp.set_module_options({"enable_backward": False})
 LANES = 4
 # Bits of a Sobol point; after 2^30 points the sequence starts anew under another shift.
 SOBOL_BITS = 30
-_SOBOL_BITS = wp.constant(SOBOL_BITS)
-_UNIT = wp.constant(1.0 / 2.0**24)
-_MASK = wp.constant(wp.int64((1 << SOBOL_BITS) - 1))
-_LAP = wp.constant(wp.int64(SOBOL_BITS))
-_DROPPED = wp.constant(wp.int64(SOBOL_BITS - 24))
-_ONE = wp.constant(wp.int64(1))
-_NONE = wp.constant(wp.int64(0))
+_UNIT = 1.0 / 2.0**24
+_MASK = wp.int64((1 << SOBOL_BITS) - 1)
+_LAP = wp.int64(SOBOL_BITS)
+_DROPPED = wp.int64(SOBOL_BITS - 24)
+_ONE = wp.int64(1)
+_NONE = wp.int64(0)
 
 
 @wp.func
@@ -99,7 +98,7 @@ def sobol_kernel(
     position = index[b] & _MASK
     gray = position ^ (position >> _ONE)
     word = _NONE
-    for k in range(_SOBOL_BITS):
+    for k in range(SOBOL_BITS):
         if ((gray >> wp.int64(k)) & _ONE) != _NONE:
             word = word ^ directions[d, k]
     # One random shift of all points keeps their even spread and makes seeds differ.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
-TURN = wp.constant(6.283185307179586)
+TURN = 6.283185307179586
 # Keeps the gradient of the square root finite at the ends of the range.
-SMALLEST = wp.constant(1.0e-12)
+SMALLEST = 1.0e-12
 
 
 @wp.func

@@ -12,7 +12,6 @@ from sdm.kernels.shapes.rotation import uniform_rotation
 wp.set_module_options({"enable_backward": True})
 
 CUBOID, RHOMBOID, ELLIPSOID, CYLINDER = 0, 1, 2, 3
-_RHOMBOID = wp.constant(RHOMBOID)
 # What a solid is made of: kind, three half-lengths, three shears, three numbers of the rotation, three of the shift.
 SLOTS = ("kind", "x", "y", "z", "shear_xy", "shear_xz", "shear_yz", "u1", "u2", "u3", "shift_x", "shift_y", "shift_z")
 
@@ -49,7 +48,7 @@ def solids_kernel(
     x = slot(theta, b, column, fallback, kind, 1) * p[0]
     y = slot(theta, b, column, fallback, kind, 2) * p[1]
     z = slot(theta, b, column, fallback, kind, 3) * p[2]
-    if kind == _RHOMBOID:
+    if kind == RHOMBOID:
         xy = slot(theta, b, column, fallback, kind, 4)
         xz = slot(theta, b, column, fallback, kind, 5)
         yz = slot(theta, b, column, fallback, kind, 6)

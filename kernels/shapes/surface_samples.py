@@ -7,10 +7,9 @@ and Muller: two pairs of numbers make four normal ones, of which three are used)
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
+from sdm.kernels.launch import launch
 from sdm.kernels.shapes.counter_random import counter_of, philox, unit_float
 
 wp.set_module_options({"enable_backward": False})
@@ -114,7 +113,6 @@ def draw(
     count: int,
     in_scene: wp.array,
     own: wp.array,
-    launch: Any,
 ) -> None:
     """Draw `count` samples of each of `shapes` (B,) int64.
 
@@ -127,7 +125,6 @@ def draw(
         count: Samples of each.
         in_scene: (B * count,) vec3, filled: their places in the scene.
         own: (B * count,) vec3, filled: their places as seen from their shape's middle.
-        launch: `sdm.kernels.launch.launch`.
     """
     words = wp.uint32(seed & 0xFFFFFFFF), wp.uint32((seed >> 32) & 0xFFFFFFFF)
     inputs = [scene, law, *words, wp.int64(first), shapes, count, in_scene, own]

@@ -18,17 +18,12 @@ wp.set_module_options({"enable_backward": True})
 
 # Columns of theta: which mesh, scale, three numbers of the rotation, three of the shift, nine of c, nine of e.
 WHICH, SCALE, ROTATION, SHIFT, SINES, COSINES, COLUMNS = 0, 1, 2, 5, 8, 17, 26
-_SCALE = wp.constant(SCALE)
-_ROTATION = wp.constant(ROTATION)
-_SHIFT = wp.constant(SHIFT)
-_SINES = wp.constant(SINES)
-_COSINES = wp.constant(COSINES)
 
 
 @wp.func
 def displacement(theta: wp.array2d(dtype=float), b: int, i: int, sine: wp.vec3, cosine: wp.vec3):
-    s = _SINES + 3 * i
-    c = _COSINES + 3 * i
+    s = SINES + 3 * i
+    c = COSINES + 3 * i
     odd = theta[b, s] * sine[0] + theta[b, s + 1] * sine[1] + theta[b, s + 2] * sine[2]
     even = theta[b, c] * cosine[0] + theta[b, c + 1] * cosine[1] + theta[b, c + 2] * cosine[2]
     return odd + even
@@ -62,12 +57,12 @@ def warped_kernel(
         displacement(theta, b, 1, sine, cosine),
         displacement(theta, b, 2, sine, cosine),
     )
-    three = wp.vec3(theta[b, _ROTATION], theta[b, _ROTATION + 1], theta[b, _ROTATION + 2])
+    three = wp.vec3(theta[b, ROTATION], theta[b, ROTATION + 1], theta[b, ROTATION + 2])
     rotation = uniform_rotation(three[0], three[1], three[2])
     if constants[2] > 0.0:
         rotation = vector_rotation(constants[2] * three)
-    shift = wp.vec3(theta[b, _SHIFT], theta[b, _SHIFT + 1], theta[b, _SHIFT + 2])
-    turned = wp.quat_rotate(rotation, theta[b, _SCALE] * moved) + shift
+    shift = wp.vec3(theta[b, SHIFT], theta[b, SHIFT + 1], theta[b, SHIFT + 2])
+    turned = wp.quat_rotate(rotation, theta[b, SCALE] * moved) + shift
     placed = wp.vec3(frame[which, 4], frame[which, 5], frame[which, 6])
     vertices[b, v] = placed + frame[which, 7] * turned
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
 from sdm.kernels.topology.edge_pairing import LEFT_OVER, OUT_OF_RANGE
@@ -23,10 +24,7 @@ wp.set_module_options({"enable_backward": False})
 # Places of the remarks: a vertex out of range; by how many more edges than guessed are left over, and than bound the
 # mesh; edges that are not followed by one.
 WRONG_VERTEX, WRONG_LEFT_OVER, WRONG_EDGES, TANGLED, REMARKS = 0, 1, 2, 3, 4
-_WRONG_VERTEX, _WRONG_LEFT_OVER = wp.constant(WRONG_VERTEX), wp.constant(WRONG_LEFT_OVER)
-_WRONG_EDGES, _TANGLED = wp.constant(WRONG_EDGES), wp.constant(TANGLED)
-_OUT_OF_RANGE, _LEFT_OVER = wp.constant(OUT_OF_RANGE), wp.constant(LEFT_OVER)
-_NONE = wp.constant(0x7FFFFFFF)
+_NONE = 0x7FFFFFFF
 
 
 @wp.func
@@ -131,11 +129,11 @@ def _write_edges(
         for i in range(at, wp.min(at + wp.abs(balances[row]), edges.shape[0])):
             edges[i, 0] = wp.where(balances[row] > 0, low, high)
             edges[i, 1] = wp.where(balances[row] > 0, high, low)
-        fetch_add(remarks, _WRONG_EDGES, wp.abs(balances[row]))
+        fetch_add(remarks, WRONG_EDGES, wp.abs(balances[row]))
         if row == 0:
-            remarks[_WRONG_VERTEX] = found[_OUT_OF_RANGE]
-            remarks[_WRONG_LEFT_OVER] = found[_LEFT_OVER] - rows
-            fetch_add(remarks, _WRONG_EDGES, -edges.shape[0])
+            remarks[WRONG_VERTEX] = found[OUT_OF_RANGE]
+            remarks[WRONG_LEFT_OVER] = found[LEFT_OVER] - rows
+            fetch_add(remarks, WRONG_EDGES, -edges.shape[0])
 
 
 @wp.kernel
@@ -162,7 +160,7 @@ def _follow(
     following = least_whole_of_lanes(following)
     if lane == 0:
         if many != 1:
-            remarks[_TANGLED] = 1
+            remarks[TANGLED] = 1
             following = edge
         ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(edges[edge, 0])
 
@@ -199,7 +197,6 @@ def join_edges(
     edges: wp.array,
     around: wp.array,
     remarks: wp.array,
-    launch: Any,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
     """Boundary edges and their loops from what `sdm.kernels.topology.edge_pairing` found.
@@ -211,7 +208,6 @@ def join_edges(
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
         around: (E) int32, filled: equal for edges of one loop.
         remarks: (REMARKS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
-        launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
     """
     device, rows, count = vertices.device, left_over.shape[0], edges.shape[0]

@@ -10,14 +10,13 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
 
 # Places of the remarks about a mesh.
 OUT_OF_RANGE, LEFT_OVER, REMARKS = 0, 1, 2
-_OUT_OF_RANGE = wp.constant(OUT_OF_RANGE)
-_LEFT_OVER = wp.constant(LEFT_OVER)
 
 
 def bits_for(vertices: int) -> int:
@@ -42,7 +41,7 @@ def _make_keys(
     end = faces[face, (edge + 1) % 3]
     key = wp.int64(0)
     if start < 0 or start >= vertices:
-        remarks[_OUT_OF_RANGE] = 1
+        remarks[OUT_OF_RANGE] = 1
     else:
         keep_least(first, start, face - faces.shape[0])
         key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
@@ -98,7 +97,7 @@ def _pair(
     if balance != 0:
         start = faces[lead / 3, lead % 3]
         end = faces[lead / 3, (lead + 1) % 3]
-        row = fetch_add(remarks, _LEFT_OVER, 1)
+        row = fetch_add(remarks, LEFT_OVER, 1)
         left_over[row, 0] = wp.min(start, end)
         left_over[row, 1] = wp.max(start, end)
         left_over[row, 2] = balance
@@ -113,7 +112,7 @@ def _own(
     remarks: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
 ):
-    if remarks[_OUT_OF_RANGE] != 0:
+    if remarks[OUT_OF_RANGE] != 0:
         return
     face = begin + wp.tid()
     bits = int(0)
@@ -130,7 +129,6 @@ def pair_edges(
     remarks: wp.array,
     left_over: wp.array,
     neighbours: wp.array,
-    launch: Any,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
     """What `sdm.topology.boundary_edges` wants to know about faces, on their device.
@@ -143,7 +141,6 @@ def pair_edges(
         left_over: (3 * F, 3) int32; afterwards the first rows are the edges left over, in any order: the lower vertex,
             the higher, and how many more of the edges between them lead up than back.
         neighbours: (F,4) int32, filled as `sdm.topology.boundary_edges.neighbours` says.
-        launch: `sdm.kernels.launch.launch`.
         empty: Allocates scratch: `empty(length, dtype)`.
     """
     count, vertices, device = faces.shape[0], first.shape[0], faces.device
@@ -171,7 +168,7 @@ def _gather_ends(
         places[i, mesh] = vertices[mesh, left_over[edge, i % 2]]
 
 
-def gather_ends(left_over: wp.array, vertices: wp.array, rows: wp.array, places: wp.array, launch: Any) -> None:
+def gather_ends(left_over: wp.array, vertices: wp.array, rows: wp.array, places: wp.array) -> None:
     """Copy what is left over (N,3) to `rows`, and where its ends are in each of the `vertices` (meshes,V) to `places`.
 
     `places` is (2 * N, meshes) vec3, the lower vertex of each edge first.

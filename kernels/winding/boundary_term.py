@@ -9,25 +9,20 @@ jumps back: both take the side from the same integer test, so their sum does not
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, LOW_X, SCALE, Tree, to_lattice
+from sdm.kernels.launch import launch
 from sdm.kernels.winding.ray_crossings import is_left
 
 wp.set_module_options({"enable_backward": False})
 
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
-_LOW_X = wp.constant(LOW_X)
-_LATTICE = wp.constant(LATTICE)
 # Rays further off than this are not on the lattice: `to_lattice` stops there.
-LATTICE_LIMIT = wp.constant(wp.float64(2.0) * LATTICE_STEPS)
+LATTICE_LIMIT = wp.float64(2.0) * LATTICE_STEPS
 # How `is_left` breaks ties, in steps of the lattice (its epsilon, squared and plain; any small number will do).
-TIE_ROW = wp.constant(wp.float64(1.0e-20))
-TIE_COLUMN = wp.constant(wp.float64(1.0e-10))
-TINY = wp.constant(wp.float64(1.0e-300))
+TIE_ROW = wp.float64(1.0e-20)
+TIE_COLUMN = wp.float64(1.0e-10)
+TINY = wp.float64(1.0e-300)
 
 
 @wp.struct
@@ -47,7 +42,7 @@ def _gather(
     i = begin + wp.tid()
     mesh = i / out.count
     e = i - mesh * out.count
-    scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+    scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
     for end in range(2):
         v = scale * vertices[mesh, edges[e, end]]
         out.ends[2 * i + end] = v
@@ -68,9 +63,7 @@ def _find_apexes(begin: int, loops: wp.array(dtype=wp.int32), out: Boundary):
     out.apexes[i] = total / many
 
 
-def gather_boundary(
-    out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array, loops: wp.array, launch: Any
-) -> None:
+def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array, loops: wp.array) -> None:
     """Fill `out` from the meshes' `vertices` (meshes, V), their shared boundary `edges` (E, 2) and its `loops` (E)."""
     count = vertices.shape[0] * edges.shape[0]
     launch(_gather, count, [vertices, edges, tree, out], vertices.device)
@@ -94,14 +87,14 @@ def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: 
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
-    base = mesh * _FRAME_SIZE
-    steps = tree.frame[base + _LATTICE]
+    base = mesh * FRAME_SIZE
+    steps = tree.frame[base + LATTICE]
     step = one
     if steps > zero:
         step = one / steps
     q = to_lattice(tree, mesh, p[1], p[2])
-    row = wp.floor((p[1] - tree.frame[base + _LOW_X + 1]) * steps)
-    column = wp.floor((p[2] - tree.frame[base + _LOW_X + 2]) * steps)
+    row = wp.floor((p[1] - tree.frame[base + LOW_X + 1]) * steps)
+    column = wp.floor((p[2] - tree.frame[base + LOW_X + 2]) * steps)
     on_lattice = wp.max(wp.abs(row), wp.abs(column)) < LATTICE_LIMIT
     # The sum of all half solid angles is the argument of a product of complex numbers and a count of its full turns.
     re = one

@@ -13,6 +13,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.launch import launch
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.near_holes import open_caps
@@ -24,10 +25,6 @@ wp.set_module_options({"enable_backward": False})
 
 # Voxels of a column that are loaded at a time.
 AHEAD = 8
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
-_OPEN = wp.constant(OPEN)
-_AHEAD = wp.constant(AHEAD)
 
 Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
 
@@ -42,15 +39,15 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
     k = i % slab.shape[2]
     total = int(0)
     end = slab.shape[0]
-    while end >= _AHEAD:
+    while end >= AHEAD:
         # All loads before any store, which each would wait for.
         ahead = Ahead()
-        for back in range(_AHEAD):
+        for back in range(AHEAD):
             ahead[back] = counts[mesh, end - 1 - back, j, k]
-        for back in range(_AHEAD):
+        for back in range(AHEAD):
             total = total + ahead[back]
             values[mesh, end - 1 - back, j, k] = float(total)
-        end = end - _AHEAD
+        end = end - AHEAD
     while end > 0:
         end = end - 1
         total = total + counts[mesh, end, j, k]
@@ -61,7 +58,7 @@ def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), val
 def numbered_voxel(tree: Tree, slab: Slab, number: int):
     """The mesh and the indices of a voxel of a batch, counted with k fastest, and its centre (scaled)."""
     mesh, at = unravel(number, slab.shape)
-    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
+    p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
     return mesh, at[0], at[1], at[2], p
 
 
@@ -76,7 +73,7 @@ def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtyp
 def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
     mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
     share = float(0.0)
-    if winding.kind != _OPEN:
+    if winding.kind != OPEN:
         share = float(soup_winding(tree, winding.moments, mesh, p))
     else:
         share = float(boundary_winding(winding.boundary, tree, mesh, p))
@@ -84,7 +81,7 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
 
 
 def slab_winding(
-    tree: Tree, winding: Winding, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
+    tree: Tree, winding: Winding, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
@@ -103,12 +100,12 @@ def slab_winding(
         values.zero_()
         counts = values.view(wp.int32)
         boundary, flat = winding.boundary, counts.flatten()
-        scan_triangles(tree, slab, flat, meshes, launch, empty)
+        scan_triangles(tree, slab, flat, meshes, empty)
         if winding.kind != CLOSED:
-            scan_caps(tree, boundary, slab, flat, meshes, launch)
+            scan_caps(tree, boundary, slab, flat, meshes)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
         if winding.kind != CLOSED:
-            open_caps(tree, boundary, slab, values, launch, empty)
+            open_caps(tree, boundary, slab, values, empty)
         return
     if winding.kind != CLOSED:
         launch(_add_boundary, total, [tree, winding, slab, values], device)

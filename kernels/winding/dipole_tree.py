@@ -9,23 +9,22 @@ reaches are evaluated in float64.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import NodeStack
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of
 from sdm.kernels.geometry.triangle_distance import solid_angle
+from sdm.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False})
 
 # A node's moments: centre (3), radius, area, area vector (3), first moment (9).
 MOMENTS_SIZE = 17
-_SIZE = wp.constant(MOMENTS_SIZE)
+_SIZE = MOMENTS_SIZE
 # The winding number is known at least this well where it is close to a threshold.
-FINEST = wp.constant(wp.float64(4.0e-4))
+FINEST = wp.float64(4.0e-4)
 # Further away than this many sizes of a mesh its winding number is zero, and float32 runs out of range.
-FARTHEST = wp.constant(wp.float64(1.0e12))
+FARTHEST = wp.float64(1.0e12)
 
 
 @wp.func
@@ -129,7 +128,7 @@ def _level_moments(begin: int, tree: Tree, moments: wp.array(dtype=wp.float32), 
     write_moments(moments, tree, node, centre, area, vector_l + vector_r, first)
 
 
-def build_moments(tree: Tree, moments: wp.array, meshes: int, launch: Any) -> None:
+def build_moments(tree: Tree, moments: wp.array, meshes: int) -> None:
     """Fill `moments` (meshes * 2^(depth+1) * MOMENTS_SIZE float32) from a built tree."""
     launch(_leaf_moments, meshes << tree.depth, [tree, moments], moments.device)
     for level in range(tree.depth - 1, -1, -1):

@@ -32,17 +32,17 @@ from sdm.kernels.winding.ray_crossings import covers, crossing_of
 wp.set_module_options({"enable_backward": False})
 
 # Less than a quarter, by more than the rounding of the sums.
-LARGEST_SHARE = wp.constant(0.249)
+LARGEST_SHARE = 0.249
 # How much of a distance is left after rounding, which can take a thin triangle's plane for its edge.
-SURE = wp.constant(0.99)
-ROUNDING = wp.constant(2.0e-6)
+SURE = 0.99
+ROUNDING = 2.0e-6
 # The errors of a triangle's half solid angle; see `Sight`.
-ROUNDINGS = wp.constant(100.0 * 2.0**-24)
-SNAP = wp.constant(2.0 * 2.0**-24)
+ROUNDINGS = 100.0 * 2.0**-24
+SNAP = 2.0 * 2.0**-24
 # The running product is brought back to size long before it overflows: a factor is between 1 and 1.5.
-LARGEST_PRODUCT = wp.constant(1.0e9)
+LARGEST_PRODUCT = 1.0e9
 # What float32 adds to a share's error when all is summed up.
-LAST_ROUNDINGS = wp.constant(2.0e-6)
+LAST_ROUNDINGS = 2.0e-6
 
 
 @wp.struct

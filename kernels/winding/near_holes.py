@@ -15,7 +15,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.dense.workspace import box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
-from sdm.kernels.launch import threads
+from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import (
     GPU_BLOCKS,
@@ -32,13 +32,11 @@ from sdm.kernels.winding.hole_caps import count_caps, doubt, is_far, is_sure, se
 
 wp.set_module_options({"enable_backward": False})
 
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
-CELLS_OF_BLOCK = wp.constant(4)
+CELLS_OF_BLOCK = 4
 # Voxels along the edge of a cell, and of a brick.
-CELL, BRICK = wp.constant(8), wp.constant(4)
+CELL, BRICK = 8, 4
 # Voxels along the edge of what a group opens at a time.
-PIECE = wp.constant(2)
+PIECE = 2
 # Lanes that share a voxel's caps on a GPU.
 SHARE = 4
 # Groups of lanes at most, so that their threads can be counted; each takes more than one item then.
@@ -64,7 +62,7 @@ def _find_near_blocks(begin: int, tree: Tree, boundary: Boundary, slab: Slab, ne
     while item < total:
         mesh, at = unravel(item, near.blocks)
         size = CELLS_OF_BLOCK * CELL
-        cell = box_of_voxels(slab, size * at, size, float(tree.frame[mesh * _FRAME_SIZE + _SCALE]))
+        cell = box_of_voxels(slab, size * at, size, float(tree.frame[mesh * FRAME_SIZE + SCALE]))
         near.block[item] = wp.where(is_far(view_caps(boundary, mesh, cell, thread % lanes, lanes)), 0, 1)
         item = item + groups
 
@@ -81,7 +79,7 @@ def _find_near_bricks(
         above = at / CELLS_OF_BLOCK
         block = ((mesh * near.blocks[0] + above[0]) * near.blocks[1] + above[1]) * near.blocks[2] + above[2]
         if near.block[block] != 0:
-            scale = float(tree.frame[mesh * _FRAME_SIZE + _SCALE])
+            scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
             if not is_far(view_caps(boundary, mesh, box_of_voxels(slab, CELL * at, CELL, scale), lane, lanes)):
                 part = int(0)
                 while part < 8:
@@ -139,7 +137,7 @@ def open_voxel(
     values: wp.array4d(dtype=wp.float32),
 ):
     """Open a single voxel in float64."""
-    p = tree.frame[mesh * _FRAME_SIZE + _SCALE] * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+    p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
     closed = sum_of_lanes(float(count_caps(boundary, tree, mesh, p, lane, lanes)))
     share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
     if lane == 0:
@@ -167,7 +165,7 @@ def _open_bricks(
         brick = near.bricks[item]
         mesh, at = unravel(brick / 8, near.cells)
         start = CELL * at + BRICK * octant_at(brick) + PIECE * octant_at(group)
-        scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+        scale = tree.frame[mesh * FRAME_SIZE + SCALE]
         number = int(8)
         if is_within(slab, start):
             if not open_piece(boundary, slab, mesh, start, float(scale), lane, lanes, values):
@@ -197,7 +195,7 @@ def _open_bricks(
 
 
 def open_caps(
-    tree: Tree, boundary: Boundary, slab: Slab, values: wp.array, launch: Any, empty: Callable[[int, Any], wp.array]
+    tree: Tree, boundary: Boundary, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
 ) -> None:
     """From the winding numbers of surface and caps to the surface's own, where it matters for sign or clearness.
 

@@ -18,7 +18,7 @@ from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of, to_la
 wp.set_module_options({"enable_backward": False})
 
 # A ray's room across it: more than a step of the lattice and a rounding of the sum, in scaled units and relative.
-RAY_ROOM = wp.constant(1.2e-7)
+RAY_ROOM = 1.2e-7
 
 
 @wp.func

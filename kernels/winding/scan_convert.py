@@ -13,7 +13,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_corners, to_lattice
 from sdm.kernels.geometry.voxel_grid import Slab, along, count_below
-from sdm.kernels.launch import threads
+from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import Boundary
@@ -29,11 +29,8 @@ MOST_COLUMNS = {"cuda": 64, "cpu": ANY}
 PIECES = 64
 # Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
 MOST_THREADS = 1 << 26
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
-_ANY = wp.constant(ANY)
 # Two, as Warp takes a constant that a kernel has cast for the cast one from there on.
-_PIECES, _PIECES_64 = wp.constant(PIECES), wp.constant(wp.int64(PIECES))
+_PIECES_64 = wp.int64(PIECES)
 
 
 @wp.func
@@ -56,7 +53,7 @@ def mark_columns(
 
     Returns how many columns its box covers; if those are `most` or more for each lane, nothing is added.
     """
-    scale = tree.frame[mesh * _FRAME_SIZE + _SCALE]
+    scale = tree.frame[mesh * FRAME_SIZE + SCALE]
     low = wp.min(pa, wp.min(pb, pc))
     high = wp.max(pa, wp.max(pb, pc))
     if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
@@ -136,7 +133,7 @@ def _scan_large(
         noted = large[wp.int32(item / _PIECES_64)]
         lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
         if lane < noted[1]:
-            mark_triangle(tree, slab, counts, noted[0], _ANY, lane, _PIECES * lanes)
+            mark_triangle(tree, slab, counts, noted[0], ANY, lane, PIECES * lanes)
         item = item + wp.int64(groups)
 
 
@@ -149,7 +146,7 @@ def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: in
     begins = boundary.ends[2 * edge]
     ends = boundary.ends[2 * edge + 1]
     apex = boundary.apexes[edge]
-    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, _ANY, thread % lanes, lanes)
+    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, ANY, thread % lanes, lanes)
 
 
 def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:
@@ -164,7 +161,7 @@ def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most:
 
 
 def scan_triangles(
-    tree: Tree, slab: Slab, counts: wp.array, meshes: int, launch: Any, empty: Callable[[int, Any], wp.array]
+    tree: Tree, slab: Slab, counts: wp.array, meshes: int, empty: Callable[[int, Any], wp.array]
 ) -> None:
     """Add to `counts`, the voxels of each mesh's slab, where all triangles cross its columns."""
     device = counts.device
@@ -182,7 +179,7 @@ def scan_triangles(
         launch(_scan_large, groups * lanes, inputs, device, smallest=1)
 
 
-def scan_caps(tree: Tree, boundary: Boundary, slab: Slab, counts: wp.array, meshes: int, launch: Any) -> None:
+def scan_caps(tree: Tree, boundary: Boundary, slab: Slab, counts: wp.array, meshes: int) -> None:
     """The same for the caps that close the holes of open meshes."""
     columns, most = slab.shape[1] * slab.shape[2], PIECES * GPU_LANES
     # A cap is as large as its hole.

@@ -25,16 +25,14 @@ class Winding:
 # Without a boundary; with few boundary edges, all of which are visited where they matter; with many, which are visited
 # where a whole block of voxels or points shares the cost; with so many that only the tree of dipoles is used.
 CLOSED, OPEN, MANY, SOUP = 0, 1, 2, 3
-_CLOSED = wp.constant(CLOSED)
-_OPEN = wp.constant(OPEN)
 
 
 @wp.func
 def winding_at(tree: Tree, winding: Winding, mesh: int, p: wp.vec3d):
     """The generalised winding number at p (scaled)."""
-    if winding.kind == _CLOSED:
+    if winding.kind == CLOSED:
         return float(winding_of_closed(tree, mesh, p))
-    if winding.kind == _OPEN:
+    if winding.kind == OPEN:
         return float(wp.float64(count_crossings(tree, mesh, p)) + boundary_winding(winding.boundary, tree, mesh, p))
     return float(soup_winding(tree, winding.moments, mesh, p))
 

@@ -15,7 +15,6 @@ from sdm.errors import MeshError
 from sdm.kernels.bvh import tree, triangle_frames
 from sdm.kernels.bvh.build import build_tree
 from sdm.kernels.culling import normal_cones, voronoi_features
-from sdm.kernels.launch import launch
 from sdm.kernels.winding import dipole_tree
 from sdm.kernels.winding.boundary_term import Boundary, gather_boundary
 from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, SOUP, Winding
@@ -105,23 +104,20 @@ def build_known(
             empty(2 * meshes * count, wp.int64),
             empty(2 * meshes * count, wp.int32),
             normals,
-            launch,
         )
         if join is not None:
             join()
         around_faces = as_warp(faces, wp.int32), as_warp(shared, wp.int32)
         # None of these fills a GPU by itself.
         with kernels_beside(vertices) as join_parts:
-            voronoi_features.make_parts(hierarchy, corners, normals, *around_faces, pieces, launch)
-        triangle_frames.make_frames(hierarchy, local, launch)
-        normal_cones.make_cones(hierarchy, normals, *around_faces, facing, launch)
+            voronoi_features.make_parts(hierarchy, corners, normals, *around_faces, pieces)
+        triangle_frames.make_frames(hierarchy, local)
+        normal_cones.make_cones(hierarchy, normals, *around_faces, facing)
         join_parts()
         if kind in (OPEN, MANY):
-            gather_boundary(
-                winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32), launch
-            )
+            gather_boundary(winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32))
         if kind in (MANY, SOUP):
-            dipole_tree.build_moments(hierarchy, winding.moments, meshes, launch)
+            dipole_tree.build_moments(hierarchy, winding.moments, meshes)
     return tensors, kind
 
 

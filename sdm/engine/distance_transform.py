@@ -14,7 +14,6 @@ from torch import Tensor
 from sdm.errors import GridError, SDMError
 from sdm.kernels.edt import transform
 from sdm.kernels.edt.envelopes import LONGEST_LINE
-from sdm.kernels.launch import launch
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 # What "surface" means: how far the surface of a voxel is from its centre, in voxels.
@@ -46,7 +45,7 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
             room["between"] = as_warp(kept["between"].view(torch.float32), wp.float32)
             source = as_warp(part.view(torch.uint8).reshape(-1), wp.uint8)
             result = as_warp(out[begin : begin + chunk].reshape(-1), wp.float32)
-            transform.transform(source, shape, sizes, half, signed, missing, room, result, launch)
+            transform.transform(source, shape, sizes, half, signed, missing, room, result)
     return out
 
 

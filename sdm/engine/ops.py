@@ -22,7 +22,6 @@ from sdm.engine.acceleration import build, one_of, unpack
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, has_room, measured_finer, scales_of
 from sdm.kernels.dense import query as dense
 from sdm.kernels.geometry.voxel_grid import Slab
-from sdm.kernels.launch import launch
 from sdm.kernels.points.query import query_points, query_winding, sort_points
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graph_branches import kernels_beside
@@ -69,7 +68,7 @@ def _query(
         where = as_warp(at, wp.vec3)
         by = as_warp(order, wp.int32)
         if sort:
-            sort_points(where, hierarchy, as_warp(keys, wp.int64), by, launch, cube)
+            sort_points(where, hierarchy, as_warp(keys, wp.int64), by, cube)
         room = None
         if hits:
             room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
@@ -82,7 +81,6 @@ def _query(
             by,
             as_warp(values, wp.float32),
             room,
-            launch,
             scratch_on(at.device),
             POINTS_METHOD,
         )
@@ -205,7 +203,7 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
     with on_current_stream(at, at, hierarchy[0]):
         tree, winding, *_ = unpack(hierarchy, kind, 1)
         for some, found in zip(at.split(MOST_POINTS), values.split(MOST_POINTS), strict=True):
-            query_winding(tree, winding, as_warp(some, wp.vec3), as_warp(found, wp.float32), launch)
+            query_winding(tree, winding, as_warp(some, wp.vec3), as_warp(found, wp.float32))
     return values
 
 
@@ -299,7 +297,6 @@ def _query_slices(
                 as_warp(values, wp.float32),
                 as_warp(ambiguous, wp.int32),
                 None if place is None else as_warp(place.take(values), wp.int64),
-                launch,
                 scratch_on(device),
                 partial(kernels_beside, values),
                 DENSE_METHOD,
@@ -309,7 +306,7 @@ def _query_slices(
         if times == AS_IT_IS:
             return values, measure(winding, slices, values)
         slab = _slab(origin, slices.spacing, slices.shape, slices.first, direction)
-        slab_winding(tree, winding, slab, as_warp(values, wp.float32), launch, scratch_on(device))
+        slab_winding(tree, winding, slab, as_warp(values, wp.float32), scratch_on(device))
         return values, measured_finer(values, slices, times, partial(measure, None))
 
 

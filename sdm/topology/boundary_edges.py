@@ -14,7 +14,6 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
-from sdm.kernels.launch import launch
 from sdm.kernels.topology import boundary_loops
 from sdm.kernels.topology.edge_pairing import REMARKS, gather_ends, pair_edges
 from sdm.runtime.torch_warp import as_warp, on_current_stream, scratch_on, version_of
@@ -187,7 +186,6 @@ def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
             as_warp(remarks, wp.int32),
             as_warp(left_over, wp.int32),
             as_warp(shared, wp.int32),
-            launch,
             scratch_on(faces.device),
         )
     return remarks, left_over, shared
@@ -215,7 +213,6 @@ def queue_joining(
             as_warp(bounds, wp.int32),
             as_warp(around, wp.int32),
             as_warp(remarks, wp.int32),
-            launch,
             scratch_on(device),
         )
     return remarks, bounds, around
@@ -255,7 +252,6 @@ def _join_on_host(left_over: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarr
             as_warp(vertices, wp.vec3),
             as_warp(rows, wp.int32),
             as_warp(places.view(torch.float32).view(2 * count, meshes, 3), wp.vec3),
-            launch,
         )
     host = both.cpu().numpy()
     bits = host[3 * count :].reshape(2 * count, 3 * meshes)

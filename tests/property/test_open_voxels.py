@@ -15,7 +15,6 @@ import sdm
 from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import as_warp, build, scratch_on, unpack
 from sdm.kernels.geometry.voxel_grid import Slab
-from sdm.kernels.launch import launch
 from sdm.kernels.winding.column_sums import slab_winding
 from tests import oracle
 
@@ -32,7 +31,7 @@ def on_slab(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, begin: int 
     slab.origin, slab.spacing = wp.vec3d(*grid.origin), wp.vec3d(*grid.spacing)
     slab.shape, slab.first = wp.vec3i(grid.shape[0] - begin, *grid.shape[1:]), begin
     values = torch.empty((len(vertices), grid.shape[0] - begin, *grid.shape[1:]))
-    slab_winding(tree, winding, slab, as_warp(values, wp.float32), launch, scratch_on(CPU))
+    slab_winding(tree, winding, slab, as_warp(values, wp.float32), scratch_on(CPU))
     return values.numpy()
 
 

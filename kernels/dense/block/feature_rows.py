@@ -38,12 +38,10 @@ from sdm.kernels.primitives.vector_loads import load2
 wp.set_module_options({"enable_backward": False})
 
 # Kinds of parts.
-CORNER_KIND, EDGE_KIND, FACE_KIND = wp.constant(0), wp.constant(1), wp.constant(2)
+CORNER_KIND, EDGE_KIND, FACE_KIND = 0, 1, 2
 
-_PARTS, _NUMBERS = wp.constant(PARTS), wp.constant(NUMBERS)
-_INVERSES = wp.constant(INVERSES)
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
-WITHIN = wp.constant(4.0e-7)
+WITHIN = 4.0e-7
 
 
 @wp.func
@@ -97,7 +95,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
-    inverse = parts.inverses[_INVERSES * slot + k]
+    inverse = parts.inverses[INVERSES * slot + k]
     inward = load_part_row(parts, slot, k)
     first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
@@ -109,8 +107,8 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
     write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
-    write_row(rows, _PARTS + number, e[0], e[1], e[2], float(-along))
-    write_number(rows, _NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
+    write_row(rows, PARTS + number, e[0], e[1], e[2], float(-along))
+    write_number(rows, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
     p = begin - cell.centre
@@ -137,7 +135,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
     write_row(rows, number, normal[0], normal[1], normal[2], float(h))
-    write_number(rows, _NUMBERS + number, above_floor(h * h, floor))
+    write_number(rows, NUMBERS + number, above_floor(h * h, floor))
     # Not from a ball that is known: the middle is rounded by its distance from the centre alone.
     from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) * (1.0 / 3.0)
     from_b = from_a - wp.vec3(ab)
@@ -153,7 +151,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
         rounding = WITHIN * about_root(wp.dot(away, away))
-        write_row(rows, _PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
+        write_row(rows, PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
         # On the inner side of the plane on this edge.
         test_direction(rows, k, number, room_for(cell, away), away, -u)
         # The next edge, turning the triangle.

@@ -16,8 +16,8 @@ wp.set_module_options({"enable_backward": False})
 # Voxels of the largest block.
 VOXELS = 512
 
-_LEAST_ROW = wp.constant(LEAST // 4)
-_ROWS = wp.constant(VOXELS // 4)
+_LEAST_ROW = LEAST // 4
+_ROWS = VOXELS // 4
 
 
 # What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees

@@ -28,9 +28,7 @@ from sdm.kernels.geometry.voxel_grid import Slab, way
 wp.set_module_options({"enable_backward": False})
 
 # How much wider an octant may be than the first for rounding of its voxels' coordinates, in units of those.
-WIDER = wp.constant(5.0e-7)
-_LATTICE_ROW, _WITNESS_ROW = wp.constant(LATTICE_ROW), wp.constant(WITNESS_ROW)
-_TEST_ROW, _PARTS = wp.constant(TEST_ROW), wp.constant(PARTS)
+WIDER = 5.0e-7
 
 
 @wp.func
@@ -68,7 +66,7 @@ def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale
         wider = WIDER * (
             wp.max(wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + cell.half)
         )
-        write_row(rows, _LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
+        write_row(rows, LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
         row = row + lanes
 
 
@@ -77,7 +75,7 @@ def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
     """Note a block's witness, seen from its centre, and its square with room for rounding."""
     if lane == 0:
         u = known.to_surface
-        write_row(rows, _WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(cell, known))
+        write_row(rows, WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(cell, known))
 
 
 @wp.func
@@ -86,7 +84,7 @@ def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
 
     `octants_of` then writes it so that boxes are found by adding.
     """
-    write_row(rows, _TEST_ROW + _PARTS * test + number, u[0], u[1], u[2], most)
+    write_row(rows, TEST_ROW + PARTS * test + number, u[0], u[1], u[2], most)
 
 
 @wp.func
@@ -98,7 +96,7 @@ def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.v
 @wp.func
 def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
     """Note whether a part's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
-    witness = read_row(rows, _WITNESS_ROW)
+    witness = read_row(rows, WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
     note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
 

@@ -17,11 +17,7 @@ from sdm.kernels.primitives.lanes import wait_for_lanes
 wp.set_module_options({"enable_backward": False})
 
 # Room for rounding in "between the ends" and "inside the planes", in units of the sum of the block's half-widths.
-NEAR_ENDS = wp.constant(2.0e-7)
-
-_PLACES = wp.constant(PLACES)
-_FRAME_SIZE = wp.constant(FRAME_SIZE)
-_SCALE = wp.constant(SCALE)
+NEAR_ENDS = 2.0e-7
 
 
 @wp.struct
@@ -46,14 +42,14 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
 
     And where they would be if they were not rounded, of any grid, and the block's witness.
     """
-    scale = tree.frame[block.mesh * _FRAME_SIZE + _SCALE]
+    scale = tree.frame[block.mesh * FRAME_SIZE + SCALE]
     note_lattice(slab, rows, block.start, block.cell, scale, lane, lanes)
     note_witness(rows, block.cell, block.known, lane)
     at = lane
     while at < 8:
         for axis in range(3):
             p = scale * wp.float64(along(slab, axis, block.start[axis] + at))
-            write_number(rows, _PLACES + 8 * axis + at, float(p - wp.float64(block.cell.centre[axis])))
+            write_number(rows, PLACES + 8 * axis + at, float(p - wp.float64(block.cell.centre[axis])))
         at = at + lanes
 
 

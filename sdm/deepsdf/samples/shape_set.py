@@ -19,7 +19,6 @@ from sdm.deepsdf.samples.unit_sphere import UnitSphere
 from sdm.engine.api import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
-from sdm.kernels.launch import launch
 from sdm.kernels.shapes.surface_samples import Law, Scene, draw
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
@@ -135,7 +134,6 @@ class ShapeSet:
                 points,
                 as_warp(in_scene.view(-1, 3), wp.vec3),
                 as_warp(own.view(-1, 3), wp.vec3),
-                launch,
             )
         values = self._index.distances_in(self._cube, in_scene.view(-1, 3))
         return Samples(own, values.view(own.shape[:2]))

@@ -23,7 +23,6 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.record import MADE_FROM
-from sdm.kernels.launch import launch
 from sdm.kernels.nanovdb import lookup, store
 
 BLOCK = 8
@@ -52,7 +51,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         raise FormatError(f"Warp cannot make a NanoVDB volume of shape {grid.shape}: {error}") from error
     for begin in range(0, len(values), LAYERS):
         slab = np.ascontiguousarray(values[begin : begin + LAYERS])
-        store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False), launch)
+        store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False))
     _complete_header(volume.array().numpy().view(np.uint8), grid, field.ambiguous_voxels, made_from)
     volume.save_to_nvdb(str(path))
 
@@ -65,7 +64,7 @@ def read(path: Path) -> SDM:
     values = np.empty(grid.shape, dtype=np.float32)
     for begin in range(0, len(values), LAYERS):
         slab = wp.array(values[begin : begin + LAYERS], dtype=wp.float32, device="cpu", copy=False)
-        lookup(volume, begin, slab, launch)
+        lookup(volume, begin, slab)
     return SDM(torch.from_numpy(values), grid, count)
 
 
