@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners
-from sdm.kernels.culling.normal_cones import Cones, cone_misses
-from sdm.kernels.culling.witness_bound import Cell, Witness, triangle_is_farther
+from sdm.kernels.bvh.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners, node_box
+from sdm.kernels.culling.normal_cones import Cones, cone_misses, node_cone
+from sdm.kernels.culling.witness_bound import Witness, box_is_farther, triangle_is_farther
+from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import ballot, members, rank
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.primitives.work_queues import one_for_each_bit
@@ -63,6 +65,33 @@ def push_triangles(stacks: wp.array(dtype=wp.int32), top: int, tree: Tree, mesh:
         first = first_triangle(tree, leaf)
         which = (1 << (first_triangle(tree, leaf + 1) - first)) - 1
     return push_slots(stacks, top, mesh * tree.count + first, which, lane)
+
+
+@wp.func
+def box_matters(
+    cell: Cell,
+    radius: float,
+    known: Witness,
+    tree: Tree,
+    cones: Cones,
+    base: int,
+    node: int,
+    low: wp.vec3,
+    high: wp.vec3,
+):
+    """`node_matters` of a node whose box is known."""
+    if box_is_farther(cell, known, low, high):
+        return False
+    across = high - low
+    extent = 0.5 * about_root(wp.dot(across, across))
+    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
+
+
+@wp.func
+def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
+    """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
+    low, high = node_box(tree, base + node)
+    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
 
 
 @wp.func

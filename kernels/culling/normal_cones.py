@@ -27,7 +27,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, nodes_of
-from sdm.kernels.culling.witness_bound import Cell
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes

@@ -24,7 +24,6 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, load_corners
 from sdm.kernels.culling.witness_bound import (
-    Cell,
     Witness,
     bulge_of_edge,
     bulge_of_triangle,
@@ -33,6 +32,7 @@ from sdm.kernels.culling.witness_bound import (
     reach,
     sum_abs,
 )
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.coalesced_stores import begin_record, doubles_at, end_record, floats_at, put4, put_double
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_root, inverse_root

@@ -29,7 +29,9 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.triangle_frames import Frame, Local
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.lanes import from_lane, lane_of_least
+from sdm.kernels.primitives.vector_loads import load4, write4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -47,27 +49,6 @@ class Witness:
 
     to_surface: wp.vec3  # c - y
     distance2: float  # |c - y|^2, infinite if there is none
-
-
-@wp.struct
-class Cell:
-    """A box of voxel centres."""
-
-    centre: wp.vec3
-    half: wp.vec3
-    half2: float  # |half|^2
-    diagonal: float  # of the mesh's bounding box: what a witness is rounded by is in units of it
-
-
-@wp.func
-def cell_of_rows(first: wp.vec4, second: wp.vec4):
-    """A cell as it is noted in two rows: centre and half2, then half-widths and diagonal."""
-    cell = Cell()
-    cell.centre = wp.vec3(first[0], first[1], first[2])
-    cell.half2 = first[3]
-    cell.half = wp.vec3(second[0], second[1], second[2])
-    cell.diagonal = second[3]
-    return cell
 
 
 @wp.func
@@ -179,4 +160,21 @@ def agree(mine: Witness, lane: int):
     known.distance2 = from_lane(mine.distance2, best)
     u = mine.to_surface
     known.to_surface = wp.vec3(from_lane(u[0], best), from_lane(u[1], best), from_lane(u[2], best))
+    return known
+
+
+@wp.func
+def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness):
+    """A witness into `lists.witnesses` or `lists.nearest`."""
+    u = known.to_surface
+    write4(rows, number, u[0], u[1], u[2], known.distance2)
+
+
+@wp.func
+def read_witness(rows: wp.array(dtype=wp.float32), number: int):
+    """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
+    row = load4(rows, number)
+    known = Witness()
+    known.to_surface = wp.vec3(row[0], row[1], row[2])
+    known.distance2 = row[3]
     return known

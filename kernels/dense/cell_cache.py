@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.culling.witness_bound import Cell, cell_of_rows
 from sdm.kernels.dense.workspace import Lists
+from sdm.kernels.geometry.voxel_box import Cell, cell_of_rows
 from sdm.kernels.primitives.vector_loads import load4, write4
 
 wp.set_module_options({"enable_backward": False})

@@ -11,14 +11,14 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
 from sdm.kernels.bvh.triangle_frames import load_frame, see
-from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_witness, remember
+from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_witness, remember, write_witness
 from sdm.kernels.dense.cell_cache import note_place
-from sdm.kernels.dense.workspace import NEXT_WITNESS, Lists, cell_start, is_within, make_cell, region_start
+from sdm.kernels.dense.workspace import NEXT_WITNESS, Lists, cell_start, make_cell, region_start
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members
-from sdm.kernels.primitives.vector_loads import load4, write4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -89,13 +89,6 @@ def nearer_of_leaves(
     return agree(mine, lane)
 
 
-@wp.func
-def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness):
-    """A witness into `lists.witnesses` or `lists.nearest`."""
-    u = known.to_surface
-    write4(rows, number, u[0], u[1], u[2], known.distance2)
-
-
 @wp.kernel
 def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
     lane = (begin + wp.tid()) % lanes
@@ -128,16 +121,6 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
                 )
             octant = octant + lanes
         item = fetch_add_once(lists.counts, NEXT_WITNESS, 1, lane)
-
-
-@wp.func
-def read_witness(rows: wp.array(dtype=wp.float32), number: int):
-    """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
-    row = load4(rows, number)
-    known = Witness()
-    known.to_surface = wp.vec3(row[0], row[1], row[2])
-    known.distance2 = row[3]
-    return known
 
 
 def find_witnesses(tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int) -> None:

@@ -8,15 +8,14 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
-from sdm.kernels.culling.leaf_filter import push
-from sdm.kernels.culling.normal_cones import Cones, cone_misses, node_cone
-from sdm.kernels.culling.witness_bound import Cell, Witness, box_is_farther
-from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves, read_witness
+from sdm.kernels.culling.leaf_filter import node_matters, push
+from sdm.kernels.culling.normal_cones import Cones
+from sdm.kernels.culling.witness_bound import read_witness
+from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.dense.workspace import NEXT_REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import ballot, members, rank, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import STACK, stack_of
 
@@ -27,33 +26,6 @@ REGION_BLOCKS = 6
 
 # With more shares each has too few nodes to fill its lanes from.
 MOST_WITH_GRANDCHILDREN = 8
-
-
-@wp.func
-def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
-    """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
-    low, high = node_box(tree, base + node)
-    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
-
-
-@wp.func
-def box_matters(
-    cell: Cell,
-    radius: float,
-    known: Witness,
-    tree: Tree,
-    cones: Cones,
-    base: int,
-    node: int,
-    low: wp.vec3,
-    high: wp.vec3,
-):
-    """`node_matters` of a node whose box is known."""
-    if box_is_farther(cell, known, low, high):
-        return False
-    across = high - low
-    extent = 0.5 * about_root(wp.dot(across, across))
-    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
 
 
 @wp.kernel(launch_bounds=(128, REGION_BLOCKS))

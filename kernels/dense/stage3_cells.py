@@ -9,22 +9,23 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
+from sdm.kernels.culling.leaf_filter import box_matters
 from sdm.kernels.culling.normal_cones import Cones
+from sdm.kernels.culling.witness_bound import read_witness, write_witness
 from sdm.kernels.dense.cell_cache import noted_place
-from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves, read_witness, write_witness
-from sdm.kernels.dense.stage2_regions import box_matters
+from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.dense.workspace import (
     NEXT_CELL,
     Chain,
     Lists,
     Reader,
     append,
-    is_within,
     list_length,
     read_entry,
     read_on,
     start_reading,
 )
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once

@@ -12,9 +12,9 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of
 from sdm.kernels.culling.voronoi_features import Parts
-from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, remember
+from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, read_witness, remember, write_witness
 from sdm.kernels.dense.cell_cache import Place, brick_number, note_place, noted_place
-from sdm.kernels.dense.stage1_witnesses import read_witness, seen_from, write_witness
+from sdm.kernels.dense.stage1_witnesses import seen_from
 from sdm.kernels.dense.workspace import (
     BLOCK,
     COARSE,
@@ -25,13 +25,13 @@ from sdm.kernels.dense.workspace import (
     Lists,
     brick_start,
     is_coarse,
-    is_within,
     list_length,
     make_cell,
     read_entry,
     read_on,
     start_reading,
 )
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once

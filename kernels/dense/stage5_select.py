@@ -12,14 +12,21 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
-from sdm.kernels.culling.leaf_filter import PARTS, RIPE, WAITING, push, push_parts, push_triangles, triangle_matters
+from sdm.kernels.culling.leaf_filter import (
+    PARTS,
+    RIPE,
+    WAITING,
+    node_matters,
+    push,
+    push_parts,
+    push_triangles,
+    triangle_matters,
+)
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Parts, parts_that_matter
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
 from sdm.kernels.dense.block.voxels import Block
 from sdm.kernels.dense.cell_cache import brick_number, noted_half2, noted_place
-from sdm.kernels.dense.stage1_witnesses import read_witness, write_witness
-from sdm.kernels.dense.stage2_regions import node_matters
 from sdm.kernels.dense.stage4_plan import cell_of, nearest_in_list, slice_of, slices_of, whole_block, whole_blocks
 from sdm.kernels.dense.workspace import (
     COARSE,
@@ -30,13 +37,13 @@ from sdm.kernels.dense.workspace import (
     append,
     brick_start,
     is_coarse,
-    is_within,
     list_length,
     make_cell,
     read_entry,
     read_on,
     start_reading,
 )
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab, index_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once

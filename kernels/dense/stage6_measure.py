@@ -12,26 +12,25 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.culling.leaf_filter import push
 from sdm.kernels.culling.voronoi_features import Parts
-from sdm.kernels.dense.block.boxes import eighths_of, octants_of
-from sdm.kernels.dense.block.feature_rows import CORNER_KIND, EDGE_KIND, add_corner, add_edge, add_face, tests_of
+from sdm.kernels.dense.block.feature_rows import (
+    CORNER_KIND,
+    EDGE_KIND,
+    Mix,
+    add_corner,
+    add_edge,
+    add_face,
+    kind_of,
+    taken_now,
+    tests_of,
+)
 from sdm.kernels.dense.block.min_values import clear_values, measure_item
-from sdm.kernels.dense.block.mix import Mix, kind_of, taken_now
-from sdm.kernels.dense.block.octant_tests import octants_there
+from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of, octants_there
 from sdm.kernels.dense.block.shared_layout import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
 from sdm.kernels.dense.stage4_plan import whole_blocks
 from sdm.kernels.dense.stage5_select import block_of
-from sdm.kernels.dense.workspace import (
-    BLOCK,
-    COARSE,
-    NEXT_BLOCK,
-    Lists,
-    Reader,
-    is_within,
-    read_entry,
-    read_on,
-    start_reading,
-)
+from sdm.kernels.dense.workspace import BLOCK, COARSE, NEXT_BLOCK, Lists, Reader, read_entry, read_on, start_reading
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once

@@ -9,7 +9,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.dense.cell_cache import noted_start
-from sdm.kernels.dense.workspace import BLOCK, SLICED, Lists, is_within
+from sdm.kernels.dense.workspace import BLOCK, SLICED, Lists
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add

@@ -13,8 +13,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
-from sdm.kernels.culling.witness_bound import Cell
-from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.geometry.voxel_box import Cell, box_of_voxels, octant_at
+from sdm.kernels.geometry.voxel_grid import Slab, unravel
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members, rank
 
@@ -70,35 +70,6 @@ class Lists:
 
 
 @wp.func
-def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
-    """The box of up to size^3 voxels from `start`, in scaled coordinates."""
-    last = wp.min(start + wp.vec3i(size, size, size), slab.shape) - wp.vec3i(1, 1, 1)
-    low = voxel(slab, start[0], start[1], start[2])
-    high = voxel(slab, last[0], last[1], last[2])
-    if slab.turned != 0:
-        # The box around all corners of a turned cell. Not as a constant, which would write the loop out eight times.
-        corners = int(8)
-        for corner in range(corners):
-            p = voxel(
-                slab,
-                wp.where((corner & 1) != 0, last[0], start[0]),
-                wp.where((corner & 2) != 0, last[1], start[1]),
-                wp.where((corner & 4) != 0, last[2], start[2]),
-            )
-            low = wp.min(low, p)
-            high = wp.max(high, p)
-    low = scale * low
-    high = scale * high
-    cell = Cell()
-    cell.centre = 0.5 * (low + high)
-    half = wp.max(high - cell.centre, cell.centre - low)
-    # A rounding more than the voxels need, so that none sticks out.
-    cell.half = half * 1.000001
-    cell.half2 = wp.dot(cell.half, cell.half)
-    return cell
-
-
-@wp.func
 def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
     """The same for what is compared with a mesh's surface points."""
     frame = mesh * FRAME_SIZE
@@ -121,12 +92,6 @@ def region_start(lists: Lists, item: int):
 
 
 @wp.func
-def octant_at(item: int):
-    """Which of eight parts: 0 or 1 along each axis."""
-    return wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
-
-
-@wp.func
 def cell_start(lists: Lists, item: int):
     """The mesh, and the first voxel, of a cell."""
     mesh, start = region_start(lists, item / 8)
@@ -137,11 +102,6 @@ def cell_start(lists: Lists, item: int):
 def brick_start(lists: Lists, start: wp.vec3i, item: int):
     """The first voxel of brick `item` % 8 of a cell that starts there."""
     return start + (lists.cell / 2) * octant_at(item)
-
-
-@wp.func
-def is_within(slab: Slab, start: wp.vec3i):
-    return start[0] < slab.shape[0] and start[1] < slab.shape[1] and start[2] < slab.shape[2]
 
 
 @wp.struct

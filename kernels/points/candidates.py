@@ -9,10 +9,10 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
-from sdm.kernels.culling.leaf_filter import full_of_leaves, push, triangles_that_matter
+from sdm.kernels.culling.leaf_filter import full_of_leaves, node_matters, push, triangles_that_matter
 from sdm.kernels.culling.normal_cones import Cones
-from sdm.kernels.culling.witness_bound import Cell, Witness
-from sdm.kernels.dense.stage2_regions import node_matters
+from sdm.kernels.culling.witness_bound import Witness
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.points.group_descent import FOUND, LEAVES, MOST, keep_children, next_nodes, start_descent
 from sdm.kernels.primitives.lanes import wait_for_lanes
 from sdm.kernels.winding.ray_crossings import Ray, lattice_box, meets_ray

@@ -11,8 +11,8 @@ import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit
 from sdm.kernels.bvh.tree import DIAGONAL, SCALE, Tree
-from sdm.kernels.culling.witness_bound import Cell, cell_of_rows, no_witness
-from sdm.kernels.dense.stage1_witnesses import write_witness
+from sdm.kernels.culling.witness_bound import no_witness, write_witness
+from sdm.kernels.geometry.voxel_box import Cell, cell_of_rows
 from sdm.kernels.launch import launch
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.group_search import nearest_together

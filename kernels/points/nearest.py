@@ -11,8 +11,7 @@ import warp as wp
 from sdm.kernels.bvh.nearest_search import exact_distance2
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.culling.normal_cones import Cones
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
-from sdm.kernels.dense.stage1_witnesses import read_witness
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, read_witness
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_near
 from sdm.kernels.points.group_descent import SCRATCH, TIES

@@ -10,7 +10,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, to_lattice
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Cell
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_on_rays
 from sdm.kernels.points.group_descent import OWN_ROOM, SCRATCH

@@ -23,8 +23,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, to_lattice
-from sdm.kernels.culling.witness_bound import Cell
 from sdm.kernels.geometry.triangle_distance import nearest_part, segment_distance2
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.lanes import ballot, sum_of_lanes
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.ray_crossings import covers, crossing_of

@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.dense.workspace import box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_box import box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add

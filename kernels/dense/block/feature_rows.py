@@ -28,9 +28,10 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.culling.voronoi_features import INVERSES, Parts, last_of_row, load_part_row, one_of
-from sdm.kernels.culling.witness_bound import Cell, bulge_of_edge
+from sdm.kernels.culling.witness_bound import bulge_of_edge
 from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
 from sdm.kernels.dense.block.shared_layout import NUMBERS, PARTS, write_number, write_row
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import unknown
 from sdm.kernels.primitives.vector_loads import load2
@@ -162,3 +163,36 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         ca = first
         inverse = then
         then = last
+
+
+@wp.struct
+class Mix:
+    """So many corners, edges, and parts in all."""
+
+    corners: wp.int32
+    edges: wp.int32
+    parts: wp.int32
+
+
+@wp.func
+def taken_now(corners: int, edges: int, faces: int, lanes: int):
+    """Of the parts that wait those to take now."""
+    mix = Mix()
+    mixed = corners < lanes and edges < lanes and faces < lanes
+    if mixed or corners >= lanes:
+        mix.corners = wp.min(corners, lanes)
+        mix.parts = mix.corners
+    if mixed or (edges >= lanes and mix.parts == 0):
+        mix.edges = wp.min(edges, lanes - mix.parts)
+        mix.parts = mix.parts + mix.edges
+    if mixed or mix.parts == 0:
+        mix.parts = mix.parts + wp.min(faces, lanes - mix.parts)
+    return mix
+
+
+@wp.func
+def kind_of(mix: Mix, part: int):
+    """The kind of a part."""
+    if part < mix.corners:
+        return CORNER_KIND
+    return wp.where(part < mix.corners + mix.edges, EDGE_KIND, FACE_KIND)

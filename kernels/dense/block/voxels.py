@@ -5,11 +5,11 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Cell, Witness
+from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness
 from sdm.kernels.dense.block.min_values import two_at, values_of
 from sdm.kernels.dense.block.octant_tests import note_lattice, note_witness
 from sdm.kernels.dense.block.shared_layout import PLACES, WINDING, write_number
-from sdm.kernels.dense.workspace import is_within
+from sdm.kernels.geometry.voxel_box import Cell, is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, along, distances_at, is_unclear, with_sign
 from sdm.kernels.primitives.atomics import fetch_add, shrink
 from sdm.kernels.primitives.lanes import wait_for_lanes

@@ -15,7 +15,7 @@ from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build, unpack
 from sdm.kernels.bvh.tree import Tree, node_box
 from sdm.kernels.culling.normal_cones import LEVELS, MOST_AROUND, Cones, cone_misses, merged
-from sdm.kernels.culling.witness_bound import Cell
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.vector_loads import load4
 from tests import oracle
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sdm.kernels.culling.witness_bound import Cell, Witness, box_is_farther, doubt, triangle_is_farther
+from sdm.kernels.culling.witness_bound import Witness, box_is_farther, doubt, triangle_is_farther
+from sdm.kernels.geometry.voxel_box import Cell
 
 wp.set_module_options({"enable_backward": False})
 

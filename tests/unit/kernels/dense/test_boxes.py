@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sdm.kernels.dense.block.boxes import eighths_of, octants_of
+from sdm.kernels.dense.block.feature_rows import kind_of, taken_now
 from sdm.kernels.dense.block.min_values import two_at, values_of
-from sdm.kernels.dense.block.mix import kind_of, taken_now
+from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of
 from sdm.kernels.dense.block.shared_layout import ITEMS, LATTICE_ROW, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
 from sdm.kernels.primitives.work_queues import PAIR_BITS, PART_BITS, in_line, put_in_line
 

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from sdm.engine.acceleration import build, unpack
-from sdm.kernels.culling.witness_bound import Cell
+from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.winding import winding_number
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.hole_caps import doubt, is_far, see_caps, share_of_turn, view_caps
