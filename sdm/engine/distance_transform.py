@@ -14,6 +14,7 @@ from torch import Tensor
 from sdm.errors import GridError, SDMError
 from sdm.kernels.edt import transform
 from sdm.kernels.edt.envelopes import LONGEST_LINE
+from sdm.runtime.operators import define
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 # What "surface" means: how far the surface of a voxel is from its centre, in voxels.
@@ -23,7 +24,11 @@ MOST_VOXELS = (1 << 31) - 1
 _LANES = 32
 
 
-@torch.library.custom_op("sdm::euclidean_distance_transform", mutates_args=())
+def _fake_transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool, missing: float) -> Tensor:
+    return torch.empty(mask.shape, dtype=torch.float32, device=mask.device)
+
+
+@define("euclidean_distance_transform", _fake_transform)
 def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool, missing: float) -> Tensor:
     """Distances (B,nx,ny,nz) float32 from bool (B,nx,ny,nz); see `euclidean_distance_transform`."""
     mask = mask.contiguous()
@@ -47,11 +52,6 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
             result = as_warp(out[begin : begin + chunk].reshape(-1), wp.float32)
             transform.transform(source, shape, sizes, half, signed, missing, room, result)
     return out
-
-
-@_transform.register_fake
-def _(mask: Tensor, spacing: Sequence[float], half: float, signed: bool, missing: float) -> Tensor:
-    return torch.empty(mask.shape, dtype=torch.float32, device=mask.device)
 
 
 def euclidean_distance_transform(
@@ -110,7 +110,9 @@ def euclidean_distance_transform(
         return torch.empty(mask.shape, dtype=torch.float32, device=mask.device)
     inside = mask.detach()
     inside = inside if inside.dtype == torch.bool else inside != 0
-    return _transform(inside.reshape(-1, *shape), size, SURFACES[surface], signed, missing).reshape(mask.shape)
+    return torch.ops.sdm.euclidean_distance_transform(
+        inside.reshape(-1, *shape), size, SURFACES[surface], signed, missing
+    ).reshape(mask.shape)
 
 
 def spacing_of(spacing: float | Sequence[float]) -> list[float]:

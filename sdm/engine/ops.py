@@ -25,6 +25,7 @@ from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.points.query import query_points, query_winding, sort_points
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graph_branches import kernels_beside
+from sdm.runtime.operators import define, differentiate
 from sdm.runtime.output_slot import current_place
 from sdm.runtime.torch_warp import as_warp, on_current_stream, scratch_on
 
@@ -87,7 +88,18 @@ def _query(
     return [values, *found]
 
 
-@torch.library.custom_op("sdm::distance", mutates_args=())
+def _fake_distance(
+    vertices: Tensor,
+    faces: Tensor,
+    points: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    cube: Sequence[float] | None = None,
+) -> Tensor:
+    return points.new_empty(points.shape[0])
+
+
+@define("distance", _fake_distance)
 def distance(
     vertices: Tensor,
     faces: Tensor,
@@ -103,34 +115,21 @@ def distance(
     return _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=False, cube=cube)[0]
 
 
-@distance.register_fake
-def _(
-    vertices: Tensor,
-    faces: Tensor,
-    points: Tensor,
-    hierarchy: list[Tensor],
-    kind: int,
-    cube: Sequence[float] | None = None,
-) -> Tensor:
-    return points.new_empty(points.shape[0])
+def _fake_closest(
+    vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    count = points.shape[0]
+    face = points.new_empty(count, dtype=torch.int32)
+    return points.new_empty(count), points.new_empty(count, 3), face, points.new_empty(count, 3)
 
 
-@torch.library.custom_op("sdm::closest", mutates_args=())
+@define("closest", _fake_closest)
 def closest(
     vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Signed distance (N,), closest point (N,3), face (N,) and barycentric coordinates (N,3)."""
     values, point, face, barycentric = _query(vertices, faces, points.contiguous(), hierarchy, kind, hits=True)
     return values, point, face, barycentric
-
-
-@closest.register_fake
-def _(
-    vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    count = points.shape[0]
-    face = points.new_empty(count, dtype=torch.int32)
-    return points.new_empty(count), points.new_empty(count, 3), face, points.new_empty(count, 3)
 
 
 class _Once(torch.autograd.Function):
@@ -190,10 +189,14 @@ def _closest_backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Any, ...]:
     return to_vertices, None, flow if ctx.needs_input_grad[2] else None, [None] * ctx.tensors, None
 
 
-closest.register_autograd(_closest_backward, setup_context=_closest_setup)
+differentiate("closest", _closest_backward, _closest_setup)
 
 
-@torch.library.custom_op("sdm::winding_number", mutates_args=())
+def _fake_winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
+    return points.new_empty(points.shape[0])
+
+
+@define("winding_number", _fake_winding_number)
 def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
     """Generalised winding number (N,) of a mesh about points (N,3)."""
     if not hierarchy:
@@ -205,11 +208,6 @@ def winding_number(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: l
         for some, found in zip(at.split(MOST_POINTS), values.split(MOST_POINTS), strict=True):
             query_winding(tree, winding, as_warp(some, wp.vec3), as_warp(found, wp.float32))
     return values
-
-
-@winding_number.register_fake
-def _(vertices: Tensor, faces: Tensor, points: Tensor, hierarchy: list[Tensor], kind: int) -> Tensor:
-    return points.new_empty(points.shape[0])
 
 
 @lru_cache(maxsize=64)
@@ -232,7 +230,22 @@ def _slab(
     return slab
 
 
-@torch.library.custom_op("sdm::distance_map", mutates_args=())
+def _fake_distance_map(
+    vertices: Tensor,
+    faces: Tensor,
+    hierarchy: list[Tensor],
+    kind: int,
+    origin: Sequence[float],
+    spacing: Sequence[float],
+    shape: Sequence[int],
+    first: int,
+    direction: Sequence[float],
+) -> tuple[Tensor, Tensor]:
+    meshes = vertices.shape[0]
+    return vertices.new_empty((meshes, *shape)), vertices.new_empty(meshes, dtype=torch.int32)
+
+
+@define("distance_map", _fake_distance_map)
 def distance_map(
     vertices: Tensor,
     faces: Tensor,
@@ -310,22 +323,6 @@ def _query_slices(
         return values, measured_finer(values, slices, times, partial(measure, None))
 
 
-@distance_map.register_fake
-def _(
-    vertices: Tensor,
-    faces: Tensor,
-    hierarchy: list[Tensor],
-    kind: int,
-    origin: Sequence[float],
-    spacing: Sequence[float],
-    shape: Sequence[int],
-    first: int,
-    direction: Sequence[float],
-) -> tuple[Tensor, Tensor]:
-    meshes = vertices.shape[0]
-    return vertices.new_empty((meshes, *shape)), vertices.new_empty(meshes, dtype=torch.int32)
-
-
 def _map_setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
     vertices, faces, hierarchy, ctx.kind, ctx.origin, ctx.spacing, ctx.shape, ctx.first, ctx.direction = inputs
     ctx.mark_non_differentiable(output[1])
@@ -341,7 +338,7 @@ def _map_backward(ctx: Any, grad: Tensor, _: Tensor) -> tuple[Any, ...]:
         for begin in range(0, ctx.shape[0], chunk):
             end = min(begin + chunk, ctx.shape[0])
             at = _centres(ctx, begin, end, grad.device)
-            values, point, face, barycentric = closest(vertices[mesh], faces, at, tensors, kind)
+            values, point, face, barycentric = torch.ops.sdm.closest(vertices[mesh], faces, at, tensors, kind)
             flow = grad[mesh, begin:end].reshape(-1, 1) * outward(vertices[mesh], faces, at, values, point, face)
             result[mesh] += _to_vertices(vertices[mesh], faces, face, barycentric, flow)
     return result, None, [None] * len(hierarchy), None, None, None, None, None, None
@@ -364,4 +361,4 @@ def _centres(ctx: Any, begin: int, end: int, device: torch.device) -> Tensor:
     return torch.stack(at, -1).reshape(-1, 3).float()
 
 
-distance_map.register_autograd(_map_backward, setup_context=_map_setup)
+differentiate("distance_map", _map_backward, _map_setup)

@@ -9,6 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.runtime.operators import define, differentiate
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 VertexOp = Callable[[Tensor, list[Tensor], int], Tensor]
@@ -59,24 +60,24 @@ def vertex_op(
                 )
         return gradient
 
-    forward_op = torch.library.custom_op(f"sdm::{name}", forward, mutates_args=())
-    backward_op = torch.library.custom_op(f"sdm::{name}_backward", backward, mutates_args=())
-
-    @forward_op.register_fake
-    def _(theta: Tensor, tables: list[Tensor], count: int) -> Tensor:
+    def fake_vertices(theta: Tensor, tables: list[Tensor], count: int) -> Tensor:
         return theta.new_empty(theta.shape[0], count, 3)
 
-    @backward_op.register_fake
-    def _(theta: Tensor, tables: list[Tensor], upstream: Tensor) -> Tensor:
+    def fake_gradient(theta: Tensor, tables: list[Tensor], upstream: Tensor) -> Tensor:
         return torch.empty_like(theta, memory_format=torch.contiguous_format)
+
+    define(name, fake_vertices)(forward)
+    define(f"{name}_backward", fake_gradient)(backward)
+    forward_op: VertexOp = getattr(torch.ops.sdm, name)
+    backward_op = getattr(torch.ops.sdm, f"{name}_backward")
 
     def remember(ctx: Any, inputs: tuple[Tensor, list[Tensor], int], output: Tensor) -> None:
         theta, tables, _ = inputs
         ctx.save_for_backward(theta, *tables)
 
-    def differentiate(ctx: Any, upstream: Tensor) -> tuple[Tensor, list[None], None]:
+    def gradient(ctx: Any, upstream: Tensor) -> tuple[Tensor, list[None], None]:
         theta, *tables = ctx.saved_tensors
         return backward_op(theta, tables, upstream), [None] * len(tables), None
 
-    forward_op.register_autograd(differentiate, setup_context=remember)
+    differentiate(name, gradient, remember)
     return forward_op

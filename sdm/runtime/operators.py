@@ -1,0 +1,60 @@
+"""Torch operators: `torch.ops.sdm.*`, registered so that eager calls load no compiler.
+
+`torch.library.custom_op` does the same, but its first call imports `torch._dynamo`, which takes longer than a small
+map. Here the compiler is told to leave an implementation alone once it is there to be told.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+import torch
+from torch.library import Library
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_LIBRARY = Library("sdm", "FRAGMENT")
+_BACKENDS = "CPU", "CUDA"
+
+
+def define(name: str, fake: Callable[..., Any]) -> Callable[[F], F]:
+    """Register the decorated function as the operator `sdm::<name>`, on CPUs and GPUs.
+
+    Args:
+        name: The operator's name.
+        fake: Takes the same arguments; results of the same shapes, types and devices, without values.
+
+    The schema is read from the function's annotations. The function writes into none of its arguments, and returns no
+    memory of theirs. It is returned as it is: call `torch.ops.sdm.<name>` for what autograd and compilers see.
+    """
+
+    def register(function: F) -> F:
+        _LIBRARY.define(name + torch.library.infer_schema(function, mutates_args=()))
+        implementation = _hidden_from_compilers(function)
+        for backend in _BACKENDS:
+            _LIBRARY.impl(name, implementation, backend)
+        torch.library.register_fake(f"sdm::{name}", fake, lib=_LIBRARY)
+        return function
+
+    return register
+
+
+def differentiate(name: str, backward: Callable[..., Any], setup_context: Callable[..., None]) -> None:
+    """Give the operator `sdm::<name>` a gradient, as `torch.library.register_autograd` does."""
+    torch.library.register_autograd(f"sdm::{name}", backward, setup_context=setup_context, lib=_LIBRARY)
+
+
+def _hidden_from_compilers(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, of which `torch.compile` traces nothing."""
+    hidden: list[Callable[..., Any]] = []
+
+    @wraps(function)
+    def run(*args: Any, **named: Any) -> Any:
+        if not hidden and "torch._dynamo" in sys.modules:
+            hidden.append(torch.compiler.disable(function))
+        return (hidden[0] if hidden else function)(*args, **named)
+
+    return run
