@@ -7,7 +7,7 @@ import torch
 
 import sdm
 import sdm.engine.acceleration
-import sdm.engine.ops  # noqa: F401 - registers the operators
+import sdm.engine.ops
 from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build
 
