@@ -100,7 +100,7 @@ def query_slab(
     lanes = GPU_LANES if gpu else 1
 
     def workers(blocks: int) -> int:
-        return gpu_workers(blocks) if gpu else 16 * threads()
+        return gpu_workers(values.device, blocks) if gpu else 16 * threads()
 
     lists = Lists()
     lists.cell = cell_for(tree.count, shape, gpu)

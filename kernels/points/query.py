@@ -229,7 +229,7 @@ def query_points(
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
-    workers = min(gpu_workers(POINT_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
+    workers = min(gpu_workers(device, POINT_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
     scratch = empty(workers * SCRATCH, wp.int32)
     groups.counts = empty(COUNTS, wp.int32)
     groups.counts.zero_()

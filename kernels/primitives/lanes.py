@@ -12,13 +12,13 @@ wp.set_module_options({"enable_backward": False})
 GPU_LANES = 32
 # A multiprocessor holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
 GPU_BLOCKS = 4
-# Multiprocessors of an H100, and groups of lanes in a block.
-GPU_MULTIPROCESSORS, GPU_GROUPS = 132, 4
+# Groups of lanes in a block.
+GPU_GROUPS = 4
 
 
-def gpu_workers(blocks: int) -> int:
-    """Groups of lanes at work at a time, of a kernel of which a multiprocessor holds so many blocks."""
-    return GPU_MULTIPROCESSORS * GPU_GROUPS * blocks
+def gpu_workers(device: wp.Device, blocks: int) -> int:
+    """Groups of lanes at work at a time on a GPU, of a kernel of which a multiprocessor holds so many blocks."""
+    return device.sm_count * GPU_GROUPS * blocks
 
 
 @wp.func_native(

@@ -203,7 +203,9 @@ def open_caps(
     """
     device = values.device
     meshes, *shape = values.shape
-    lanes, share, workers = (GPU_LANES, SHARE, gpu_workers(GPU_BLOCKS)) if device.is_cuda else (1, 1, 128 * threads())
+    lanes, share, workers = 1, 1, 128 * threads()
+    if device.is_cuda:
+        lanes, share, workers = GPU_LANES, SHARE, gpu_workers(device, GPU_BLOCKS)
     near = Near()
     cells = [-(-n // int(CELL)) for n in shape]
     blocks = [-(-n // int(CELLS_OF_BLOCK)) for n in cells]

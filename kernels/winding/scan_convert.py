@@ -174,7 +174,7 @@ def scan_triangles(
     larges.zero_()
     launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
     if some_large:
-        lanes, groups = (GPU_LANES, gpu_workers(GPU_BLOCKS)) if device.is_cuda else (1, threads())
+        lanes, groups = (GPU_LANES, gpu_workers(device, GPU_BLOCKS)) if device.is_cuda else (1, threads())
         inputs = [tree, slab, lanes, groups, counts, large, larges]
         launch(_scan_large, groups * lanes, inputs, device, smallest=1)
 

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.primitives.lanes import GPU_GROUPS
+
 wp.set_module_options({"enable_backward": False})
 
 # Parts worked out at a time; rows that measure each, and rows that test it.
@@ -28,14 +30,12 @@ PAIRS = 4 * (WINDING + 512)
 MOST_PAIRS, MOST_ITEMS = 8 * PARTS, 384
 ITEMS = PAIRS + MOST_PAIRS * 2
 ROWS = (ITEMS + 2 * MOST_ITEMS) // 16
-# Blocks of threads have four groups of lanes.
-_GROUPS = 4
 
 
 @wp.func_native(
     snippet=f"""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 shared[{_GROUPS} * {ROWS}];
+    __shared__ float4 shared[{GPU_GROUPS} * {ROWS}];
     return (wp::uint64)(shared + threadIdx.x / 32 * {ROWS});
 #else
     return (wp::uint64)(rows.data + 4 * (size_t)worker * {ROWS});
