@@ -1,4 +1,4 @@
-"""What every test shares: the data folder, the devices, and how hypothesis searches."""
+"""Fixtures and settings of every test: the data folder, the devices, hypothesis, and checks of tensors' shapes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import hypothesis
 import pytest
 import torch
 
+from tests.helpers import array_types
+
 ROOT = Path(__file__).resolve().parents[1]
+array_types.install(ROOT)
 
 # Compiling a kernel counts towards the first example's time, so examples have no deadline of their own.
 hypothesis.settings.register_profile("local", deadline=None, print_blob=True)

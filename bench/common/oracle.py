@@ -1,4 +1,4 @@
-"""The float64 brute force as Warp kernels, for millions of points: tests/oracle.py again, on a CPU or a GPU.
+"""The float64 brute force as Warp kernels, for millions of points: tests/helpers/oracle.py again, on a CPU or a GPU.
 
 One thread goes over all triangles for one point. A triangle whose bounding sphere is further away than the best so far
 is passed over; every other one is measured in full.
@@ -180,14 +180,14 @@ class Brute:
         wp.load_module(device=device)
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances (N,), closest points (N,3) and faces (N,), as `tests.oracle.distance`."""
+        """Distances (N,), closest points (N,3) and faces (N,), as `tests.helpers.oracle.distance`."""
         at = self._points(points)
         out = self._empty(at, wp.float64), self._empty(at, wp.vec3d), self._empty(at, wp.int32)
         self._launch(_distance_kernel, at, [self._corner, self._centre, self._radius, at], out)
         return out[0].numpy(), out[1].numpy(), out[2].numpy()
 
     def winding_number(self, points: np.ndarray) -> np.ndarray:
-        """Generalised winding numbers (N,), as `tests.oracle.winding_number`."""
+        """Generalised winding numbers (N,), as `tests.helpers.oracle.winding_number`."""
         at = self._points(points)
         out = self._empty(at, wp.float64)
         self._launch(_winding_kernel, at, [self._corner, at], (out,))

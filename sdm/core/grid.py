@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from jaxtyping import Float32, Float64
 
 from sdm.errors import GridError
 
@@ -127,7 +128,7 @@ class Grid:
         return 4 * self.size
 
     @property
-    def affine(self) -> np.ndarray:
+    def affine(self) -> Float64[np.ndarray, "4 4"]:
         """(4,4) float64 matrix from voxel indices to coordinates."""
         matrix = np.eye(4)
         matrix[:3, :3] = np.asarray(self.direction) * np.asarray(self.spacing)
@@ -158,7 +159,7 @@ class Grid:
             direction = np.round(direction) + 0.0
         return cls(matrix[:3, 3], spacing, shape, direction)
 
-    def points(self, begin: int = 0, end: int | None = None) -> torch.Tensor:
+    def points(self, begin: int = 0, end: int | None = None) -> Float32[torch.Tensor, "n ny nz 3"]:
         """Voxel centres (n,ny,nz,3) of the slab `begin <= i < end`, float32 on the host.
 
         These are exactly the points at which the engine measures.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from jaxtyping import Float32, Float64, Int32
 from torch import Tensor
 
 from sdm.errors import MeshError
@@ -38,8 +39,8 @@ class TriangleMesh:
     Zero-area and repeated faces are welcome: every triangle counts. `inspect_mesh` tells what a mesh is like.
     """
 
-    vertices: Tensor
-    faces: Tensor
+    vertices: Float32[Tensor, "V 3"]
+    faces: Int32[Tensor, "F 3"]
     name: str = "mesh"
     check: bool = field(default=True, repr=False)
 
@@ -65,7 +66,7 @@ class TriangleMesh:
         return self.vertices.device
 
     @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest x, y, z over the vertices that faces use, float64 (3,) each."""
         used = self.vertices.detach()[self.faces.reshape(-1).long()]
         low, high = used.amin(0), used.amax(0)
@@ -81,7 +82,7 @@ class TriangleMesh:
         """The same mesh inside out: each face's vertices in the other order."""
         return TriangleMesh(self.vertices, self.faces.flip(1).contiguous(), self.name, check=False)
 
-    def numpy(self) -> tuple[np.ndarray, np.ndarray]:
+    def numpy(self) -> tuple[Float32[np.ndarray, "V 3"], Int32[np.ndarray, "F 3"]]:
         """Vertices (V,3) float32 and faces (F,3) int32 on the host."""
         return self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy()
 
@@ -142,7 +143,7 @@ def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
         raise MeshError(f"{name} has {faces.shape[0]:,} triangles; at most {MOST_TRIANGLES:,} are supported: split it")
 
 
-def _check_values(vertices: Tensor, faces: Tensor, name: str) -> None:
+def _check_values(vertices: Float32[Tensor, "V 3"], faces: Int32[Tensor, "F 3"], name: str) -> None:
     count = vertices.shape[0]
     # All numbers in one copy: each would wait for a GPU. The largest is NaN if any coordinate is.
     bounds = (*faces.aminmax(), vertices.detach().abs().amax())

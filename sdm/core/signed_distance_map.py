@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from sdm.core.grid import Grid
@@ -26,7 +27,7 @@ class SDM:
             not clearly say whether they are inside. 0 for closed meshes; None where nobody counted.
     """
 
-    values: Tensor
+    values: Float[Tensor, "nx ny nz"]
     grid: Grid
     ambiguous_voxels: int | None
 
@@ -41,7 +42,7 @@ class SDM:
         for name, value in (("values", values), ("grid", grid), ("ambiguous_voxels", ambiguous_voxels)):
             object.__setattr__(self, name, value)
 
-    def numpy(self) -> np.ndarray:
+    def numpy(self) -> Float32[np.ndarray, "nx ny nz"]:
         """The values on the host, (nx,ny,nz) float32."""
         return self.values.detach().to("cpu", torch.float32).numpy()
 

@@ -15,8 +15,8 @@ import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.kernels.dense import cost_model, query
 from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
-from tests import strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 pytestmark = pytest.mark.gpu
 

@@ -9,8 +9,8 @@ import torch
 import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import generated_names, load_case
-from tests import oracle
-from tests.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers import oracle
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
 pytestmark = pytest.mark.gpu
 

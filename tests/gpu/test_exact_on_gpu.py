@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import cube, sphere
-from tests import strategies
-from tests.exactness import assert_exact, assert_winding
+from tests.helpers import strategies
+from tests.helpers.exactness import assert_exact, assert_winding
 
 pytestmark = pytest.mark.gpu
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())

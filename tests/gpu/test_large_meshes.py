@@ -11,7 +11,7 @@ import sdm.engine.ops
 from sdm.bench.common.meshes import load_case
 from sdm.kernels.dense import cost_model, query
 from sdm.kernels.dense.workspace import SLICED
-from tests.exactness import ROUNDING, assert_exact
+from tests.helpers.exactness import ROUNDING, assert_exact
 
 pytestmark = pytest.mark.gpu
 

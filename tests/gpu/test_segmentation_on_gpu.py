@@ -7,7 +7,7 @@ import torch
 
 from sdm.segmentation import METHODS, Patches, Settings, predict, train
 from sdm.segmentation.infer.scores import scores_of
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 pytestmark = pytest.mark.gpu
 SIZE = (32, 32, 32)

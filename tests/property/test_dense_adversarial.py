@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import sdm
 import sdm.engine.ops
 from sdm.bench.common.meshes import cube, sphere
-from tests import strategies
-from tests.exactness import assert_exact
+from tests.helpers import strategies
+from tests.helpers.exactness import assert_exact
 
 few = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -16,9 +16,9 @@ from sdm.bench.common.meshes import sphere
 from sdm.kernels.dense import cost_model, query
 from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
 from sdm.kernels.winding import scan_convert
-from tests import strategies
-from tests.exactness import ROUNDING, assert_exact, scale_of
-from tests.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
 
 # Fine ones have long lists, about their centres above all.
 fine = st.integers(6, 16).map(lambda rings: strategies.Arrays(*sphere(rings)))

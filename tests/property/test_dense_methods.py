@@ -13,9 +13,9 @@ import sdm.engine.ops
 from sdm.bench.common.meshes import cube, load_case, sphere
 from sdm.kernels.dense import cost_model
 from sdm.kernels.winding import scan_convert
-from tests import strategies
-from tests.exactness import ROUNDING, assert_exact, scale_of
-from tests.sharing import no_finer_grids
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers.sharing import no_finer_grids
 
 meshes = st.one_of(strategies.soups(40), strategies.slivers(), strategies.closed(), strategies.shells())
 METHODS = ["cells", "search"]

@@ -8,7 +8,7 @@ import torch
 import sdm
 import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, missing_note, names
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers.exactness import ROUNDING, scale_of
 
 REAL = names(["real"])
 # Coarse, so that lists are long and cells are cut by the border; and as fine as the CPU has time for.

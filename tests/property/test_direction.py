@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import sdm
 from sdm.bench.common.meshes import cube, load_case
-from tests import oracle, strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import oracle, strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 meshes = st.one_of(strategies.soups(), strategies.closed(), strategies.shells())
 axes = [np.eye(3)[list(o)] * s for o in itertools.permutations(range(3)) for s in itertools.product((1, -1), repeat=3)]

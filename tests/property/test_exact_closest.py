@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from tests import oracle, strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import oracle, strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed())
 

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from tests import strategies
-from tests.exactness import assert_exact
+from tests.helpers import strategies
+from tests.helpers.exactness import assert_exact
 
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 

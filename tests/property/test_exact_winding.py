@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import sdm
 import sdm.engine.acceleration
-from tests import oracle, strategies
-from tests.exactness import ROUNDING, assert_exact, assert_winding, scale_of
+from tests.helpers import oracle, strategies
+from tests.helpers.exactness import ROUNDING, assert_exact, assert_winding, scale_of
 
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 per_function = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import sdm
 from sdm.bench.common.meshes import cube, load_case, sphere
-from tests import strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 GRID = sdm.Grid([-3.1] * 3, [0.55] * 3, [12] * 3)
 

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from tests import strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 closed = st.one_of(strategies.closed(), strategies.shells())
 

@@ -14,8 +14,8 @@ import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import load_case
 from sdm.kernels.winding import winding_number as kinds
-from tests import strategies
-from tests.exactness import assert_exact
+from tests.helpers import strategies
+from tests.helpers.exactness import assert_exact
 
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 shared = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])

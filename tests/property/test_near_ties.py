@@ -7,7 +7,7 @@ import pytest
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from tests.exactness import assert_exact
+from tests.helpers.exactness import assert_exact
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-7, 1e-5, 1e-3])

@@ -16,7 +16,7 @@ from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import as_warp, build, scratch_on, unpack
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.winding.column_sums import slab_winding
-from tests import oracle
+from tests.helpers import oracle
 
 CPU = torch.device("cpu")
 # Where the winding number is that near to a limit, either side is right.

@@ -13,8 +13,8 @@ import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.kernels.points.group_descent import MOST, OWN_ROOM
 from sdm.kernels.points.groups import GROUP
-from tests import strategies
-from tests.exactness import assert_exact
+from tests.helpers import strategies
+from tests.helpers.exactness import assert_exact
 
 METHODS = ["lists", "search"]
 DEVICES = ("cpu", "cuda")[: 1 + torch.cuda.is_available()]

@@ -9,7 +9,7 @@ import pytest
 
 import sdm
 from sdm.bench.common.meshes import cube, sphere, torus
-from tests.exactness import assert_exact, assert_winding
+from tests.helpers.exactness import assert_exact, assert_winding
 
 turns = list(itertools.permutations(range(3)))
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import load_case
-from tests import oracle, strategies
-from tests.exactness import ROUNDING, scale_of
+from tests.helpers import oracle, strategies
+from tests.helpers.exactness import ROUNDING, scale_of
 
 meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed(), strategies.shells())
 shapes = st.tuples(st.integers(1, 20), *[st.integers(1, 14)] * 2)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from tests import oracle, strategies
-from tests.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers import oracle, strategies
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
 closed = st.one_of(strategies.closed(), strategies.shells())
 meshes = st.one_of(strategies.soups(), closed)

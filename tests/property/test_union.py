@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import sdm
 from sdm.bench.common.meshes import cube, sphere
-from tests import strategies
-from tests.exactness import ROUNDING
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING
 
 GRID = sdm.Grid([-6, -3, -3], [0.75, 0.5, 0.5], [17, 13, 13])
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-from tests import strategies
+from tests.helpers import strategies
 
 meshes = st.one_of(strategies.soups(), strategies.closed(), strategies.shells())
 GRID = sdm.Grid([-4] * 3, [0.9] * 3, [9] * 3)

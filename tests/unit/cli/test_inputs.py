@@ -15,7 +15,7 @@ import sdm
 from sdm.cli import main
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.errors import FormatError
-from tests.segmentation_cases import write_nnunet
+from tests.helpers.segmentation_cases import write_nnunet
 
 GRID = sdm.Grid((-1.2, -1.2, -1.2), (0.4, 0.4, 0.4), (7, 7, 7))
 

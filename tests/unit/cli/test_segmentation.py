@@ -10,7 +10,7 @@ import pytest
 
 import sdm
 from sdm.cli import main
-from tests.segmentation_cases import AFFINE, SHAPE, volume, write_hdf5, write_nnunet
+from tests.helpers.segmentation_cases import AFFINE, SHAPE, volume, write_hdf5, write_nnunet
 
 QUICK = ["--patch", "16", "16", "16", "--filters", "4", "--network", "unet", "--batch", "2", "--device", "cpu"]
 

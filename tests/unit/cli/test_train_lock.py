@@ -9,7 +9,7 @@ import trimesh
 
 from sdm.cli import main
 from sdm.io.files.lock import alone
-from tests.segmentation_cases import write_nnunet
+from tests.helpers.segmentation_cases import write_nnunet
 
 UNET = ["--patch", "16", "16", "16", "--filters", "4", "--network", "unet", "--steps", "2"]
 

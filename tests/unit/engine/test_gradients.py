@@ -8,7 +8,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import cube, sphere, torus
-from tests import oracle
+from tests.helpers import oracle
 
 MESHES = {"cube": cube(), "sphere": sphere(6), "torus": torus(144)}
 

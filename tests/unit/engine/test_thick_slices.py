@@ -11,7 +11,7 @@ import sdm.engine.ops
 from sdm.bench.common.meshes import load_case
 from sdm.engine import thick_slices
 from sdm.engine.thick_slices import Slices, finer
-from tests.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
 # Across a mesh that is 2 wide: 100 and 20 slices.
 THIN, THICK = 0.02, 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from sdm.segmentation import METHODS
-from tests.segmentation_cases import write_nnunet
+from tests.helpers.segmentation_cases import write_nnunet
 
 
 def test_the_sample_runs(root, tmp_path, monkeypatch):

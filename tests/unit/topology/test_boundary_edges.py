@@ -11,7 +11,7 @@ import sdm.topology.boundary_edges
 from sdm.bench.common.meshes import cube, load_case, sphere
 from sdm.errors import MeshError
 from sdm.topology.boundary_edges import boundary_edges, loops
-from tests import strategies
+from tests.helpers import strategies
 
 
 def _edges(vertices, faces) -> list[tuple[int, int]]:

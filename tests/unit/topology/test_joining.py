@@ -14,7 +14,7 @@ import sdm.topology.boundary_edges
 from sdm.bench.common.meshes import cube, load_case, sphere
 from sdm.topology.boundary_edges import boundary_edges, loops
 from sdm.topology.joining import join_on_device, join_on_host
-from tests import strategies
+from tests.helpers import strategies
 
 
 def _plain(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.topology.boundary_edges import boundary_edges, loops, neighbours
-from tests import strategies
+from tests.helpers import strategies
 
 
 def _check(vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from sdm.bench.common import meshes
 from sdm.bench.common.oracle import Brute
-from tests import oracle
+from tests.helpers import oracle
 
 
 @pytest.mark.parametrize("name", meshes.generated_names())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.oracle import distance, winding_number
+from tests.helpers.oracle import distance, winding_number
 
 TRIANGLE = np.array([[0, 0, 0], [4, 0, 0], [0, 3, 0]], float)
 ONE_FACE = np.array([[0, 1, 2]])
@@ -103,7 +103,7 @@ def test_sphere_within_its_analytic_bounds():
 
 
 def test_steps_do_not_change_the_result(monkeypatch):
-    import tests.oracle as oracle
+    import tests.helpers.oracle as oracle
 
     rng = np.random.default_rng(2)
     vertices, faces, points = rng.normal(size=(40, 3)), rng.integers(0, 40, (61, 3)), rng.normal(size=(50, 3))

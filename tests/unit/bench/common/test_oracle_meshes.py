@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sdm.bench.common import meshes
-from tests.oracle import distance, winding_number
+from tests.helpers.oracle import distance, winding_number
 
 
 def balanced(case):

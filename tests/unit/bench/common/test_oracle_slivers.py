@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tests.oracle import distance
+from tests.helpers.oracle import distance
 
 
 def exact_distance(corner, point):

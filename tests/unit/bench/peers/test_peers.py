@@ -9,7 +9,7 @@ import torch
 from sdm import Grid
 from sdm.bench.common.meshes import load_case
 from sdm.bench.peers import all_peers
-from tests import oracle
+from tests.helpers import oracle
 
 NAMES = [peer.name for peer in all_peers("cpu")]
 WITH_POINTS = [peer.name for peer in all_peers("cpu") if peer.points_too]

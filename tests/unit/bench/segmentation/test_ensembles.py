@@ -12,7 +12,7 @@ from sdm.bench.segmentation import ma, report
 from sdm.bench.segmentation.ensembles import ensemble_after, ensemble_jobs
 from sdm.bench.segmentation.gpu_jobs import read_ensembles, read_logs, short
 from sdm.segmentation import load_model, read_cases, validate, validate_ensemble
-from tests.segmentation_cases import volume, write_hdf5
+from tests.helpers.segmentation_cases import volume, write_hdf5
 
 QUICK = "--steps 2 --patch 16 16 16 --batch 2 --filters 2 --mirrors= --optimizer sgd --learning-rate 0.05 --gpus 0"
 

@@ -13,7 +13,7 @@ import torch
 from sdm.bench.segmentation import ma, report
 from sdm.bench.segmentation.gpu_jobs import read_ensembles, read_logs, short
 from sdm.segmentation import Settings, TrainedModel, load_model, predict, read_cases, save_model, validate_ensemble
-from tests.segmentation_cases import volume, write_hdf5
+from tests.helpers.segmentation_cases import volume, write_hdf5
 
 CUBE = (16, 16, 16)
 SPACING = (1.0, 1.0, 1.0)

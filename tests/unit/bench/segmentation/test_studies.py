@@ -18,7 +18,7 @@ from sdm.bench.segmentation.seeds import repeats_table, spread_of
 from sdm.bench.segmentation.time_budget import fitted_steps
 from sdm.bench.segmentation.trials import differs
 from sdm.segmentation import MA_ROWS, METHODS
-from tests.segmentation_cases import volume, write_hdf5
+from tests.helpers.segmentation_cases import volume, write_hdf5
 
 # Done by the jobs of this test, by name.
 calls: list[str] = []

@@ -17,7 +17,7 @@ from sdm.kernels.bvh.tree import Tree, node_box
 from sdm.kernels.culling.normal_cones import LEVELS, MOST_AROUND, Cones, cone_misses, merged
 from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.vector_loads import load4
-from tests import oracle
+from tests.helpers import oracle
 
 wp.set_module_options({"enable_backward": False})
 

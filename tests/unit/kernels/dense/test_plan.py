@@ -19,8 +19,8 @@ from sdm.kernels.dense.stage4_plan import CELL_BITS, SLICE_BITS, cell_of, slice_
 from sdm.kernels.dense.workspace import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import shrink
-from tests.exactness import ROUNDING, assert_exact, scale_of
-from tests.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,7 +9,7 @@ import warp as wp
 
 import sdm.engine.acceleration  # noqa: F401 (starts Warp quietly)
 from sdm.kernels.geometry.triangle_distance import closest_point, nearest_part, solid_angle, unit_normal
-from tests import oracle
+from tests.helpers import oracle
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import sphere
 from sdm.kernels.points.query import GROUP
-from tests.oracle import distance, winding_number
+from tests.helpers.oracle import distance, winding_number
 
 
 def bowl(holes: int) -> sdm.TriangleMesh:

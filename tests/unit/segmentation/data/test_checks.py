@@ -8,7 +8,7 @@ import torch
 from sdm.errors import GridError, SDMError
 from sdm.segmentation import check_cases
 from sdm.segmentation.data.checks import check_image
-from tests.segmentation_cases import AFFINE, SHAPE, case
+from tests.helpers.segmentation_cases import AFFINE, SHAPE, case
 
 NAN = torch.full(SHAPE, float("nan"))
 BAD = {

@@ -25,7 +25,7 @@ from sdm.segmentation import (
 )
 from sdm.segmentation.data.case import standardized
 from sdm.segmentation.data.downsample import coarse_image, coarse_map, fine_field, whole_cubes
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 SHAPE = (13, 8, 10)
 CUBE = (16, 16, 16)

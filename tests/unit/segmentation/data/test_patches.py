@@ -9,7 +9,7 @@ from sdm.segmentation import METHODS, Patches, distance_map
 from sdm.segmentation.data.augment import draw
 from sdm.segmentation.data.case import standardized
 from sdm.segmentation.data.patches import _as_if_by_another_scanner, _noise
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 SIZE = (16, 8, 12)
 

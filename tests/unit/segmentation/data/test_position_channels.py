@@ -21,7 +21,7 @@ from sdm.segmentation import (
 )
 from sdm.segmentation.data.augment import draw
 from sdm.segmentation.data.case import standardized
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 SIZE = (16, 8, 12)
 CUBE = (16, 16, 16)

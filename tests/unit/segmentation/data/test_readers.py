@@ -11,7 +11,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.segmentation import has_part, read_cases
-from tests.segmentation_cases import AFFINE, volume, write_hdf5, write_nnunet
+from tests.helpers.segmentation_cases import AFFINE, volume, write_hdf5, write_nnunet
 
 
 def test_nnunet_folders(tmp_path):

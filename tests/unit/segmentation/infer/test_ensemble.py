@@ -18,7 +18,7 @@ from sdm.segmentation import (
     validate,
     validate_ensemble,
 )
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 CUBE = (16, 16, 16)
 

@@ -10,7 +10,7 @@ from sdm.deepsdf import DeepSDF, decode_mesh, encode_meshes, encode_scan, local,
 from sdm.deepsdf import train as train_deepsdf
 from sdm.deepsdf.samples import ShapeSet
 from sdm.segmentation import Patches, Settings, predict, train
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 
 @pytest.fixture(params=["float64", "meta"])

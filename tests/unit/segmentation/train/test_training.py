@@ -23,7 +23,7 @@ from sdm.segmentation import (
 )
 from sdm.segmentation.infer.scores import scores_of
 from sdm.segmentation.train.weight_average import Average
-from tests.segmentation_cases import case
+from tests.helpers.segmentation_cases import case
 
 SIZE = (16, 16, 16)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from tests import oracle
+from tests.helpers import oracle
 
 ROUNDING = 2.0**-24
 SMALLEST = 2.0**-126  # numbers below this one are rounded as it is

@@ -1,0 +1,1 @@
+"""Helpers that several tests share: the oracle, meshes that break mesh code, cases on disk."""
