@@ -1,8 +1,8 @@
-"""From leaves of the tree to triangles, and to their parts, each kept waiting until there are enough for all lanes.
+"""From leaves of the tree to triangles, and to their features, each kept waiting until there are enough for all lanes.
 
-A worker's scratch has stacks of triangles (slots), and of parts. What is left of a test is pushed onto the next stack,
-so that no lane is idle in the tests that cost most. A part is a number: eight times its triangle's slot, and which of
-the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
+A worker's scratch has stacks of triangles (slots), and of features. What is left of a test is pushed onto the next
+stack, so that no lane is idle in the tests that cost most. A feature is a number: eight times its triangle's slot, and
+which of the triangle's it is: corner 0 to 2, edge 3 to 5, or 6, the face.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from sdm.kernels.primitives.work_queues import one_for_each_bit
 
 wp.set_module_options({"enable_backward": False})
 
-# Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their parts. A batch
-# of lanes leaves at most 31 of what it takes, and brings the triangles of 32 leaves, 32 triangles, or 224 parts.
-WAITING = 0
-RIPE = WAITING + 32 * (LARGEST_LEAF + 1)
-PARTS = RIPE + 64
+# Where the stacks begin: of triangles of leaves that matter, of those that matter themselves, of their features. A
+# batch of lanes leaves at most 31 of what it takes, and brings the triangles of 32 leaves, 32 triangles, or 224
+# features.
+TRIANGLE_STACK = 0
+NEAR_STACK = TRIANGLE_STACK + 32 * (LARGEST_LEAF + 1)
+FEATURE_STACK = NEAR_STACK + 64
 
 _LEAF = TRIANGLES_PER_LEAF
 
@@ -45,8 +46,8 @@ def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane
 
 
 @wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "8 * slot + bit"))
-def push_parts(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
-    """Push the parts `which` (bits, see `parts`) of the lanes' triangles onto a stack; returns the new top."""
+def push_features(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
+    """Push the features `which` (bits, see `features`) of the lanes' triangles onto a stack; returns the new top."""
     ...
 
 

@@ -13,9 +13,9 @@ along the surface from x, and that bounds it by the normals of the faces around 
   which it is not if all normals are on one side of a plane.)
 
 So if all those normals are within an angle of T of one unit vector n, up to their common sign, then so is p - x: a
-cone with axis n and half-angle T, to both sides, for the parts that a triangle owns (see `parts`). A boundary edge, a
-ring that does not close and a triangle without a normal give T = 90 degrees: all directions. Nothing is asked of the
-mesh: other faces at the same edge or corner only narrow the directions down.
+cone with axis n and half-angle T, to both sides, for the features that a triangle owns (see `features`). A boundary
+edge, a ring that does not close and a triangle without a normal give T = 90 degrees: all directions. Nothing is asked
+of the mesh: other faces at the same edge or corner only narrow the directions down.
 
 A cluster whose points are in a ball of centre m and radius r has nothing nearest to any point of a cell of centre c
 and radius R if the vector c - m is further than r + R from the cone, as p - x is within r + R of c - m. The distance

@@ -1,4 +1,4 @@
-"""Which parts of a triangle can be nearest to some voxel of a cell: its face, its edges, its corners.
+"""Which features of a triangle can be nearest to some voxel of a cell: its face, its edges, its corners.
 
 Let x be the point of the surface that is nearest to p. Then x lies inside a face, inside an edge, or on a corner, and
 no way along the surface leads closer:
@@ -8,14 +8,14 @@ no way along the surface leads closer:
   leads from the edge into any triangle at it, at right angles to the edge;
 - x on a corner: (p - x).e <= 0 for the direction e of any edge that begins there.
 
-Each is a linear inequality that must hold; where one fails for all points of a box, the part is dropped for that box.
-Any subset of the inequalities will do, so a mesh may have holes, flipped faces and edges of many triangles: two
+Each is a linear inequality that must hold; where one fails for all points of a box, the feature is dropped for that
+box. Any subset of the inequalities will do, so a mesh may have holes, flipped faces and edges of many triangles: two
 triangles at an edge, and four or five edges at a corner, are looked at. Those of a corner are next to each other; of
 six that are spread evenly the first four leave half a plane behind them, and only with the fifth a line. A triangle
 without a normal gives no inequality.
 
 Triangles share edges and corners, but only one of them, the owner, lists each. That loses nothing: if x lies on a
-shared part then all its triangles are equally near, and no test here or in `cull` drops a triangle that is nearest.
+shared feature then all its triangles are equally near, and no test here or in `cull` drops a triangle that is nearest.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from sdm.kernels.primitives.vector_loads import load4, load_row, write4
 wp.set_module_options({"enable_backward": False})
 
 # Per triangle six rows of four floats: of each edge ab, bc and ca the neighbour's unit vector inwards, and the owned
-# parts, `first`, 0; then of each the neighbour's far corner, and x, y, z of the end of one more edge from the first
+# features, `first`, 0; then of each the neighbour's far corner, and x, y, z of the end of one more edge from the first
 # corner that the triangle owns and that has one, which is `first`, or -1.
-PARTS_ROWS = 6
-PARTS_FLOATS = 4 * PARTS_ROWS
-_ROWS, _FLOATS = PARTS_ROWS, PARTS_FLOATS
+FEATURE_ROWS = 6
+FEATURE_FLOATS = 4 * FEATURE_ROWS
+_ROWS, _FLOATS = FEATURE_ROWS, FEATURE_FLOATS
 # Per triangle, in float64: 1/|ab|, 1/|bc|, 1/|ca|, 1/|ab x ac|; zero where there is no such direction.
 INVERSES = 4
 
-# Bits of the parts: as these are numbered, see `leaves`.
+# Bits of the features: as these are numbered, see `leaves`.
 CORNER, EDGE, FACE = 1, 8, 64
 # Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
 ROOM = 2.0e-6
@@ -59,10 +59,10 @@ SMALL_SQUARE, ENLARGED = 2.0**-100, 2.0**66
 
 
 @wp.struct
-class Parts:
-    """What is known of the triangles' parts and neighbours."""
+class Features:
+    """What is known of the triangles' features and neighbours."""
 
-    rows: wp.array(dtype=wp.float32)  # (slots * PARTS_FLOATS)
+    rows: wp.array(dtype=wp.float32)  # (slots * FEATURE_FLOATS)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
     balls: wp.array(dtype=wp.float32)  # (slots * 4) a ball around each triangle: its centre and its radius
 
@@ -85,33 +85,33 @@ def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
 
 
 @wp.func
-def load_part_row(parts: Parts, slot: int, row: int):
+def load_feature_row(features: Features, slot: int, row: int):
     """A row of the triangle in a slot."""
-    return load4(parts.rows, _ROWS * slot + row)
+    return load4(features.rows, _ROWS * slot + row)
 
 
 @wp.func
-def last_of_row(parts: Parts, slot: int, row: int):
+def last_of_row(features: Features, slot: int, row: int):
     """The last of a row's four floats."""
-    return parts.rows[4 * (_ROWS * slot + row) + 3]
+    return features.rows[4 * (_ROWS * slot + row) + 3]
 
 
 @wp.func
-def further_end(parts: Parts, slot: int):
+def further_end(features: Features, slot: int):
     """The end of the one more edge, if a triangle has it."""
-    return wp.vec3(last_of_row(parts, slot, 3), last_of_row(parts, slot, 4), last_of_row(parts, slot, 5))
+    return wp.vec3(last_of_row(features, slot, 3), last_of_row(features, slot, 4), last_of_row(features, slot, 5))
 
 
 @wp.func
-def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot: int):
-    """The owned parts of a triangle that can be nearest to some voxel of the cell, as bits."""
+def features_that_matter(cell: Cell, known: Witness, tree: Tree, features: Features, slot: int):
+    """The owned features of a triangle that can be nearest to some voxel of the cell, as bits."""
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
-    in_ab = load_part_row(parts, slot, 0)
-    in_bc = load_part_row(parts, slot, 1)
-    in_ca = load_part_row(parts, slot, 2)
-    over_ab = load_part_row(parts, slot, 3)
-    over_bc = load_part_row(parts, slot, 4)
-    over_ca = load_part_row(parts, slot, 5)
+    in_ab = load_feature_row(features, slot, 0)
+    in_bc = load_feature_row(features, slot, 1)
+    in_ca = load_feature_row(features, slot, 2)
+    over_ab = load_feature_row(features, slot, 3)
+    over_bc = load_feature_row(features, slot, 4)
+    over_ca = load_feature_row(features, slot, 5)
     a = corner_a - cell.centre
     b = corner_b - cell.centre
     c = corner_c - cell.centre
@@ -199,9 +199,9 @@ def parts_that_matter(cell: Cell, known: Witness, tree: Tree, parts: Parts, slot
             result = result | (4 * CORNER)
     if (result & (7 * CORNER)) != 0:
         # And one more edge from the first of them. This is read now as there are too few registers for all at once.
-        k = int(last_of_row(parts, slot, 1))
+        k = int(last_of_row(features, slot, 1))
         if k >= 0:
-            further = further_end(parts, slot) - one_of(k, corner_a, corner_b, corner_c)
+            further = further_end(features, slot) - one_of(k, corner_a, corner_b, corner_c)
             if not may_be_below(half, one_of(k, a, b, c), further, room):
                 result = result & ~(CORNER << k)
     return result
@@ -278,14 +278,14 @@ def end_of_further_edge(
 
 
 @wp.kernel
-def _make_parts(
+def _make_features(
     begin: int,
     tree: Tree,
     vertices: wp.array2d(dtype=wp.vec3),
     normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
-    parts: Parts,
+    features: Features,
 ):
     slot = begin + wp.tid()
     mesh = slot / tree.count
@@ -313,7 +313,7 @@ def _make_parts(
         else:
             further = scale * vertices[mesh, end]
     total = tree.face.shape[0]
-    rows = floats_at(parts.rows)
+    rows = floats_at(features.rows)
     record = begin_record(rows, 4 * _FLOATS, slot)
     put4(record, 0, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
     put4(record, 1, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
@@ -325,11 +325,11 @@ def _make_parts(
     middle = (a + b + c) * (1.0 / 3.0)
     radius = about_root(wp.max(wp.length_sq(a - middle), wp.max(wp.length_sq(b - middle), wp.length_sq(c - middle))))
     # A little more than rounding can take from it.
-    write4(parts.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
+    write4(features.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
     ab = wp.vec3d(b) - wp.vec3d(a)
     bc = wp.vec3d(c) - wp.vec3d(b)
     ca = wp.vec3d(a) - wp.vec3d(c)
-    inverses = doubles_at(parts.inverses)
+    inverses = doubles_at(features.inverses)
     record = begin_record(inverses, 8 * INVERSES, slot)
     put_double(record, 0, inverse_length(ab))
     put_double(record, 1, inverse_length(bc))
@@ -338,14 +338,14 @@ def _make_parts(
     end_record(inverses, record, 8 * INVERSES, slot, total)
 
 
-def make_parts(
+def make_features(
     tree: Tree,
     vertices: wp.array,
     normals: wp.array,
     faces: wp.array,
     neighbours: wp.array,
-    parts: Parts,
+    features: Features,
 ) -> None:
-    """Fill `parts` from a built tree, its meshes, their normals, and the neighbours of their faces (F,4)."""
-    inputs = [tree, vertices, normals, faces, neighbours, parts]
-    launch(_make_parts, vertices.shape[0] * faces.shape[0], inputs, vertices.device)
+    """Fill `features` from a built tree, its meshes, their normals, and the neighbours of their faces (F,4)."""
+    inputs = [tree, vertices, normals, faces, neighbours, features]
+    launch(_make_features, vertices.shape[0] * faces.shape[0], inputs, vertices.device)

@@ -32,7 +32,7 @@ FEW_REGIONS, FEW_FOR_REGION, FEW_FOR_CELL = 64, 16, 2
 # Triangles of a cell's list, on average, up to which all lists are about as short.
 SHORT = 64
 # Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
-# parts that do not matter to a brick are worked out for it all the same.
+# features that do not matter to a brick are worked out for it all the same.
 SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
 # share the list of a region, and of a cell, for that.
@@ -61,13 +61,13 @@ def expected_list(triangles: int, shape: Sequence[int], cell: int) -> float:
 def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region: int, of_cell: int) -> float:
     """Entries of the pool to have for a region and its cells, on average: a fit to the same meshes, and room to spare.
 
-    Of a region's leaves, and of its cells' leaves and parts; half a chunk more for each chain of the first two, whose
-    last one is not full, and of the parts.
+    Of a region's leaves, and of its cells' leaves and features; half a chunk more for each chain of the first two,
+    whose last one is not full, and of the features.
     """
     length = expected_list(triangles, shape, cell)
-    leaves, parts = 0.8 * length + 25.0, 2.0 * length + 10.0
+    leaves, features = 0.8 * length + 25.0, 2.0 * length + 10.0
     half = CHUNK / 2
-    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + parts + half))
+    return POOL_ROOM * (4.5 * leaves + of_region * half + 8.0 * (leaves + of_cell * half + features + half))
 
 
 def uneven_room(spacing: Sequence[float], turned: bool) -> float:

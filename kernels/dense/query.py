@@ -10,7 +10,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
-from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.shared_layout import ROWS
 from sdm.kernels.dense.cell_cache import PLACE_FLOATS
 from sdm.kernels.dense.cost_model import (
@@ -29,7 +29,7 @@ from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS, list_regions
 from sdm.kernels.dense.stage3_cells import CELL_BLOCKS, list_cells
 from sdm.kernels.dense.stage4_plan import PLAN_BLOCKS, plan_blocks
-from sdm.kernels.dense.stage5_select import SELECT_BLOCKS, select_parts
+from sdm.kernels.dense.stage5_select import SELECT_BLOCKS, select_features
 from sdm.kernels.dense.stage6_measure import measure_blocks
 from sdm.kernels.dense.stage7_merge import SLICED_BLOCKS, begin_sliced, end_sliced
 from sdm.kernels.dense.voxel_search import mend_slab, search_slab
@@ -48,7 +48,7 @@ Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
 def query_slab(
     tree: Tree,
     frames: wp.array,
-    parts: Parts,
+    features: Features,
     cones: Cones,
     winding: Winding | None,
     slab: Slab,
@@ -64,7 +64,7 @@ def query_slab(
     Args:
         tree: The hierarchy of the batch.
         frames: Its triangles' frames.
-        parts: Their parts and neighbours.
+        features: Their features and neighbours.
         cones: Their cones of normals, and those of the hierarchy's nodes.
         winding: How winding numbers are found; None for distances without a sign.
         slab: Which voxels.
@@ -133,8 +133,8 @@ def query_slab(
     lists.coarse = empty(slices, wp.int32)
     lists.sliced = empty(8 * most, wp.int32)
     lists.lacking = empty(8 * most, wp.int32)
-    lists.part_heads = empty(9 * slices, wp.int32)
-    lists.part_lengths = empty(9 * slices, wp.int32)
+    lists.feature_heads = empty(9 * slices, wp.int32)
+    lists.feature_lengths = empty(9 * slices, wp.int32)
     lists.pool = empty(lists.chunks * CHUNK, wp.int32)
     lists.counts = empty(COUNTS, wp.int32)
     stacks = empty(stack_room(workers(max(REGION_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
@@ -151,15 +151,15 @@ def query_slab(
         find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes)
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes)
         list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes)
-        plan_blocks(tree, frames, parts, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes)
+        plan_blocks(tree, frames, features, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
             begin_sliced(slab, lists, out, sliced)
-        select_parts(tree, frames, parts, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes)
+        select_features(tree, frames, features, cones, slab, lists, stacks, workers(SELECT_BLOCKS), lanes)
         if first == 0:
             # From here on winding numbers are looked at.
             join()
         join_sliced()
-        measure_blocks(tree, parts, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes)
+        measure_blocks(tree, features, slab, lists, rows, stacks, out, workers(GPU_BLOCKS), lanes)
         end_sliced(slab, lists, out, sliced)
     mend_slab(whole, slab, out, workers(GPU_BLOCKS) * lanes)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of
-from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, read_witness, remember, write_witness
 from sdm.kernels.dense.cell_cache import Place, brick_number, note_place, noted_place
 from sdm.kernels.dense.stage1_witnesses import seen_from
@@ -109,7 +109,7 @@ def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
 def nearest_in_list(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
-    parts: Parts,
+    features: Features,
     lists: Lists,
     number: int,
     mesh: int,
@@ -131,7 +131,7 @@ def nearest_in_list(
         if leaf >= 0 and node_distance2(tree, boxes + leaf, centre) < mine.distance2:
             for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
                 slot = mesh * tree.count + t
-                if may_be_nearer(load4(parts.balls, slot), centre, mine):
+                if may_be_nearer(load4(features.balls, slot), centre, mine):
                     mine = remember(mine, seen_from(frames, slot, centre))
     return agree(mine, lane)
 
@@ -188,7 +188,7 @@ def _plan_blocks(
     slice_length: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
-    parts: Parts,
+    features: Features,
     slab: Slab,
     lists: Lists,
 ):
@@ -207,7 +207,9 @@ def _plan_blocks(
                 note_bricks(tree, slab, lists, number, place, known, lane, lanes)
             else:
                 if length > 0:
-                    known = nearest_in_list(tree, frames, parts, lists, number, mesh, cell.centre, known, lane, lanes)
+                    known = nearest_in_list(
+                        tree, frames, features, lists, number, mesh, cell.centre, known, lane, lanes
+                    )
                 if lane == 0:
                     write_witness(lists.witnesses, lists.count + number, known)
                 if lists.cell > BLOCK:
@@ -220,7 +222,7 @@ def _plan_blocks(
 def plan_blocks(
     tree: Tree,
     frames: wp.array,
-    parts: Parts,
+    features: Features,
     slab: Slab,
     lists: Lists,
     slice_length: int,
@@ -231,5 +233,5 @@ def plan_blocks(
 
     One group of lanes takes up to `slice_length` leaves of a cell's list.
     """
-    inputs = [lanes, slice_length, tree, frames, parts, slab, lists]
+    inputs = [lanes, slice_length, tree, frames, features, slab, lists]
     launch(_plan_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -1,8 +1,8 @@
-"""Fourth stage of the dense query: for each block, the parts of triangles that matter to it.
+"""Fourth stage of the dense query: for each block, the features of triangles that matter to it.
 
 A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice
-of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the parts of them
-that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
+of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the features of
+them that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
 
 This is apart from `blocks` because a GPU's caches hold either's instructions, but not both at once.
 """
@@ -13,17 +13,17 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
 from sdm.kernels.culling.leaf_filter import (
-    PARTS,
-    RIPE,
-    WAITING,
+    FEATURE_STACK,
+    NEAR_STACK,
+    TRIANGLE_STACK,
     node_matters,
     push,
-    push_parts,
+    push_features,
     push_triangles,
     triangle_matters,
 )
 from sdm.kernels.culling.normal_cones import Cones
-from sdm.kernels.culling.voronoi_features import Parts, parts_that_matter
+from sdm.kernels.culling.voronoi_features import Features, features_that_matter
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
 from sdm.kernels.dense.block.voxels import Block
 from sdm.kernels.dense.cell_cache import brick_number, noted_half2, noted_place
@@ -71,10 +71,10 @@ def floor_of(known: Witness, half2: float):
 
 
 @wp.func
-def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part: int):
+def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, eighth: int):
     """Block `item`, and its cell's number. The first `bricks` items are bricks of coarse cells.
 
-    If `part` is not negative: that brick of a cell which is measured brick by brick from one list.
+    If `eighth` is not negative: that brick of a cell which is measured brick by brick from one list.
     """
     code = int(0)
     if item < bricks:
@@ -84,7 +84,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
     number = cell_of(code)
     size = int(lists.cell)
     box = int(number)
-    brick = wp.where(item < bricks, item % 8, part)
+    brick = wp.where(item < bricks, item % 8, eighth)
     if brick >= 0:
         size = size / 2
         box = brick_number(lists, number, brick)
@@ -103,7 +103,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
     block.cell = place.cell
     block.known = read_witness(lists.witnesses, lists.count + box)
     # A brick whose witness is its cell's has its floor from there.
-    if part >= 0:
+    if eighth >= 0:
         block.floor = floor_of(read_witness(lists.witnesses, lists.count + number), noted_half2(lists, number))
     else:
         block.floor = floor_of(block.known, block.cell.half2)
@@ -115,7 +115,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, part:
 def find_brick_witness(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
-    parts: Parts,
+    features: Features,
     lists: Lists,
     item: int,
     number: int,
@@ -128,7 +128,7 @@ def find_brick_witness(
     Of several slices each finds the same.
     """
     centre = block.cell.centre
-    known = nearest_in_list(tree, frames, parts, lists, number, block.mesh, centre, block.known, lane, lanes)
+    known = nearest_in_list(tree, frames, features, lists, number, block.mesh, centre, block.known, lane, lanes)
     if lane == 0:
         write_witness(lists.witnesses, lists.count + brick_number(lists, number, item % 8), known)
     return known
@@ -137,7 +137,7 @@ def find_brick_witness(
 @wp.func
 def select_for(
     tree: Tree,
-    parts: Parts,
+    features: Features,
     cones: Cones,
     lists: Lists,
     number: int,
@@ -147,7 +147,7 @@ def select_for(
     lane: int,
     lanes: int,
 ):
-    """Add the parts that matter to a block of the cell `number` to a chain, which is returned."""
+    """Add the features that matter to a block of the cell `number` to a chain, which is returned."""
     leaves = 1 << tree.depth
     reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
     # Each batch is read while the one before is tested.
@@ -160,29 +160,29 @@ def select_for(
         if found >= lanes or reader.left + waiting + ripe == 0:
             taken = wp.min(lanes, found)
             found = found - taken
-            part = int(0)
+            feature = int(0)
             if lane < taken:
-                part = stack[PARTS + found + lane]
-            chain = append(lists, chain, lane < taken, part, lane)
+                feature = stack[FEATURE_STACK + found + lane]
+            chain = append(lists, chain, lane < taken, feature, lane)
         elif ripe >= lanes or reader.left + waiting == 0:
             taken = wp.min(lanes, ripe)
             ripe = ripe - taken
             which = int(0)
             slot = int(0)
             if lane < taken:
-                slot = stack[RIPE + ripe + lane]
-                which = parts_that_matter(block.cell, block.known, tree, parts, slot)
-            found = push_parts(stack, PARTS + found, slot, which, lane) - PARTS
+                slot = stack[NEAR_STACK + ripe + lane]
+                which = features_that_matter(block.cell, block.known, tree, features, slot)
+            found = push_features(stack, FEATURE_STACK + found, slot, which, lane) - FEATURE_STACK
         elif waiting >= lanes or reader.left == 0:
             taken = wp.min(lanes, waiting)
             waiting = waiting - taken
             keep = False
             slot = int(0)
             if lane < taken:
-                slot = stack[WAITING + waiting + lane]
+                slot = stack[TRIANGLE_STACK + waiting + lane]
                 radius = about_root(block.cell.half2)
-                keep = triangle_matters(block.cell, radius, block.known, tree, parts.balls, cones, slot)
-            ripe = ripe + push(stack, RIPE + ripe, keep, slot, lane)
+                keep = triangle_matters(block.cell, radius, block.known, tree, features.balls, cones, slot)
+            ripe = ripe + push(stack, NEAR_STACK + ripe, keep, slot, lane)
         else:
             leaf = upcoming
             reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
@@ -197,19 +197,21 @@ def select_for(
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
                     low, high = node_box(tree, base + leaves + leaf)
                     keep = not box_is_farther(block.cell, block.known, low, high)
-            waiting = push_triangles(stack, WAITING + waiting, tree, block.mesh, keep, leaf, lane) - WAITING
+            waiting = (
+                push_triangles(stack, TRIANGLE_STACK + waiting, tree, block.mesh, keep, leaf, lane) - TRIANGLE_STACK
+            )
             batch = batch + 1
         wait_for_lanes()
     return chain
 
 
 @wp.kernel(launch_bounds=(128, SELECT_BLOCKS))
-def _select_parts(
+def _select_features(
     begin: int,
     lanes: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
-    parts: Parts,
+    features: Features,
     cones: Cones,
     slab: Slab,
     lists: Lists,
@@ -230,12 +232,12 @@ def _select_parts(
         if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
             if not is_coarse(block.cell):
                 if item < bricks:
-                    block.known = find_brick_witness(tree, frames, parts, lists, item, number, block, lane, lanes)
+                    block.known = find_brick_witness(tree, frames, features, lists, item, number, block, lane, lanes)
                 head = lists.given + fetch_add_once(lists.counts, NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
                     tree,
-                    parts,
+                    features,
                     cones,
                     lists,
                     number,
@@ -249,15 +251,15 @@ def _select_parts(
             if chain.chunk >= lists.chunks and block.slices > 1 and is_within(slab, block.start):
                 # What the other slices come to is not all.
                 lists.lacking[number] = 1
-            lists.part_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
-            lists.part_lengths[item] = chain.length
+            lists.feature_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
+            lists.feature_lengths[item] = chain.length
         item = fetch_add_once(lists.counts, NEXT_SELECT, 1, lane)
 
 
-def select_parts(
+def select_features(
     tree: Tree,
     frames: wp.array,
-    parts: Parts,
+    features: Features,
     cones: Cones,
     slab: Slab,
     lists: Lists,
@@ -265,9 +267,9 @@ def select_parts(
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill the blocks' lists of parts of one pass, `workers` groups of lanes at work.
+    """Fill the blocks' lists of features of one pass, `workers` groups of lanes at work.
 
     `stacks` is scratch, see `stacks`.
     """
-    inputs = [lanes, tree, frames, parts, cones, slab, lists, stacks]
-    launch(_select_parts, workers * lanes, inputs, lists.pool.device, smallest=1)
+    inputs = [lanes, tree, frames, features, cones, slab, lists, stacks]
+    launch(_select_features, workers * lanes, inputs, lists.pool.device, smallest=1)

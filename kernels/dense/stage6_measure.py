@@ -1,8 +1,8 @@
 """Fifth stage of the dense query: the distances themselves, block by block.
 
-One group of lanes takes one block, or a slice of its list of parts. It works the parts out for the block's centre, one
-a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths of the
-octant; then measures one part in one eighth a lane. In the end all voxels are written.
+One group of lanes takes one block, or a slice of its list of features. It works the features out for the block's
+centre, one a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths
+of the octant; then measures one feature in one eighth a lane. In the end all voxels are written.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.culling.leaf_filter import push
-from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.feature_rows import (
     CORNER_KIND,
     EDGE_KIND,
@@ -25,7 +25,7 @@ from sdm.kernels.dense.block.feature_rows import (
 )
 from sdm.kernels.dense.block.min_values import clear_values, measure_item
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of, octants_there
-from sdm.kernels.dense.block.shared_layout import ITEMS, MOST_ITEMS, PAIRS, PARTS, rows_of
+from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, rows_of
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
 from sdm.kernels.dense.stage4_plan import whole_blocks
 from sdm.kernels.dense.stage5_select import block_of
@@ -36,7 +36,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import GPU_BLOCKS, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import small_stack_of
-from sdm.kernels.primitives.work_queues import PAIR_BITS, PART_BITS, in_line, put_in_line
+from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, in_line, put_in_line
 
 wp.set_module_options({"enable_backward": False})
 
@@ -45,16 +45,16 @@ FACES, EDGES, CORNERS = 0, 64, 128
 
 
 @wp.func
-def measure_parts(
+def measure_features(
     rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
 ):
-    """Measure the lanes' parts, whose rows are noted, where they matter in the block's `octants` (bits) for each.
+    """Measure the lanes' features, whose rows are noted, where they matter in the block's `octants` (bits) for each.
 
     Each step puts work in line for the next, so that all lanes have some.
     """
     pairs = int(0)
     items = int(0)
-    # The next of the pairs; before all of them, the parts themselves.
+    # The next of the pairs; before all of them, the features themselves.
     first = int(-1)
     while first < pairs or items > 0:
         if first < pairs and items + 8 * lanes <= MOST_ITEMS:
@@ -65,9 +65,9 @@ def measure_parts(
                 boxes = int(0)
                 if first + lane < pairs:
                     tag = in_line(rows, PAIRS, first + lane)
-                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (PARTS - 1))))
+                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (BATCH - 1))))
             begin = wp.where(level == 0, PAIRS, ITEMS)
-            bits = wp.where(level == 0, PART_BITS, PAIR_BITS)
+            bits = wp.where(level == 0, FEATURE_BITS, PAIR_BITS)
             total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
             if level == 0:
                 pairs = total
@@ -80,14 +80,14 @@ def measure_parts(
             items = items - taken
             if lane < taken:
                 item = in_line(rows, ITEMS, items + lane)
-                measure_item(rows, item, kind_of(mix, item & (PARTS - 1)), room, near, turned)
+                measure_item(rows, item, kind_of(mix, item & (BATCH - 1)), room, near, turned)
         wait_for_lanes()
 
 
 @wp.func
 def measure_block(
     tree: Tree,
-    parts: Parts,
+    features: Features,
     slab: Slab,
     lists: Lists,
     item: int,
@@ -98,7 +98,7 @@ def measure_block(
     lane: int,
     lanes: int,
 ):
-    """Measure a block from the parts of list `item`; without one, every voxel is missed."""
+    """Measure a block from the features of list `item`; without one, every voxel is missed."""
     note_places(tree, slab, rows, block, lane, lanes)
     clear_values(rows, lane, lanes)
     read_windings(slab, out, rows, block, lane, lanes)
@@ -106,8 +106,8 @@ def measure_block(
     room = NEAR_ENDS * (block.cell.half[0] + block.cell.half[1] + block.cell.half[2])
     wait_for_lanes()
     reader = Reader()
-    if lists.part_heads[item] >= 0:
-        reader = start_reading(lists.part_heads, lists.part_lengths, item, 1)
+    if lists.feature_heads[item] >= 0:
+        reader = start_reading(lists.feature_heads, lists.feature_lengths, item, 1)
     # Each batch is read while the one before is worked out.
     upcoming = read_entry(lists, reader, lane)
     corners = int(0)
@@ -115,35 +115,35 @@ def measure_block(
     faces = int(0)
     while reader.left + corners + edges + faces > 0:
         if reader.left > 0 and corners < lanes and edges < lanes and faces < lanes:
-            part = upcoming
-            reader = read_on(lists, lists.part_heads, lists.part_lengths, reader, lanes)
+            feature = upcoming
+            reader = read_on(lists, lists.feature_heads, lists.feature_lengths, reader, lanes)
             upcoming = read_entry(lists, reader, lane)
-            which = part & 7
-            code = 4 * (part >> 3)
-            corners = corners + push(stack, CORNERS + corners, part >= 0 and which < 3, code + which, lane)
-            is_edge = part >= 0 and which >= 3 and which < 6
+            which = feature & 7
+            code = 4 * (feature >> 3)
+            corners = corners + push(stack, CORNERS + corners, feature >= 0 and which < 3, code + which, lane)
+            is_edge = feature >= 0 and which >= 3 and which < 6
             edges = edges + push(stack, EDGES + edges, is_edge, code + which - 3, lane)
-            faces = faces + push(stack, FACES + faces, part >= 0 and which == 6, code, lane)
+            faces = faces + push(stack, FACES + faces, feature >= 0 and which == 6, code, lane)
         else:
             mix = taken_now(corners, edges, faces, lanes)
             corners = corners - mix.corners
             edges = edges - mix.edges
-            faces = faces - (mix.parts - mix.corners - mix.edges)
+            faces = faces - (mix.features - mix.corners - mix.edges)
             which = kind_of(mix, lane)
             there = int(0)
-            if lane < mix.parts:
+            if lane < mix.features:
                 if which == CORNER_KIND:
                     code = stack[CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, parts, code, block.cell, block.floor)
+                    add_corner(rows, lane, tree, features, code, block.cell, block.floor)
                 elif which == EDGE_KIND:
                     code = stack[EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, parts, code, block.cell, block.floor)
+                    add_edge(rows, lane, tree, features, code, block.cell, block.floor)
                 else:
                     code = stack[FACES + faces + lane - mix.corners - mix.edges]
-                    add_face(rows, lane, tree, parts, code, block.cell, block.floor)
+                    add_face(rows, lane, tree, features, code, block.cell, block.floor)
                 there = octants & octants_of(rows, lane, tests_of(which))
             wait_for_lanes()
-            measure_parts(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
+            measure_features(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()
     unclear = settle_voxels(slab, out, rows, block, lane, lanes)
     if unclear > 0:
@@ -156,7 +156,7 @@ def _measure_blocks(
     begin: int,
     lanes: int,
     tree: Tree,
-    parts: Parts,
+    features: Features,
     slab: Slab,
     lists: Lists,
     rows: wp.array(dtype=wp.float32),
@@ -173,21 +173,21 @@ def _measure_blocks(
     item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
     while item < total:
         listed = int(item)
-        part = int(-1)
+        eighth = int(-1)
         if item >= bricks and times > 1:
             listed = bricks + (item - bricks) / 8
-            part = (item - bricks) % 8
-        block, _number = block_of(tree, slab, lists, listed, bricks, part)
+            eighth = (item - bricks) % 8
+        block, _number = block_of(tree, slab, lists, listed, bricks, eighth)
         if is_within(slab, block.start):
             noted = rows_of(rows, worker)
             stack = small_stack_of(stacks, worker)
-            measure_block(tree, parts, slab, lists, listed, noted, stack, out, block, lane, lanes)
+            measure_block(tree, features, slab, lists, listed, noted, stack, out, block, lane, lanes)
         item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
 
 
 def measure_blocks(
     tree: Tree,
-    parts: Parts,
+    features: Features,
     slab: Slab,
     lists: Lists,
     rows: wp.array,
@@ -201,5 +201,5 @@ def measure_blocks(
     `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
     are counted in `out.missed`.
     """
-    inputs = [lanes, tree, parts, slab, lists, rows, stacks, out]
+    inputs = [lanes, tree, features, slab, lists, rows, stacks, out]
     launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)

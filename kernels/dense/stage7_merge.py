@@ -1,4 +1,5 @@
-"""Voxels of cells whose list of parts is cut into slices: several blocks measure them, and each lessens what is there.
+"""Voxels of cells whose list of features is cut into slices: several blocks measure them, and each lessens what is
+there.
 
 So before the blocks they are infinite, and only after the last is it known what they came to. If one of the slices
 found no room, that is nothing: the least of the others may not be the least.

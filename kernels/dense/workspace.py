@@ -61,8 +61,8 @@ class Lists:
     coarse: wp.array(dtype=wp.int32)
     sliced: wp.array(dtype=wp.int32)  # (8 * count) the cells whose lists are cut into several slices
     lacking: wp.array(dtype=wp.int32)  # (8 * count) of those, 1 where the pool ran out for one of the slices
-    part_heads: wp.array(dtype=wp.int32)  # of each block the parts that matter to it
-    part_lengths: wp.array(dtype=wp.int32)
+    feature_heads: wp.array(dtype=wp.int32)  # of each block the features that matter to it
+    feature_lengths: wp.array(dtype=wp.int32)
     pool: wp.array(dtype=wp.int32)  # (chunks * CHUNK)
     chunks: wp.int32
     given: wp.int32  # the first chunks: one for each chain of a region, then of a cell

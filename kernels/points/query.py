@@ -19,7 +19,7 @@ import warp as wp
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
 from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, node_box
 from sdm.kernels.culling.normal_cones import Cones
-from sdm.kernels.culling.voronoi_features import Parts
+from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.points.group_descent import SCRATCH
@@ -194,7 +194,7 @@ def sort_points(
 
 def query_points(
     tree: Tree,
-    parts: Parts,
+    features: Features,
     cones: Cones,
     winding: Winding,
     points: wp.array,
@@ -208,7 +208,7 @@ def query_points(
 
     Args:
         tree: One mesh's hierarchy.
-        parts: Its triangles' balls.
+        features: Its triangles' balls.
         cones: Its cones of normals.
         winding: How its winding number is found.
         points: (N,) vec3; one that is not finite gives NaN and face -1.
@@ -240,7 +240,7 @@ def query_points(
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
     if lists:
-        find_nearest(tree, parts.balls, cones, points, order, groups, scratch, slots, workers, lanes)
+        find_nearest(tree, features.balls, cones, points, order, groups, scratch, slots, workers, lanes)
         find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
     length = 1 if device.is_cuda else CPU_RUN

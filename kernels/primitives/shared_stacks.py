@@ -1,4 +1,4 @@
-"""What a group of lanes puts aside for later: nodes, leaves, triangles, parts, as whole numbers."""
+"""What a group of lanes puts aside for later: nodes, leaves, triangles, features, as whole numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})
 # Every batch of 32 nodes leaves at most 32 more than it took, at each of up to 27 levels; leaves that wait, at most 32
 # and the 64 of one batch, grow from the other end.
 STACK = 1024
-# Three lists of parts, of each at most 31 that wait and the 32 of one batch.
+# Three lists of features, of each at most 31 that wait and the 32 of one batch.
 SMALL_STACK = 192
 
 

@@ -1,4 +1,4 @@
-"""Work put in line so that all lanes have some: octants that parts matter to, and eighths of those.
+"""Work put in line so that all lanes have some: octants that features matter to, and eighths of those.
 
 A pair is a part's number (5 bits) and one of the block's octants of 4^3 voxels (3 bits); an item is a pair and one of
 that octant's eighths of 2^3 voxels (3 bits). Each lane finds a few of them or none; then each takes one.
@@ -10,7 +10,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-PART_BITS, PAIR_BITS = 5, 8
+FEATURE_BITS, PAIR_BITS = 5, 8
 
 
 def one_for_each_bit(queue: str, entry: str) -> str:

@@ -81,14 +81,14 @@ def _find_near_bricks(
         if near.block[block] != 0:
             scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
             if not is_far(view_caps(boundary, mesh, box_of_voxels(slab, CELL * at, CELL, scale), lane, lanes)):
-                part = int(0)
-                while part < 8:
-                    start = CELL * at + BRICK * octant_at(part)
+                octant = int(0)
+                while octant < 8:
+                    start = CELL * at + BRICK * octant_at(octant)
                     if is_within(slab, start):
                         view = view_caps(boundary, mesh, box_of_voxels(slab, start, BRICK, scale), lane, lanes)
                         if lane == 0 and not is_far(view):
-                            near.bricks[fetch_add(near.count, 0, 1)] = 8 * item + part
-                    part = part + 1
+                            near.bricks[fetch_add(near.count, 0, 1)] = 8 * item + octant
+                    octant = octant + 1
         item = item + groups
 
 

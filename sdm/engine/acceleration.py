@@ -110,7 +110,7 @@ def build_known(
         around_faces = as_warp(faces, wp.int32), as_warp(shared, wp.int32)
         # None of these fills a GPU by itself.
         with kernels_beside(vertices) as join_parts:
-            voronoi_features.make_parts(hierarchy, corners, normals, *around_faces, pieces)
+            voronoi_features.make_features(hierarchy, corners, normals, *around_faces, pieces)
         triangle_frames.make_frames(hierarchy, local)
         normal_cones.make_cones(hierarchy, normals, *around_faces, facing)
         join_parts()
@@ -127,7 +127,7 @@ def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
     arrays = tree.sizes(meshes, count)
     sizes = {name: math.prod(shape) * wp.types.type_size_in_bytes(dtype) for name, (shape, dtype) in arrays.items()}
     sizes["local"] = 4 * slots * triangle_frames.FRAME_FLOATS
-    sizes["rows"] = 4 * slots * voronoi_features.PARTS_FLOATS
+    sizes["rows"] = 4 * slots * voronoi_features.FEATURE_FLOATS
     sizes["inverses"] = 8 * slots * voronoi_features.INVERSES
     sizes["balls"] = 4 * slots * 4
     sizes["cones"] = 4 * slots * 4
@@ -150,7 +150,7 @@ def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
 
 
 def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Parts` and `Cones`.
+    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Features` and `Cones`.
 
     Nobody may write into what is returned, as the next call may return the same. As for `as_warp`, the tensors must
     live until the last kernel is queued.
@@ -179,7 +179,7 @@ def _views(
     hierarchy.count = hierarchy.face.shape[0] // meshes
     hierarchy.depth = tree.depth_for(hierarchy.count)
     local = array(wp.float32)
-    pieces = voronoi_features.Parts()
+    pieces = voronoi_features.Features()
     pieces.rows = array(wp.float32)
     pieces.inverses = array(wp.float64)
     pieces.balls = array(wp.float32)

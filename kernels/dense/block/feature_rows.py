@@ -1,4 +1,5 @@
-"""The parts of triangles that can be nearest to a block's voxels, written so that measuring one takes a few products.
+"""The features of triangles that can be nearest to a block's voxels, written so that measuring one takes a few
+products.
 
 Let c be the block's centre, p a voxel from there, and m the point of a part's plane, line or corner that is closest to
 c, seen from c. The squared distances are
@@ -18,8 +19,8 @@ Only w comes from long distances. Both are sums of (t - a s) (t - b s) and w, wi
 surface, and a = 0, b = 2 far away: the same few instructions. For lines, |u|^2 is |p|^2 - (p.e)^2 far away.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
-be nearest (see `parts`). A plane counts where p projects into the face by more than rounding: next to its edges those
-are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
+be nearest (see `features`). A plane counts where p projects into the face by more than rounding: next to its edges
+those are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, load_corners
-from sdm.kernels.culling.voronoi_features import INVERSES, Parts, last_of_row, load_part_row, one_of
+from sdm.kernels.culling.voronoi_features import INVERSES, Features, last_of_row, load_feature_row, one_of
 from sdm.kernels.culling.witness_bound import bulge_of_edge
 from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
-from sdm.kernels.dense.block.shared_layout import NUMBERS, PARTS, write_number, write_row
+from sdm.kernels.dense.block.shared_layout import BATCH, NUMBERS, write_number, write_row
 from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import unknown
@@ -38,7 +39,7 @@ from sdm.kernels.primitives.vector_loads import load2
 
 wp.set_module_options({"enable_backward": False})
 
-# Kinds of parts.
+# Kinds of features.
 CORNER_KIND, EDGE_KIND, FACE_KIND = 0, 1, 2
 
 # What rounding can add to a height inside a plane, in units of the distance from its edge.
@@ -60,17 +61,17 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
-    """Work out part `number`, corner code % 4 of triangle code / 4: its row, and the tests that a box has to pass."""
+def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
+    """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
     # All rows at once, four numbers at a time.
     first, second, third, _normal = load_corners(tree, slot)
-    one_more = last_of_row(parts, slot, 1)
-    r3 = load_part_row(parts, slot, 3)
-    r4 = load_part_row(parts, slot, 4)
-    r5 = load_part_row(parts, slot, 5)
+    one_more = last_of_row(features, slot, 1)
+    r3 = load_feature_row(features, slot, 3)
+    r4 = load_feature_row(features, slot, 4)
+    r5 = load_feature_row(features, slot, 5)
     over_ab = wp.vec3(r3[0], r3[1], r3[2])
     over_bc = wp.vec3(r4[0], r4[1], r4[2])
     over_ca = wp.vec3(r5[0], r5[1], r5[2])
@@ -92,12 +93,12 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
-    inverse = parts.inverses[INVERSES * slot + k]
-    inward = load_part_row(parts, slot, k)
+    inverse = features.inverses[INVERSES * slot + k]
+    inward = load_feature_row(features, slot, k)
     first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
     end = one_of(k, second, third, first)
@@ -108,7 +109,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
     m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
     write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
-    write_row(rows, PARTS + number, e[0], e[1], e[2], float(-along))
+    write_row(rows, BATCH + number, e[0], e[1], e[2], float(-along))
     write_number(rows, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
@@ -123,12 +124,12 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, cell: Cell, floor: float):
+def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
     """`add_corner` for a face, of triangle code / 4."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
-    first_two = load2(parts.inverses, 2 * slot)
-    last_two = load2(parts.inverses, 2 * slot + 1)
+    first_two = load2(features.inverses, 2 * slot)
+    last_two = load2(features.inverses, 2 * slot + 1)
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     a = wp.vec3d(corner_a) - wp.vec3d(cell.centre)
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
@@ -152,7 +153,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
         rounding = WITHIN * about_root(wp.dot(away, away))
-        write_row(rows, PARTS * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
+        write_row(rows, BATCH * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
         # On the inner side of the plane on this edge.
         test_direction(rows, k, number, room_for(cell, away), away, -u)
         # The next edge, turning the triangle.
@@ -167,32 +168,32 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, parts: Parts, code: int, 
 
 @wp.struct
 class Mix:
-    """So many corners, edges, and parts in all."""
+    """So many corners, edges, and features in all."""
 
     corners: wp.int32
     edges: wp.int32
-    parts: wp.int32
+    features: wp.int32
 
 
 @wp.func
 def taken_now(corners: int, edges: int, faces: int, lanes: int):
-    """Of the parts that wait those to take now."""
+    """Of the features that wait those to take now."""
     mix = Mix()
     mixed = corners < lanes and edges < lanes and faces < lanes
     if mixed or corners >= lanes:
         mix.corners = wp.min(corners, lanes)
-        mix.parts = mix.corners
-    if mixed or (edges >= lanes and mix.parts == 0):
-        mix.edges = wp.min(edges, lanes - mix.parts)
-        mix.parts = mix.parts + mix.edges
-    if mixed or mix.parts == 0:
-        mix.parts = mix.parts + wp.min(faces, lanes - mix.parts)
+        mix.features = mix.corners
+    if mixed or (edges >= lanes and mix.features == 0):
+        mix.edges = wp.min(edges, lanes - mix.features)
+        mix.features = mix.features + mix.edges
+    if mixed or mix.features == 0:
+        mix.features = mix.features + wp.min(faces, lanes - mix.features)
     return mix
 
 
 @wp.func
-def kind_of(mix: Mix, part: int):
+def kind_of(mix: Mix, feature: int):
     """The kind of a part."""
-    if part < mix.corners:
+    if feature < mix.corners:
         return CORNER_KIND
-    return wp.where(part < mix.corners + mix.edges, EDGE_KIND, FACE_KIND)
+    return wp.where(feature < mix.corners + mix.edges, EDGE_KIND, FACE_KIND)

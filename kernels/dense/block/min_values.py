@@ -1,15 +1,15 @@
-"""The least value of each voxel over the parts that matter to its eighth: see `features`.
+"""The least value of each voxel over the features that matter to its eighth: see `features`.
 
-Each lane measures one part at the eight voxels of one eighth, which share most of the products. What it finds is less
-than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which are
-in the order of the floats that they are read from, as none is negative by more than rounding.
+Each lane measures one feature at the eight voxels of one eighth, which share most of the products. What it finds is
+less than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which
+are in the order of the floats that they are read from, as none is negative by more than rounding.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.dense.block.shared_layout import LATTICE_ROW, LEAST, NUMBERS, PARTS, PLACES, write_row
+from sdm.kernels.dense.block.shared_layout import BATCH, LATTICE_ROW, LEAST, NUMBERS, PLACES, write_row
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,10 +20,10 @@ _LEAST_ROW = LEAST // 4
 _ROWS = VOXELS // 4
 
 
-# What measures one part: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler sees
-# what voxels of one eighth share. The same text for both devices, and for what is near the surface and far away.
+# What measures one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler
+# sees what voxels of one eighth share. The same text for both devices, and for what is near the surface and far away.
 _CORNER = (
-    "const Row r = row[part];",
+    "const Row r = row[feature];",
     """
             const float in_x = (x + a * r.x) * (x + b * r.x), in_y = (y + a * r.y) * (y + b * r.y);
             const float d = in_x + (in_y + ((z + a * r.z) * (z + b * r.z) + r.w));
@@ -32,8 +32,8 @@ _CORNER = (
 )
 # Edges have two texts, as each is shorter than one for both, and they are measured most often.
 _EDGE_ROWS = f"""
-        const Row r = row[part], e = row[{PARTS} + part];
-        const float begin = e.w - room, end = number[{NUMBERS} + part] + room;
+        const Row r = row[feature], e = row[{BATCH} + feature];
+        const float begin = e.w - room, end = number[{NUMBERS} + feature] + room;
 """
 _NEAR_EDGE = (
     _EDGE_ROWS,
@@ -55,8 +55,9 @@ _FAR_EDGE = (
 )
 _FACE = (
     f"""
-        const Row r = row[part], i1 = row[{PARTS} + part], i2 = row[{2 * PARTS} + part], i3 = row[{3 * PARTS} + part];
-        const float w = number[{NUMBERS} + part], in_1 = room - i1.w, in_2 = room - i2.w, in_3 = room - i3.w;
+        const Row r = row[feature], i1 = row[{BATCH} + feature];
+        const Row i2 = row[{2 * BATCH} + feature], i3 = row[{3 * BATCH} + feature];
+        const float w = number[{NUMBERS} + feature], in_1 = room - i1.w, in_2 = room - i2.w, in_3 = room - i3.w;
     """,
     """
             const float height = x * r.x + (y * r.y + z * r.z);
@@ -67,8 +68,8 @@ _FACE = (
 )
 
 
-def _measure(part: tuple[str, str], places: str) -> str:
-    rows, own = part
+def _measure(feature: tuple[str, str], places: str) -> str:
+    rows, own = feature
     return f"""
         {rows}
         // Two times four voxels, as a multiprocessor's cache for instructions is small, see bench/NOTES.md.
@@ -114,7 +115,7 @@ _TURNED = """
 
 
 def _kinds(places: str) -> str:
-    corner, near, far, face = (_measure(part, places) for part in (_CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE))
+    corner, near, far, face = (_measure(feature, places) for feature in (_CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE))
     edge = f"if (near) {{ {near} }} else {{ {far} }}"
     return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
 
@@ -125,7 +126,7 @@ def _kinds(places: str) -> str:
     const Row* row = reinterpret_cast<const Row*>(rows);
     const float* number = reinterpret_cast<const float*>(rows);
     const float a = near ? 1.0f : 0.0f, b = 2.0f - a;
-    const unsigned part = item & {PARTS - 1}, eighth = (unsigned)item / {PARTS};
+    const unsigned feature = item & {BATCH - 1}, eighth = (unsigned)item / {BATCH};
     // The eighth's first voxel: its octant, and which one there.
     const unsigned octant = eighth & 7, in = eighth >> 3;
     const unsigned i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2);
@@ -172,7 +173,7 @@ def clear_values(rows: wp.uint64, lane: int, lanes: int):
 """
 )
 def values_of(rows: wp.uint64, number: int) -> wp.vec2:
-    """The least values of the two voxels `number` of the block, see `two_at`; infinite where no part was measured."""
+    """The least values of the two voxels `number` of the block, see `two_at`; infinite where nothing was measured."""
     ...
 
 

@@ -1,19 +1,19 @@
 """Which octants of a block can a part be nearest to, and which eighths of those?
 
-A block of 8^3 voxels has eight octants of 4^3, each of which has eight eighths of 2^3. Parts that matter to the block
-are worked out once, for its centre, and measured where they matter. That is asked as for the block in `parts`: x being
-the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each part, and no part matters
-to a box of which no point fulfils one of these inequalities.
+A block of 8^3 voxels has eight octants of 4^3, each of which has eight eighths of 2^3. Features that matter to the
+block are worked out once, for its centre, and measured where they matter. That is asked as for the block in `features`:
+x being the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each feature, and no
+feature matters to a box of which no point fulfils one of these inequalities.
 
 For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
 o.u - q.u - sum_i h_i |u_i|, so that o.u is compared with q.u and what u and the box's size add to it.
 
-And no part matters to a box for all of whose voxels p the block's witness y is nearer than x. Here x is a corner, or
+And no feature matters to a box for all of whose voxels p the block's witness y is nearer than x. Here x is a corner, or
 lies inside an edge or a face, with p - x at right angles to that. Then |p - x|^2 is |p - g|^2 - |x - g|^2 for any other
-point g of it, and |x - g| is at most the distance r from g to its corners. So with g at q, the part can be nearer only
-if |p - g|^2 - r^2 <= |p - y|^2, which is linear in p, as the square of p cancels: 2 p.(y - q) <= |y|^2 - |q|^2 + r^2.
-That is of the same form: the row of a test is (u, what o.u may be up to). g is the corner, with r = 0, the middle of
-the edge, or the mean of the face's corners.
+point g of it, and |x - g| is at most the distance r from g to its corners. So with g at q, the feature can be nearer
+only if |p - g|^2 - r^2 <= |p - y|^2, which is linear in p, as the square of p cancels: 2 p.(y - q) <= |y|^2 - |q|^2 +
+r^2. That is of the same form: the row of a test is (u, what o.u may be up to). g is the corner, with r = 0, the middle
+of the edge, or the mean of the face's corners.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import warp as wp
 
 from sdm.kernels.culling.voronoi_features import ROOM
 from sdm.kernels.culling.witness_bound import Witness, doubt, sum_abs
-from sdm.kernels.dense.block.shared_layout import LATTICE_ROW, PARTS, TEST_ROW, WITNESS_ROW, read_row, write_row
+from sdm.kernels.dense.block.shared_layout import BATCH, LATTICE_ROW, TEST_ROW, WITNESS_ROW, read_row, write_row
 from sdm.kernels.geometry.voxel_box import Cell
 from sdm.kernels.geometry.voxel_grid import Slab, way
 
@@ -83,11 +83,12 @@ def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
 
 @wp.func
 def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
-    """Note test `test` of part `number`: whether some point p of a box, from the block's centre, may have p.u <= most.
+    """Note test `test` of feature `number`: whether some point p of a box, from the block's centre, may have p.u <=
+    most.
 
     `octants_of` then writes it so that boxes are found by adding.
     """
-    write_row(rows, TEST_ROW + PARTS * test + number, u[0], u[1], u[2], most)
+    write_row(rows, TEST_ROW + BATCH * test + number, u[0], u[1], u[2], most)
 
 
 @wp.func
@@ -149,7 +150,7 @@ def _eight(step: float) -> str:
     unsigned dropped = 0;
     // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
     #pragma unroll 1
-    for (; tests > 0; --tests, row += {PARTS}) {{
+    for (; tests > 0; --tests, row += {BATCH}) {{
         const Row v = *row;
         const float wider = o.w * (fabsf(v.x) + fabsf(v.y) + fabsf(v.z));
         Row u = {{i.x * v.x + i.y * v.y + i.z * v.z, j.x * v.x + j.y * v.y + j.z * v.z,
@@ -175,9 +176,9 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
 @wp.func_native(
     snippet=f"""
     {_ROW}
-    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {PARTS - 1});
-    const Row* const end = row + {PARTS} * tests;
-    const unsigned octant = (unsigned)pair / {PARTS};
+    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {BATCH - 1});
+    const Row* const end = row + {BATCH} * tests;
+    const unsigned octant = (unsigned)pair / {BATCH};
     const float a = octant & 4 ? 4.0f : 0.0f, b = octant & 2 ? 4.0f : 0.0f, c = octant & 1 ? 4.0f : 0.0f;
     unsigned dropped = 0;
     #pragma unroll 1
@@ -185,11 +186,11 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
         const Row u = *row;
         const float left = u.w - a * u.x - b * u.y - c * u.z;
         {_eight(2.0)}
-        row += {PARTS};
+        row += {BATCH};
     }} while (row < end);
     return 255 & ~dropped;
 """
 )
 def eighths_of(rows: wp.uint64, pair: int, tests: int) -> int:
-    """The eighths of the octant of a pair (see `queues`), as bits, that pass all the tests of its part."""
+    """The eighths of the octant of a pair (see `queues`), as bits, that pass all the tests of its feature."""
     ...

@@ -1,11 +1,11 @@
 """What a worker notes while it measures a block: on a GPU in shared memory, ten times nearer.
 
-Up to 32 parts of one kind are worked out at a time, one a lane. Of each there are up to four rows of four floats that
-measure it, see `features`: corner (-m, w); edge (-m, w) (e, where it begins along it); face (n, -m.n) and three planes
-(inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every part's first rows lie
-side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice and its
-witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the least value of each of
-512 voxels and its winding number; and the queues of `queues`.
+Up to 32 features of one kind are worked out at a time, one a lane. Of each there are up to four rows of four floats
+that measure it, see `features`: corner (-m, w); edge (-m, w) (e, where it begins along it); face (n, -m.n) and three
+planes (inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every feature's first
+rows lie side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice
+and its witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the least value of
+each of 512 voxels and its winding number; and the queues of `queues`.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from sdm.kernels.primitives.lanes import GPU_GROUPS
 
 wp.set_module_options({"enable_backward": False})
 
-# Parts worked out at a time; rows that measure each, and rows that test it.
-PARTS, VALUE_ROWS, TESTS = 32, 4, 6
-TEST_ROW = VALUE_ROWS * PARTS
-LATTICE_ROW = TEST_ROW + TESTS * PARTS
+# Features worked out at a time; rows that measure each, and rows that test it.
+BATCH, VALUE_ROWS, TESTS = 32, 4, 6
+TEST_ROW = VALUE_ROWS * BATCH
+LATTICE_ROW = TEST_ROW + TESTS * BATCH
 WITNESS_ROW = LATTICE_ROW + 4
 NUMBERS = 4 * (WITNESS_ROW + 1)
-PLACES = NUMBERS + PARTS
+PLACES = NUMBERS + BATCH
 LEAST = PLACES + 24
-# Octants of the parts, and eighths of those: bytes and numbers of 16 bits.
+# Octants of the features, and eighths of those: bytes and numbers of 16 bits.
 WINDING = LEAST + 512
 PAIRS = 4 * (WINDING + 512)
-MOST_PAIRS, MOST_ITEMS = 8 * PARTS, 384
+MOST_PAIRS, MOST_ITEMS = 8 * BATCH, 384
 ITEMS = PAIRS + MOST_PAIRS * 2
 ROWS = (ITEMS + 2 * MOST_ITEMS) // 16
 

@@ -27,7 +27,7 @@ class Block:
     mesh: wp.int32
     start: wp.vec3i  # its first voxel
     bits: wp.int32  # 2 to 4: the voxels along each edge are 2^bits
-    slice: wp.int32  # which part of its cell's list counts: every `slices`-th batch of the lanes' entries
+    slice: wp.int32  # which slice of its cell's list counts: every `slices`-th batch of the lanes' entries
     slices: wp.int32
     index: wp.int32  # of its first voxel, see `index_of`
     unscale: float  # from scaled distances to the mesh's unit

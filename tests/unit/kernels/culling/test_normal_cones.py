@@ -63,7 +63,7 @@ class Built:
     vertices: np.ndarray
     faces: np.ndarray
     tree: Any
-    parts: Any
+    features: Any
     cones: Any
     kept: list[torch.Tensor]
 
@@ -95,15 +95,15 @@ class Built:
         out = wp.zeros(len(slot), dtype=int, device="cpu")
         boxes = [wp.array(v.astype(np.float32), dtype=wp.vec3, device="cpu") for v in (centre, half)]
         which = [wp.array(v.astype(np.int32), dtype=int, device="cpu") for v in (slot, node)]
-        wp.launch(_misses, len(slot), [self.tree, self.parts.balls, self.cones, *boxes, *which, out], device="cpu")
+        wp.launch(_misses, len(slot), [self.tree, self.features.balls, self.cones, *boxes, *which, out], device="cpu")
         return out.numpy()
 
 
 def built(vertices: np.ndarray, faces: np.ndarray) -> Built:
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     tensors, kind = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
-    tree, _winding, _frames, parts, cones = unpack(tensors, kind, 1)
-    return Built(vertices, faces, tree, parts, cones, tensors)
+    tree, _winding, _frames, features, cones = unpack(tensors, kind, 1)
+    return Built(vertices, faces, tree, features, cones, tensors)
 
 
 def sheet(count: int, z: Any, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +196,7 @@ def owner_of(faces: np.ndarray, corners: set[int]) -> int:
 
 
 def nearest_owners(mesh: Built, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors (N,3) from the nearest surface points, and the faces that own the parts these lie on."""
+    """Vectors (N,3) from the nearest surface points, and the faces that own the features these lie on."""
     distance, closest, face = oracle.distance(mesh.vertices, mesh.faces, points)
     owners = np.empty(len(points), int)
     for i, (x, f) in enumerate(zip(closest, face, strict=True)):
@@ -293,7 +293,7 @@ def test_every_direction_counts_where_too_many_faces_meet(around):
     vertices = np.concatenate([vertices[: around + 1], 1.8 * vertices[:around]])
     inner, outer = faces[:around, :2], faces[:around, :2] + around + 1
     ring = [np.stack(corners, 1) for corners in ((inner[:, 1], inner[:, 0], outer[:, 0]), (inner[:, 1], *outer.T))]
-    faces = np.concatenate([*(part[:, ::-1] for part in ring), faces[:around]])
+    faces = np.concatenate([*(feature[:, ::-1] for feature in ring), faces[:around]])
     sines = sines_of_faces(built(vertices, faces))
     tip = owner_of(faces, {around})
     assert (sines[tip] == 1) == (around > MOST_AROUND)

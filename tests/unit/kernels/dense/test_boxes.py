@@ -1,4 +1,4 @@
-"""Octants and eighths of parts, and the lines that they wait in."""
+"""Octants and eighths of features, and the lines that they wait in."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import warp as wp
 from sdm.kernels.dense.block.feature_rows import kind_of, taken_now
 from sdm.kernels.dense.block.min_values import two_at, values_of
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of
-from sdm.kernels.dense.block.shared_layout import ITEMS, LATTICE_ROW, LEAST, PARTS, ROWS, TEST_ROW, rows_of, write_row
-from sdm.kernels.primitives.work_queues import PAIR_BITS, PART_BITS, in_line, put_in_line
+from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, LATTICE_ROW, LEAST, ROWS, TEST_ROW, rows_of, write_row
+from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, in_line, put_in_line
 
 wp.set_module_options({"enable_backward": False})
 
-_TEST_ROW, _PARTS, _LATTICE_ROW = wp.constant(TEST_ROW), wp.constant(PARTS), wp.constant(LATTICE_ROW)
+_TEST_ROW, _BATCH, _LATTICE_ROW = wp.constant(TEST_ROW), wp.constant(BATCH), wp.constant(LATTICE_ROW)
 _LEAST_ROW, _LEAST_ROWS = wp.constant(LEAST // 4), wp.constant(128)
-_ITEMS, _PART_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(PART_BITS), wp.constant(PAIR_BITS)
+_ITEMS, _FEATURE_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(FEATURE_BITS), wp.constant(PAIR_BITS)
 
 
 @wp.kernel
@@ -34,11 +34,11 @@ def _boxes(
         at = lattice[row]
         write_row(rows, _LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
     for i in range(pairs.shape[0]):
-        part = pairs[i] % _PARTS
+        feature = pairs[i] % _BATCH
         for t in range(tests.shape[1]):
             u = tests[i, t]
-            write_row(rows, _TEST_ROW + _PARTS * t + part, u[0], u[1], u[2], u[3])
-        octants[i] = octants_of(rows, part, tests.shape[1])
+            write_row(rows, _TEST_ROW + _BATCH * t + feature, u[0], u[1], u[2], u[3])
+        octants[i] = octants_of(rows, feature, tests.shape[1])
         eighths[i] = 0
         if octants[i] != 0:
             eighths[i] = eighths_of(rows, pairs[i], tests.shape[1])
@@ -80,7 +80,7 @@ def test_a_box_is_kept_where_a_point_of_it_passes_all_tests(count, turned):
     tests = np.concatenate([rng.normal(size=(trials, count, 3)), rng.uniform(-6, 8, (trials, count, 1))], 2)
     tests = tests.astype(np.float32).astype(np.float64)
     octant = rng.integers(0, 8, trials)
-    pairs = (rng.integers(0, PARTS, trials) + PARTS * octant).astype(np.int32)
+    pairs = (rng.integers(0, BATCH, trials) + BATCH * octant).astype(np.int32)
     octants, eighths = boxes(lattice, tests, pairs)
     some = 0
     for i in range(trials):
@@ -99,8 +99,8 @@ def test_a_box_is_kept_where_a_point_of_it_passes_all_tests(count, turned):
 def _line(begin: int, memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
     rows = rows_of(memory, 0)
     top = int(begin)
-    for part in range(which.shape[0]):
-        top = put_in_line(rows, _ITEMS, top, part, _PART_BITS, which[part], 0)
+    for feature in range(which.shape[0]):
+        top = put_in_line(rows, _ITEMS, top, feature, _FEATURE_BITS, which[feature], 0)
     for i in range(top):
         out[i] = in_line(rows, _ITEMS, i)
     out[out.shape[0] - 1] = top
@@ -112,7 +112,7 @@ def test_what_is_put_in_line_is_there():
     out = wp.zeros(400, dtype=int, device="cpu")
     memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
     wp.launch(_line, 1, [0, memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
-    wanted = [part | box << PART_BITS for part in range(24) for box in range(8) if which[part] >> box & 1]
+    wanted = [feature | box << FEATURE_BITS for feature in range(24) for box in range(8) if which[feature] >> box & 1]
     found = out.numpy()
     assert found[-1] == len(wanted)
     assert list(found[: len(wanted)]) == wanted
@@ -122,14 +122,14 @@ def test_what_is_put_in_line_is_there():
 def _mix(counts: wp.array(dtype=wp.vec3i), lanes: int, out: wp.array2d(dtype=int)):
     i = wp.tid()
     mix = taken_now(counts[i][0], counts[i][1], counts[i][2], lanes)
-    for part in range(lanes):
-        out[i, part] = -1
-        if part < mix.parts:
-            out[i, part] = kind_of(mix, part)
+    for feature in range(lanes):
+        out[i, feature] = -1
+        if feature < mix.features:
+            out[i, feature] = kind_of(mix, feature)
 
 
 def test_parts_are_taken_once_and_full_lanes_first():
-    """Repeating what is taken empties all three lists; parts of one kind that fill the lanes are by themselves."""
+    """Repeating what is taken empties all three lists; features of one kind that fill the lanes are by themselves."""
     rng = np.random.default_rng(1)
     left = rng.integers(0, 63, (300, 3))
     for _ in range(8):
