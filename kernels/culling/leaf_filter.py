@@ -12,7 +12,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners, node_box
 from sdm.kernels.culling.normal_cones import Cones, cone_misses, node_cone
 from sdm.kernels.culling.witness_bound import Witness, box_is_farther, triangle_is_farther
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import ballot, members, rank
 from sdm.kernels.primitives.vector_loads import load4
@@ -70,7 +70,7 @@ def push_triangles(stacks: wp.array(dtype=wp.int32), top: int, tree: Tree, mesh:
 
 @wp.func
 def box_matters(
-    cell: Cell,
+    box: VoxelBox,
     radius: float,
     known: Witness,
     tree: Tree,
@@ -81,23 +81,23 @@ def box_matters(
     high: wp.vec3,
 ):
     """`node_matters` of a node whose box is known."""
-    if box_is_farther(cell, known, low, high):
+    if box_is_farther(box, known, low, high):
         return False
     across = high - low
     extent = 0.5 * about_root(wp.dot(across, across))
-    return not cone_misses(cell, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
+    return not cone_misses(box, radius, 0.5 * (low + high), extent, node_cone(tree, cones, base, node))
 
 
 @wp.func
-def node_matters(cell: Cell, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
-    """Whether something in a node's box can be nearest to a voxel of the cell of this radius."""
+def node_matters(box: VoxelBox, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
+    """Whether something in a node's box can be nearest to a voxel of the box of this radius."""
     low, high = node_box(tree, base + node)
-    return box_matters(cell, radius, known, tree, cones, base, node, low, high)
+    return box_matters(box, radius, known, tree, cones, base, node, low, high)
 
 
 @wp.func
 def triangle_matters(
-    cell: Cell,
+    box: VoxelBox,
     radius: float,
     known: Witness,
     tree: Tree,
@@ -105,19 +105,19 @@ def triangle_matters(
     cones: Cones,
     slot: int,
 ):
-    """Whether a triangle can be nearest to a voxel of the cell of `radius`, from its corners and its cone alone."""
+    """Whether a triangle can be nearest to a voxel of the box of `radius`, from its corners and its cone alone."""
     ball = load4(balls, slot)
     # All loads before the tests, or the second waits for the first.
     cone = load4(cones.triangles, slot)
     a, b, c, _normal = load_corners(tree, slot)
-    if cone_misses(cell, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone):
+    if cone_misses(box, radius, wp.vec3(ball[0], ball[1], ball[2]), ball[3], cone):
         return False
-    return not triangle_is_farther(cell, known, a, b, c)
+    return not triangle_is_farther(box, known, a, b, c)
 
 
 @wp.func
 def triangles_that_matter(
-    cell: Cell,
+    box: VoxelBox,
     radius: float,
     known: Witness,
     tree: Tree,
@@ -131,7 +131,7 @@ def triangles_that_matter(
     lane: int,
     lanes: int,
 ):
-    """Push onto `slots` the triangles of the `taken` leaves from `leaves` that matter to a cell of this radius.
+    """Push onto `slots` the triangles of the `taken` leaves from `leaves` that matter to a box of this radius.
 
     That is: whose corners and cone allow that they are nearest to one of its voxels. Returns how many.
     """
@@ -145,7 +145,7 @@ def triangles_that_matter(
             t = first_triangle(tree, leaf) + i % _LEAF
             if t < first_triangle(tree, leaf + 1):
                 slot = mesh * tree.count + t
-                keep = triangle_matters(cell, radius, known, tree, balls, cones, slot)
+                keep = triangle_matters(box, radius, known, tree, balls, cones, slot)
         ripe = ripe + push(stacks, slots + ripe, keep, slot, lane)
         i = i + lanes
     return ripe

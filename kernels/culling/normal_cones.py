@@ -17,7 +17,7 @@ cone with axis n and half-angle T, to both sides, for the features that a triang
 edge, a ring that does not close and a triangle without a normal give T = 90 degrees: all directions. Nothing is asked
 of the mesh: other faces at the same edge or corner only narrow the directions down.
 
-A cluster whose points are in a ball of centre m and radius r has nothing nearest to any point of a cell of centre c
+A cluster whose points are in a ball of centre m and radius r has nothing nearest to any point of a box of centre c
 and radius R if the vector c - m is further than r + R from the cone, as p - x is within r + R of c - m. The distance
 of d from a double cone is |d - (d.n) n| cos T - |d.n| sin T.
 """
@@ -27,7 +27,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, first_triangle, nodes_of
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
@@ -57,17 +57,17 @@ class Cones:
 
 
 @wp.func
-def cone_misses(cell: Cell, radius: float, middle: wp.vec3, extent: float, cone: wp.vec4):
-    """Whether nothing in the ball (`middle`, `extent`) with this cone is nearest to a point of the cell of `radius`."""
+def cone_misses(box: VoxelBox, radius: float, middle: wp.vec3, extent: float, cone: wp.vec4):
+    """Whether nothing in the ball (`middle`, `extent`) with this cone is nearest to a point of the box of `radius`."""
     if cone[3] >= 1.0:
         return False
     axis = wp.vec3(cone[0], cone[1], cone[2])
-    d = cell.centre - middle
+    d = box.centre - middle
     along = wp.dot(d, axis)
     across = d - along * axis
     aside = about_root(wp.dot(across, across))
     cosine = about_root(1.0 - cone[3] * cone[3])
-    room = DISTANCE_ROOM * (wp.abs(along) + aside + about_root(wp.dot(cell.centre, cell.centre)))
+    room = DISTANCE_ROOM * (wp.abs(along) + aside + about_root(wp.dot(box.centre, box.centre)))
     return aside * cosine - wp.abs(along) * cone[3] > (extent + radius) * (1.0 + DISTANCE_ROOM) + room
 
 

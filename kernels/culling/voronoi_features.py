@@ -1,4 +1,4 @@
-"""Which features of a triangle can be nearest to some voxel of a cell: its face, its edges, its corners.
+"""Which features of a triangle can be nearest to some voxel of a box: its face, its edges, its corners.
 
 Let x be the point of the surface that is nearest to p. Then x lies inside a face, inside an edge, or on a corner, and
 no way along the surface leads closer:
@@ -32,7 +32,7 @@ from sdm.kernels.culling.witness_bound import (
     reach,
     sum_abs,
 )
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.coalesced_stores import begin_record, doubles_at, end_record, floats_at, put4, put_double
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_root, inverse_root
@@ -51,7 +51,7 @@ INVERSES = 4
 
 # Bits of the features: as these are numbered, see `leaves`.
 CORNER, EDGE, FACE = 1, 8, 64
-# Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the cell.
+# Relative room for rounding in the inequalities, about 16 float32 roundings of the triangle's distance and the box.
 ROOM = 2.0e-6
 
 # Squares of lengths below this one may vanish, but not if the lengths are so many times as large.
@@ -103,8 +103,8 @@ def further_end(features: Features, slot: int):
 
 
 @wp.func
-def features_that_matter(cell: Cell, known: Witness, tree: Tree, features: Features, slot: int):
-    """The owned features of a triangle that can be nearest to some voxel of the cell, as bits."""
+def features_that_matter(box: VoxelBox, known: Witness, tree: Tree, features: Features, slot: int):
+    """The owned features of a triangle that can be nearest to some voxel of the box, as bits."""
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
     in_ab = load_feature_row(features, slot, 0)
     in_bc = load_feature_row(features, slot, 1)
@@ -112,14 +112,14 @@ def features_that_matter(cell: Cell, known: Witness, tree: Tree, features: Featu
     over_ab = load_feature_row(features, slot, 3)
     over_bc = load_feature_row(features, slot, 4)
     over_ca = load_feature_row(features, slot, 5)
-    a = corner_a - cell.centre
-    b = corner_b - cell.centre
-    c = corner_c - cell.centre
+    a = corner_a - box.centre
+    b = corner_b - box.centre
+    c = corner_c - box.centre
     beyond_ab = wp.vec3(over_ab[0], over_ab[1], over_ab[2])
     beyond_bc = wp.vec3(over_bc[0], over_bc[1], over_bc[2])
     beyond_ca = wp.vec3(over_ca[0], over_ca[1], over_ca[2])
     owned = int(in_ab[3])
-    half = cell.half
+    half = box.half
     far = wp.max(sum_abs(a), wp.max(sum_abs(b), sum_abs(c)))
     room = ROOM * (far + half[0] + half[1] + half[2])
     # Not b - a, which rounding from afar has turned.
@@ -129,10 +129,10 @@ def features_that_matter(cell: Cell, known: Witness, tree: Tree, features: Featu
     result = int(0)
 
     # Which of the corners, edges and the face the witness leaves, see `cull`.
-    lead_a = least_lead(cell, known, a)
-    lead_b = least_lead(cell, known, b)
-    lead_c = least_lead(cell, known, c)
-    most = doubt(cell, known)
+    lead_a = least_lead(box, known, a)
+    lead_b = least_lead(box, known, b)
+    lead_c = least_lead(box, known, c)
+    most = doubt(box, known)
     left = int(0)
     if wp.min(lead_a, wp.min(lead_b, lead_c)) <= most + bulge_of_triangle(ab, bc, ca):
         left = FACE
@@ -150,7 +150,7 @@ def features_that_matter(cell: Cell, known: Witness, tree: Tree, features: Featu
         left = left | (4 * CORNER)
     owned = (owned | FACE) & left
 
-    # Heights above the three planes on the edges, at the cell's centre and how they vary.
+    # Heights above the three planes on the edges, at the box's centre and how they vary.
     u = wp.cross(normal, ab)
     height_ab = -wp.dot(a, u)
     reach_ab = reach(half, u) + room * sum_abs(u)

@@ -1,22 +1,22 @@
-"""Which points can be nearest to some voxel of a cell: one test, and what follows from it for triangles and boxes.
+"""Witness bound: the points that can be nearest to some voxel of a box, by one test for points, triangles and nodes.
 
-A cell has a centre c and half-widths a (of voxel centres, per axis). Let y be any known point of the surface, the
+A box has a centre c and half-widths a (of voxel centres, per axis). Let y be any known point of the surface, the
 witness. A point x is nearer to a voxel p than y only where
 
     D(p, x) = |p - x|^2 - |p - y|^2 < 0.
 
-The square of p cancels, so D is linear in p, and its least value over the cell is exactly
+The square of p cancels, so D is linear in p, and its least value over the box is exactly
 
     |c - x|^2 - |c - y|^2 - 2 sum_i a_i |x_i - y_i|.
 
-If that is positive, x is nearest to no voxel of the cell. From this:
+If that is positive, x is nearest to no voxel of the box. From this:
 
 - A segment or a triangle. Let x = sum_j l_j x_j be a mean of its corners. |p - x|^2 is the same mean of |p - x_j|^2,
   less the sum over pairs of corners of l_j l_k |x_j - x_k|^2. So D(p, x) is at least the least D(p, x_j) of its
   corners, less L^2/4 for two corners and L^2/3 for three, with L the longest edge.
-- A box. D is a sum over the axes of (p_i - x_i)^2 - (p_i - y_i)^2. The least over all x_i from low to high is
+- A node's box. D is a sum over the axes of (p_i - x_i)^2 - (p_i - y_i)^2. The least over all x_i from low to high is
   e^2 - (p_i - y_i)^2, with e how far p_i is from that interval. As a function of p_i this is concave (e^2 curves up at
-  most as much as the other square curves down), so its least is at one of the cell's two ends. The test is exact.
+  most as much as the other square curves down), so its least is at one of the box's two ends. The test is exact.
 
 Distance alone (drop what is 2|a| further from c than y) would keep every triangle of a surface that is nearly
 equidistant, as most are from afar; D knows directions, since x_i - y_i is small for the points that remain.
@@ -29,7 +29,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.triangle_frames import Frame, Local
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.lanes import from_lane, lane_of_least
 from sdm.kernels.primitives.vector_loads import load4, write4
 
@@ -45,7 +45,7 @@ LARGEST_SQUARE = 1.0e36
 
 @wp.struct
 class Witness:
-    """The surface point y known to be nearest to a cell's centre c."""
+    """The surface point y known to be nearest to a box's centre c."""
 
     to_surface: wp.vec3  # c - y
     distance2: float  # |c - y|^2, infinite if there is none
@@ -71,49 +71,49 @@ def reach(half: wp.vec3, u: wp.vec3):
 
 
 @wp.func
-def doubt(cell: Cell, known: Witness):
-    """What rounding can add to D over the cell; infinite without a witness, or where squares may overflow."""
-    squares = known.distance2 + cell.half2
-    away = sum_abs(known.to_surface) + cell.half[0] + cell.half[1] + cell.half[2]
-    return wp.where(squares < LARGEST_SQUARE, SLACK * squares + OFF_SURFACE * cell.diagonal * away, float(wp.inf))
+def doubt(box: VoxelBox, known: Witness):
+    """What rounding can add to D over the box; infinite without a witness, or where squares may overflow."""
+    squares = known.distance2 + box.half2
+    away = sum_abs(known.to_surface) + box.half[0] + box.half[1] + box.half[2]
+    return wp.where(squares < LARGEST_SQUARE, SLACK * squares + OFF_SURFACE * box.diagonal * away, float(wp.inf))
 
 
 @wp.func
-def least_lead(cell: Cell, known: Witness, q: wp.vec3):
-    """The least D over the cell of the point that is at q from its centre."""
-    return wp.dot(q, q) - known.distance2 - 2.0 * reach(cell.half, q + known.to_surface)
+def least_lead(box: VoxelBox, known: Witness, q: wp.vec3):
+    """The least D over the box of the point that is at q from its centre."""
+    return wp.dot(q, q) - known.distance2 - 2.0 * reach(box.half, q + known.to_surface)
 
 
 @wp.func
 def lead_along(low: float, high: float, y: float, half: float):
-    """One axis of the least D of a box; all from the cell's centre."""
+    """One axis of the least D of a node's box; all from the box's centre."""
     below = wp.max(wp.max(low + half, -half - high), 0.0)
     above = wp.max(wp.max(low - half, half - high), 0.0)
     return wp.min(below * below - (half + y) * (half + y), above * above - (half - y) * (half - y))
 
 
 @wp.func
-def box_is_farther(cell: Cell, known: Witness, low: wp.vec3, high: wp.vec3):
-    """Whether no point of a box is nearer to any voxel of the cell than the witness."""
+def box_is_farther(box: VoxelBox, known: Witness, low: wp.vec3, high: wp.vec3):
+    """Whether no point of a node's box is nearer to any voxel of the box than the witness."""
     if low[0] > high[0]:
         return True
-    a = low - cell.centre
-    b = high - cell.centre
+    a = low - box.centre
+    b = high - box.centre
     y = -known.to_surface
-    lead = lead_along(a[0], b[0], y[0], cell.half[0])
-    lead = lead + lead_along(a[1], b[1], y[1], cell.half[1])
-    lead = lead + lead_along(a[2], b[2], y[2], cell.half[2])
-    return lead > doubt(cell, known)
+    lead = lead_along(a[0], b[0], y[0], box.half[0])
+    lead = lead + lead_along(a[1], b[1], y[1], box.half[1])
+    lead = lead + lead_along(a[2], b[2], y[2], box.half[2])
+    return lead > doubt(box, known)
 
 
 @wp.func
-def triangle_is_farther(cell: Cell, known: Witness, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Whether no point of a triangle is nearer to any voxel of the cell than the witness."""
+def triangle_is_farther(box: VoxelBox, known: Witness, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Whether no point of a triangle is nearer to any voxel of the box than the witness."""
     lead = wp.min(
-        least_lead(cell, known, a - cell.centre),
-        wp.min(least_lead(cell, known, b - cell.centre), least_lead(cell, known, c - cell.centre)),
+        least_lead(box, known, a - box.centre),
+        wp.min(least_lead(box, known, b - box.centre), least_lead(box, known, c - box.centre)),
     )
-    return lead > bulge_of_triangle(b - a, c - b, a - c) + doubt(cell, known)
+    return lead > bulge_of_triangle(b - a, c - b, a - c) + doubt(box, known)
 
 
 @wp.func

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.dense.workspace import Lists
-from sdm.kernels.geometry.voxel_box import Cell, cell_of_rows
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_rows
 from sdm.kernels.primitives.vector_loads import load4, write4
 
 wp.set_module_options({"enable_backward": False})
@@ -25,7 +25,7 @@ class Place:
 
     mesh: wp.int32
     start: wp.vec3i  # its first voxel
-    cell: Cell
+    box: VoxelBox
 
 
 @wp.func
@@ -35,7 +35,7 @@ def brick_number(lists: Lists, number: int, octant: int):
 
 
 @wp.func
-def note_place(lists: Lists, number: int, mesh: int, start: wp.vec3i, cell: Cell):
+def note_place(lists: Lists, number: int, mesh: int, start: wp.vec3i, cell: VoxelBox):
     """Note cell `number`, or a brick, see `brick_number`."""
     c = cell.centre
     h = cell.half
@@ -71,5 +71,5 @@ def noted_place(lists: Lists, number: int):
     place = Place()
     place.mesh = mesh
     place.start = start
-    place.cell = cell_of_rows(r0, r1)
+    place.box = box_of_rows(r0, r1)
     return place

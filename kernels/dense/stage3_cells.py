@@ -58,7 +58,7 @@ def _list_cells(
         if is_within(slab, place.start):
             mesh = place.mesh
             base = nodes_of(tree, mesh)
-            cell = place.cell
+            cell = place.box
             radius = wp.sqrt(cell.half2)
             known = read_witness(lists.witnesses, lists.count + number)
             chain = Chain()

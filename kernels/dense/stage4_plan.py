@@ -157,7 +157,7 @@ def note_bricks(tree: Tree, slab: Slab, lists: Lists, number: int, place: Place,
         if lists.cell > BLOCK:
             note_place(lists, brick_number(lists, number, o), place.mesh, first, brick)
         if is_within(slab, first):
-            near = moved(known, brick.centre - place.cell.centre)
+            near = moved(known, brick.centre - place.box.centre)
             write_witness(lists.witnesses, lists.count + brick_number(lists, number, o), near)
         o = o + lanes
 
@@ -197,7 +197,7 @@ def _plan_blocks(
     while number < 8 * lists.count:
         place = noted_place(lists, number)
         mesh = place.mesh
-        cell = place.cell
+        cell = place.box
         if is_within(slab, place.start):
             length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
             known = no_witness()

@@ -92,7 +92,7 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, eight
     if item < bricks:
         # These are few, and not noted.
         place.start = brick_start(lists, place.start, brick)
-        place.cell = make_cell(tree, slab, place.mesh, place.start, size)
+        place.box = make_cell(tree, slab, place.mesh, place.start, size)
     block = Block()
     block.mesh = place.mesh
     block.start = place.start
@@ -100,13 +100,13 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, eight
     block.slice = slice_of(code)
     block.slices = slices_of(code)
     block.unscale = float(tree.frame[block.mesh * FRAME_SIZE + UNSCALE])
-    block.cell = place.cell
+    block.box = place.box
     block.known = read_witness(lists.witnesses, lists.count + box)
     # A brick whose witness is its cell's has its floor from there.
     if eighth >= 0:
         block.floor = floor_of(read_witness(lists.witnesses, lists.count + number), noted_half2(lists, number))
     else:
-        block.floor = floor_of(block.known, block.cell.half2)
+        block.floor = floor_of(block.known, block.box.half2)
     block.index = index_of(slab, block.mesh, block.start)
     return block, number
 
@@ -127,7 +127,7 @@ def find_brick_witness(
 
     Of several slices each finds the same.
     """
-    centre = block.cell.centre
+    centre = block.box.centre
     known = nearest_in_list(tree, frames, features, lists, number, block.mesh, centre, block.known, lane, lanes)
     if lane == 0:
         write_witness(lists.witnesses, lists.count + brick_number(lists, number, item % 8), known)
@@ -171,7 +171,7 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[NEAR_STACK + ripe + lane]
-                which = features_that_matter(block.cell, block.known, tree, features, slot)
+                which = features_that_matter(block.box, block.known, tree, features, slot)
             found = push_features(stack, FEATURE_STACK + found, slot, which, lane) - FEATURE_STACK
         elif waiting >= lanes or reader.left == 0:
             taken = wp.min(lanes, waiting)
@@ -180,8 +180,8 @@ def select_for(
             slot = int(0)
             if lane < taken:
                 slot = stack[TRIANGLE_STACK + waiting + lane]
-                radius = about_root(block.cell.half2)
-                keep = triangle_matters(block.cell, radius, block.known, tree, features.balls, cones, slot)
+                radius = about_root(block.box.half2)
+                keep = triangle_matters(block.box, radius, block.known, tree, features.balls, cones, slot)
             ripe = ripe + push(stack, NEAR_STACK + ripe, keep, slot, lane)
         else:
             leaf = upcoming
@@ -191,12 +191,12 @@ def select_for(
             if keep:
                 base = nodes_of(tree, block.mesh)
                 if (1 << block.bits) < lists.cell:
-                    radius = about_root(block.cell.half2)
-                    keep = node_matters(block.cell, radius, block.known, tree, cones, base, leaves + leaf)
+                    radius = about_root(block.box.half2)
+                    keep = node_matters(block.box, radius, block.known, tree, cones, base, leaves + leaf)
                 else:
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
                     low, high = node_box(tree, base + leaves + leaf)
-                    keep = not box_is_farther(block.cell, block.known, low, high)
+                    keep = not box_is_farther(block.box, block.known, low, high)
             waiting = (
                 push_triangles(stack, TRIANGLE_STACK + waiting, tree, block.mesh, keep, leaf, lane) - TRIANGLE_STACK
             )
@@ -230,7 +230,7 @@ def _select_features(
         chain.chunk = lists.chunks
         length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
         if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
-            if not is_coarse(block.cell):
+            if not is_coarse(block.box):
                 if item < bricks:
                     block.known = find_brick_witness(tree, frames, features, lists, item, number, block, lane, lanes)
                 head = lists.given + fetch_add_once(lists.counts, NEXT_CHUNK, 1, lane)

@@ -103,7 +103,7 @@ def measure_block(
     clear_values(rows, lane, lanes)
     read_windings(slab, out, rows, block, lane, lanes)
     octants = octants_there(slab, block.start, block.bits)
-    room = NEAR_ENDS * (block.cell.half[0] + block.cell.half[1] + block.cell.half[2])
+    room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
     reader = Reader()
     if lists.feature_heads[item] >= 0:
@@ -134,13 +134,13 @@ def measure_block(
             if lane < mix.features:
                 if which == CORNER_KIND:
                     code = stack[CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, features, code, block.cell, block.floor)
+                    add_corner(rows, lane, tree, features, code, block.box, block.floor)
                 elif which == EDGE_KIND:
                     code = stack[EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, features, code, block.cell, block.floor)
+                    add_edge(rows, lane, tree, features, code, block.box, block.floor)
                 else:
                     code = stack[FACES + faces + lane - mix.corners - mix.edges]
-                    add_face(rows, lane, tree, features, code, block.cell, block.floor)
+                    add_face(rows, lane, tree, features, code, block.box, block.floor)
                 there = octants & octants_of(rows, lane, tests_of(which))
             wait_for_lanes()
             measure_features(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)

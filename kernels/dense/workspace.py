@@ -13,7 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
-from sdm.kernels.geometry.voxel_box import Cell, box_of_voxels, octant_at
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, unravel
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members, rank
@@ -79,7 +79,7 @@ def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
 
 
 @wp.func
-def is_coarse(cell: Cell):
+def is_coarse(cell: VoxelBox):
     """Whether a box is so wide that float32 rounds a place in it too much."""
     return wp.max(cell.half) > COARSEST
 

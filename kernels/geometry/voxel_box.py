@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Cell:
+class VoxelBox:
     """A box of voxel centres."""
 
     centre: wp.vec3
@@ -20,14 +20,14 @@ class Cell:
 
 
 @wp.func
-def cell_of_rows(first: wp.vec4, second: wp.vec4):
-    """A cell as it is noted in two rows: centre and half2, then half-widths and diagonal."""
-    cell = Cell()
-    cell.centre = wp.vec3(first[0], first[1], first[2])
-    cell.half2 = first[3]
-    cell.half = wp.vec3(second[0], second[1], second[2])
-    cell.diagonal = second[3]
-    return cell
+def box_of_rows(first: wp.vec4, second: wp.vec4):
+    """A box as it is noted in two rows: centre and half2, then half-widths and diagonal."""
+    box = VoxelBox()
+    box.centre = wp.vec3(first[0], first[1], first[2])
+    box.half2 = first[3]
+    box.half = wp.vec3(second[0], second[1], second[2])
+    box.diagonal = second[3]
+    return box
 
 
 @wp.func
@@ -37,7 +37,8 @@ def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
     low = voxel(slab, start[0], start[1], start[2])
     high = voxel(slab, last[0], last[1], last[2])
     if slab.turned != 0:
-        # The box around all corners of a turned cell. Not as a constant, which would write the loop out eight times.
+        # The box around all corners of a box of a turned grid. Not as a constant, which would write the loop out eight
+        # times.
         corners = int(8)
         for corner in range(corners):
             p = voxel(
@@ -50,13 +51,13 @@ def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
             high = wp.max(high, p)
     low = scale * low
     high = scale * high
-    cell = Cell()
-    cell.centre = 0.5 * (low + high)
-    half = wp.max(high - cell.centre, cell.centre - low)
+    box = VoxelBox()
+    box.centre = 0.5 * (low + high)
+    half = wp.max(high - box.centre, box.centre - low)
     # A rounding more than the voxels need, so that none sticks out.
-    cell.half = half * 1.000001
-    cell.half2 = wp.dot(cell.half, cell.half)
-    return cell
+    box.half = half * 1.000001
+    box.half2 = wp.dot(box.half, box.half)
+    return box
 
 
 @wp.func

@@ -12,7 +12,7 @@ from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
 from sdm.kernels.culling.leaf_filter import full_of_leaves, node_matters, push, triangles_that_matter
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import Witness
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.points.group_descent import FOUND, LEAVES, MOST, keep_children, next_nodes, start_descent
 from sdm.kernels.primitives.lanes import wait_for_lanes
 from sdm.kernels.winding.ray_crossings import Ray, lattice_box, meets_ray
@@ -27,15 +27,15 @@ def gather_near(
     tree: Tree,
     balls: wp.array(dtype=wp.float32),
     cones: Cones,
-    cell: Cell,
+    box: VoxelBox,
     known: Witness,
     scratch: wp.array(dtype=wp.int32),
     at: int,
     lane: int,
     lanes: int,
 ):
-    """Find the triangles that may be nearest to a point of the cell; returns how many, or -1 if there is no room."""
-    radius = wp.sqrt(cell.half2)
+    """Find the triangles that may be nearest to a point of the box; returns how many, or -1 if there is no room."""
+    radius = wp.sqrt(box.half2)
     descent = start_descent(tree, scratch, at, lane)
     found = int(0)
     while descent.waiting + descent.ripe > 0 and found <= MOST:
@@ -45,13 +45,13 @@ def gather_near(
                 child = 2 * descent.node + side
                 keep = False
                 if descent.node > 0:
-                    keep = node_matters(cell, radius, known, tree, cones, 0, child)
+                    keep = node_matters(box, radius, known, tree, cones, 0, child)
                 descent = keep_children(tree, scratch, at, descent, child, keep, lane)
         else:
             taken = wp.min(full_of_leaves(lanes), descent.ripe)
             descent.ripe = descent.ripe - taken
             found = found + triangles_that_matter(
-                cell,
+                box,
                 radius,
                 known,
                 tree,

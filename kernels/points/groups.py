@@ -1,7 +1,7 @@
 """Groups of neighbouring points, which share most of the work of a query.
 
 Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a group. Of a
-group this file keeps the box around its points, as a cell in the sense of `cull`; the triangle nearest to its centre;
+group this file keeps the box around its points (`VoxelBox`); the triangle nearest to its centre;
 and what can be said about the signs of all its points at once (see `caps` for open meshes).
 """
 
@@ -12,7 +12,7 @@ import warp as wp
 from sdm.kernels.bvh.nearest_search import exact_hit
 from sdm.kernels.bvh.tree import DIAGONAL, SCALE, Tree
 from sdm.kernels.culling.witness_bound import no_witness, write_witness
-from sdm.kernels.geometry.voxel_box import Cell, cell_of_rows
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_rows
 from sdm.kernels.launch import launch
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.group_search import nearest_together
@@ -41,7 +41,7 @@ ROOM = 1.0e-5
 class Groups:
     """What is known of each of `count` groups."""
 
-    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `Cell`: centre (3), half2, half (3), diagonal
+    boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `VoxelBox`: centre (3), half2, half (3), diagonal
     witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
@@ -70,10 +70,10 @@ def group_end(group: int, points: int):
 
 @wp.func
 def point_or_middle(
-    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, cell: Cell
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, box: VoxelBox
 ):
     """The point at a place before `end`, scaled; without one, or if it is not finite, the middle of its group's box."""
-    p = wp.vec3d(cell.centre)
+    p = wp.vec3d(box.centre)
     if at < end:
         point = points[numbered(order, at)]
         if is_finite(point):
@@ -98,23 +98,23 @@ def box_around(
         at = at + lanes
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
     high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
-    cell = Cell()
-    cell.diagonal = float(tree.frame[DIAGONAL])
-    cell.centre = 0.5 * low + 0.5 * high
-    if is_finite(cell.centre):
+    box = VoxelBox()
+    box.diagonal = float(tree.frame[DIAGONAL])
+    box.centre = 0.5 * low + 0.5 * high
+    if is_finite(box.centre):
         # A rounding more than the points need, so that none sticks out.
-        cell.half = wp.max(high - cell.centre, cell.centre - low) * 1.000001
-        cell.half2 = wp.dot(cell.half, cell.half)
+        box.half = wp.max(high - box.centre, box.centre - low) * 1.000001
+        box.half2 = wp.dot(box.half, box.half)
     else:
-        cell.centre = wp.vec3(0.0, 0.0, 0.0)
-        cell.half2 = float(wp.inf)
-    return cell
+        box.centre = wp.vec3(0.0, 0.0, 0.0)
+        box.half2 = float(wp.inf)
+    return box
 
 
 @wp.func
 def read_box(groups: Groups, group: int):
     """A group's box; `half2` is infinite if there is none."""
-    return cell_of_rows(load4(groups.boxes, 2 * group), load4(groups.boxes, 2 * group + 1))
+    return box_of_rows(load4(groups.boxes, 2 * group), load4(groups.boxes, 2 * group + 1))
 
 
 @wp.kernel
@@ -132,25 +132,25 @@ def _look_around(
     lane = thread % lanes
     group = fetch_add_once(groups.counts, NEXT_BOX, 1, lane)
     while group < groups.count:
-        cell = box_around(tree, points, order, group, lane, lanes)
-        slot = nearest_together(tree, cell.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
+        box = box_around(tree, points, order, group, lane, lanes)
+        slot = nearest_together(tree, box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
         known = no_witness()
         hint = int(0)
         if winding.kind == CLOSED:
             hint = FAR
-        if cell.half2 < float(wp.inf):
-            hit = exact_hit(tree, slot, wp.vec3d(cell.centre))
-            known.to_surface = wp.vec3(wp.vec3d(cell.centre) - hit.point)
+        if box.half2 < float(wp.inf):
+            hit = exact_hit(tree, slot, wp.vec3d(box.centre))
+            known.to_surface = wp.vec3(wp.vec3d(box.centre) - hit.point)
             known.distance2 = float(hit.distance2)
             if winding.kind != CLOSED and winding.kind != SOUP:
-                if is_far(view_caps(winding.boundary, 0, cell, lane, lanes)):
-                    hint = FAR + wp.where(may_cover(winding.boundary, 0, cell, lane, lanes), COVERED, 0)
-            if wp.sqrt(known.distance2) > wp.sqrt(cell.half2) * (1.0 + ROOM) + ROOM * wp.length(cell.centre):
+                if is_far(view_caps(winding.boundary, 0, box, lane, lanes)):
+                    hint = FAR + wp.where(may_cover(winding.boundary, 0, box, lane, lanes), COVERED, 0)
+            if wp.sqrt(known.distance2) > wp.sqrt(box.half2) * (1.0 + ROOM) + ROOM * wp.length(box.centre):
                 hint = hint + APART
         if lane == 0:
-            half = cell.half
-            write4(groups.boxes, 2 * group, cell.centre[0], cell.centre[1], cell.centre[2], cell.half2)
-            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], cell.diagonal)
+            half = box.half
+            write4(groups.boxes, 2 * group, box.centre[0], box.centre[1], box.centre[2], box.half2)
+            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], box.diagonal)
             write_witness(groups.witnesses, group, known)
             groups.nearest[group] = slot
             groups.hints[group] = hint

@@ -61,17 +61,17 @@ def _find_nearest(
     room = (thread / lanes) * SCRATCH
     group = fetch_add_once(groups.counts, NEXT_LIST, 1, lane)
     while group < groups.count:
-        cell = read_box(groups, group)
+        box = read_box(groups, group)
         known = read_witness(groups.witnesses, group)
         found = int(0)
-        if known.distance2 < LARGEST_SQUARE and cell.half2 < LARGEST_SQUARE:
-            found = gather_near(tree, balls, cones, cell, known, scratch, room, lane, lanes)
+        if known.distance2 < LARGEST_SQUARE and box.half2 < LARGEST_SQUARE:
+            found = gather_near(tree, balls, cones, box, known, scratch, room, lane, lanes)
         end = group_end(group, points.shape[0])
         first = GROUP * group
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
-            p = wp.vec3(point_or_middle(tree, points, order, at, end, cell))
+            p = wp.vec3(point_or_middle(tree, points, order, at, end, box))
             left = int(0)
             if found > 0:
                 left = keep_nearest(tree, balls, p, scratch, room, found, lane, lanes)

@@ -11,7 +11,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, node_box, to_lattice
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_on_rays
 from sdm.kernels.points.group_descent import OWN_ROOM, SCRATCH
@@ -42,7 +42,7 @@ UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
 @wp.func
 def list_rays(
     tree: Tree,
-    cell: Cell,
+    box: VoxelBox,
     back: bool,
     scratch: wp.array(dtype=wp.int32),
     room: int,
@@ -50,8 +50,8 @@ def list_rays(
     lanes: int,
 ):
     """`gather_on_rays` for all points of a box."""
-    low = wp.vec3d(cell.centre - cell.half)
-    high = wp.vec3d(cell.centre + cell.half)
+    low = wp.vec3d(box.centre - box.half)
+    high = wp.vec3d(box.centre + box.half)
     ray = ray_from(low, back)
     other = ray_from(high, back)
     ray.high_y = other.high_y
@@ -111,23 +111,23 @@ def _find_sides(
     low, high = node_box(tree, 1)
     group = fetch_add_once(groups.counts, NEXT_SIDE, 1, lane)
     while group < groups.count:
-        cell = read_box(groups, group)
+        box = read_box(groups, group)
         hint = groups.hints[group]
         covered = (hint & COVERED) != 0
         apart = (hint & APART) != 0
-        back = low[0] + high[0] > 2.0 * cell.centre[0] and not covered
+        back = low[0] + high[0] > 2.0 * box.centre[0] and not covered
         found = int(-1)
-        if (hint & FAR) != 0 and cell.half2 < LARGEST_SQUARE:
+        if (hint & FAR) != 0 and box.half2 < LARGEST_SQUARE:
             if apart:
-                cell.half = wp.vec3(0.0, 0.0, 0.0)
-            found = list_rays(tree, cell, back, scratch, room, lane, lanes)
+                box.half = wp.vec3(0.0, 0.0, 0.0)
+            found = list_rays(tree, box, back, scratch, room, lane, lanes)
         end = group_end(group, points.shape[0])
         first = GROUP * group
         while first < end:
             at = first + lane
-            p = wp.vec3d(cell.centre)
+            p = wp.vec3d(box.centre)
             if not apart:
-                p = point_or_middle(tree, points, order, at, end, cell)
+                p = point_or_middle(tree, points, order, at, end, box)
             side = UNKNOWN
             if found >= 0:
                 total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)

@@ -24,7 +24,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree, to_lattice
 from sdm.kernels.geometry.triangle_distance import nearest_part, segment_distance2
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.lanes import ballot, sum_of_lanes
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.ray_crossings import covers, crossing_of
@@ -142,9 +142,9 @@ def see_caps(boundary: Boundary, mesh: int, p: wp.vec3, lane: int, lanes: int):
 
 
 @wp.func
-def view_caps(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
+def view_caps(boundary: Boundary, mesh: int, box: VoxelBox, lane: int, lanes: int):
     """All caps, seen from a box."""
-    radius = wp.sqrt(cell.half2)
+    radius = wp.sqrt(box.half2)
     sight = nothing_seen()
     view = View()
     e = lane
@@ -157,13 +157,13 @@ def view_caps(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
         area2 = wp.length(across)
         if area2 > 0.0:
             across = across / area2
-        d2, _part = nearest_part(cell.centre, a, b, c, across)
+        d2, _part = nearest_part(box.centre, a, b, c, across)
         gap = SURE * wp.sqrt(d2) - ROUNDING - radius
-        rim = SURE * wp.sqrt(segment_distance2(cell.centre - a, b - a)) - ROUNDING - radius
+        rim = SURE * wp.sqrt(segment_distance2(box.centre - a, b - a)) - ROUNDING - radius
         if gap > 0.0 and rim > 0.0:
             view.filled = view.filled + area2 / (8.0 * wp.PI * gap * gap)
             view.error = view.error + radius * wp.length(b - a) / (4.0 * wp.PI * rim * rim)
-            sight = see_cap(sight, a - cell.centre, b - cell.centre, c - cell.centre)
+            sight = see_cap(sight, a - box.centre, b - box.centre, c - box.centre)
             e = e + lanes
         else:
             view.filled = float(wp.inf)
@@ -199,7 +199,7 @@ def cap_lattice(boundary: Boundary, tree: Tree, edge: int, mesh: int):
 
 
 @wp.func
-def may_cover(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
+def may_cover(boundary: Boundary, mesh: int, box: VoxelBox, lane: int, lanes: int):
     """Whether a line along x through a box may meet a cap: whether their shadows along x overlap, with some room."""
     meets = bool(False)
     e = lane
@@ -208,9 +208,9 @@ def may_cover(boundary: Boundary, mesh: int, cell: Cell, lane: int, lanes: int):
         a = boundary.ends[2 * edge + 1]
         b = boundary.ends[2 * edge]
         c = boundary.apexes[edge]
-        low = wp.min(a, wp.min(b, c)) - cell.centre - cell.half
-        high = wp.max(a, wp.max(b, c)) - cell.centre + cell.half
-        room = ROUNDING * (1.0 + wp.abs(cell.centre[1]) + wp.abs(cell.centre[2]))
+        low = wp.min(a, wp.min(b, c)) - box.centre - box.half
+        high = wp.max(a, wp.max(b, c)) - box.centre + box.half
+        room = ROUNDING * (1.0 + wp.abs(box.centre[1]) + wp.abs(box.centre[2]))
         meets = meets or (low[1] <= room and high[1] >= -room and low[2] <= room and high[2] >= -room)
         e = e + lanes
     return ballot(meets) != wp.uint32(0)

@@ -32,7 +32,7 @@ from sdm.kernels.culling.voronoi_features import INVERSES, Features, last_of_row
 from sdm.kernels.culling.witness_bound import bulge_of_edge
 from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
 from sdm.kernels.dense.block.shared_layout import BATCH, NUMBERS, write_number, write_row
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import unknown
 from sdm.kernels.primitives.vector_loads import load2
@@ -61,7 +61,7 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
+def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes."""
     slot = code / 4
     k = code % 4
@@ -76,14 +76,14 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, cod
     over_bc = wp.vec3(r4[0], r4[1], r4[2])
     over_ca = wp.vec3(r5[0], r5[1], r5[2])
     corner = one_of(k, first, second, third)
-    q = corner - cell.centre
-    m = wp.vec3d(corner) - wp.vec3d(cell.centre)
+    q = corner - box.centre
+    m = wp.vec3d(corner) - wp.vec3d(box.centre)
     write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
     # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
     further = wp.vec3()
     if one_more == float(k):
         further = wp.vec3(r3[3], r4[3], r5[3]) - corner
-    room = room_for(cell, q)
+    room = room_for(box, q)
     test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
     test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
     test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
@@ -93,7 +93,7 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, cod
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
+def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
@@ -102,7 +102,7 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
     first, second, third, normal = load_corners(tree, slot)
     begin = one_of(k, first, second, third)
     end = one_of(k, second, third, first)
-    a = wp.vec3d(begin) - wp.vec3d(cell.centre)
+    a = wp.vec3d(begin) - wp.vec3d(box.centre)
     # Not of the two from the centre, which are alike if the triangle is very small for its distance.
     ab = wp.vec3d(end) - wp.vec3d(begin)
     along = -wp.dot(a, ab) * inverse
@@ -113,25 +113,25 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
     write_number(rows, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
-    p = begin - cell.centre
-    q = end - cell.centre
-    room = room_for(cell, p)
+    p = begin - box.centre
+    q = end - box.centre
+    room = room_for(box, p)
     test_direction(rows, 0, number, room, p, -edge)
-    test_direction(rows, 1, number, room_for(cell, q), q, edge)
+    test_direction(rows, 1, number, room_for(box, q), q, edge)
     test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
     test_direction(rows, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
     test_witness(rows, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, cell: Cell, floor: float):
+def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """`add_corner` for a face, of triangle code / 4."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
     first_two = load2(features.inverses, 2 * slot)
     last_two = load2(features.inverses, 2 * slot + 1)
     corner_a, corner_b, corner_c, normal = load_corners(tree, slot)
-    a = wp.vec3d(corner_a) - wp.vec3d(cell.centre)
+    a = wp.vec3d(corner_a) - wp.vec3d(box.centre)
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
@@ -155,7 +155,7 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
         rounding = WITHIN * about_root(wp.dot(away, away))
         write_row(rows, BATCH * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
         # On the inner side of the plane on this edge.
-        test_direction(rows, k, number, room_for(cell, away), away, -u)
+        test_direction(rows, k, number, room_for(box, away), away, -u)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab

@@ -23,7 +23,7 @@ import warp as wp
 from sdm.kernels.culling.voronoi_features import ROOM
 from sdm.kernels.culling.witness_bound import Witness, doubt, sum_abs
 from sdm.kernels.dense.block.shared_layout import BATCH, LATTICE_ROW, TEST_ROW, WITNESS_ROW, read_row, write_row
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.geometry.voxel_grid import Slab, way
 
 wp.set_module_options({"enable_backward": False})
@@ -49,7 +49,7 @@ def octants_there(slab: Slab, start: wp.vec3i, bits: int):
 
 
 @wp.func
-def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale: wp.float64, lane: int, lanes: int):
+def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, box: VoxelBox, scale: wp.float64, lane: int, lanes: int):
     """Note where a block's first voxel is, from its centre, and the steps from there to the next ones.
 
     And in the fourth place of each, how far rounding may have put a voxel aside.
@@ -65,20 +65,20 @@ def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, cell: Cell, scale
             at = at + slab.origin
         at = scale * at
         if row == 0:
-            at = at - wp.vec3d(cell.centre)
+            at = at - wp.vec3d(box.centre)
         wider = WIDER * (
-            wp.max(wp.vec3(wp.abs(cell.centre[0]), wp.abs(cell.centre[1]), wp.abs(cell.centre[2])) + cell.half)
+            wp.max(wp.vec3(wp.abs(box.centre[0]), wp.abs(box.centre[1]), wp.abs(box.centre[2])) + box.half)
         )
         write_row(rows, LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
         row = row + lanes
 
 
 @wp.func
-def note_witness(rows: wp.uint64, cell: Cell, known: Witness, lane: int):
+def note_witness(rows: wp.uint64, box: VoxelBox, known: Witness, lane: int):
     """Note a block's witness, seen from its centre, and its square with room for rounding."""
     if lane == 0:
         u = known.to_surface
-        write_row(rows, WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(cell, known))
+        write_row(rows, WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(box, known))
 
 
 @wp.func
@@ -106,9 +106,9 @@ def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: f
 
 
 @wp.func
-def room_for(cell: Cell, q: wp.vec3):
+def room_for(box: VoxelBox, q: wp.vec3):
     """Room for rounding in the directions from a point at q, in units of their lengths."""
-    return ROOM * (sum_abs(q) + cell.half[0] + cell.half[1] + cell.half[2])
+    return ROOM * (sum_abs(q) + box.half[0] + box.half[1] + box.half[2])
 
 
 def _eight(step: float) -> str:

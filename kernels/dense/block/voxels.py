@@ -9,7 +9,7 @@ from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness
 from sdm.kernels.dense.block.min_values import two_at, values_of
 from sdm.kernels.dense.block.octant_tests import note_lattice, note_witness
 from sdm.kernels.dense.block.shared_layout import PLACES, WINDING, write_number
-from sdm.kernels.geometry.voxel_box import Cell, is_within
+from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, along, distances_at, is_unclear, with_sign
 from sdm.kernels.primitives.atomics import fetch_add, shrink
 from sdm.kernels.primitives.lanes import wait_for_lanes
@@ -31,7 +31,7 @@ class Block:
     slices: wp.int32
     index: wp.int32  # of its first voxel, see `index_of`
     unscale: float  # from scaled distances to the mesh's unit
-    cell: Cell
+    box: VoxelBox
     known: Witness  # the surface point nearest to its centre
     floor: float  # less than any distance of its voxels; 0 near the surface, see `features`
 
@@ -43,13 +43,13 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
     And where they would be if they were not rounded, of any grid, and the block's witness.
     """
     scale = tree.frame[block.mesh * FRAME_SIZE + SCALE]
-    note_lattice(slab, rows, block.start, block.cell, scale, lane, lanes)
-    note_witness(rows, block.cell, block.known, lane)
+    note_lattice(slab, rows, block.start, block.box, scale, lane, lanes)
+    note_witness(rows, block.box, block.known, lane)
     at = lane
     while at < 8:
         for axis in range(3):
             p = scale * wp.float64(along(slab, axis, block.start[axis] + at))
-            write_number(rows, PLACES + 8 * axis + at, float(p - wp.float64(block.cell.centre[axis])))
+            write_number(rows, PLACES + 8 * axis + at, float(p - wp.float64(block.box.centre[axis])))
         at = at + lanes
 
 

@@ -15,7 +15,7 @@ from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build, unpack
 from sdm.kernels.bvh.tree import Tree, node_box
 from sdm.kernels.culling.normal_cones import LEVELS, MOST_AROUND, Cones, cone_misses, merged
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.vector_loads import load4
 from tests.helpers import oracle
 
@@ -35,7 +35,7 @@ def _misses(
 ):
     """Bit 0: the triangle in a slot is dropped for a box; bit 1: the node is."""
     i = wp.tid()
-    cell = Cell()
+    cell = VoxelBox()
     cell.centre = centre[i]
     cell.half = half[i]
     cell.half2 = wp.dot(half[i], half[i])

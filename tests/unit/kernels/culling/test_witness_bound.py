@@ -10,14 +10,14 @@ import pytest
 import warp as wp
 
 from sdm.kernels.culling.witness_bound import Witness, box_is_farther, doubt, triangle_is_farther
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
 def _cell(centre: wp.vec3, half: wp.vec3):
-    cell = Cell()
+    cell = VoxelBox()
     cell.centre = centre
     cell.half = half
     cell.half2 = wp.dot(half, half)

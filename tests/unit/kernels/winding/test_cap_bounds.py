@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from sdm.engine.acceleration import build, unpack
-from sdm.kernels.geometry.voxel_box import Cell
+from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.winding import winding_number
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.hole_caps import doubt, is_far, see_caps, share_of_turn, view_caps
@@ -35,7 +35,7 @@ def _view(
     error: wp.array(dtype=float),
 ):
     i = wp.tid()
-    cell = Cell()
+    cell = VoxelBox()
     cell.centre = at[i]
     cell.half = half[i]
     cell.half2 = wp.dot(half[i], half[i])
