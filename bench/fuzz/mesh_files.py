@@ -1,0 +1,55 @@
+"""Damaged mesh files: every face that the file declares, or one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sdm.bench.common.mesh_formulas import sphere, torus
+from sdm.bench.fuzz.damage import drawn
+from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
+from sdm.io import load_mesh
+
+FORMATS = ("ply", "ply-text", "off", "obj", "stl", "stl-text", "glb", "gltf")
+# Damage after which a mesh with fewer faces than before is a finding: the file still declares them all.
+SHORTENING = ("cut",)
+
+
+def encoded(vertices: np.ndarray, faces: np.ndarray, kind: str) -> tuple[str, bytes]:
+    """The ending and the bytes of a mesh in a format."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if kind == "ply-text":
+        return "ply", mesh.export(file_type="ply", encoding="ascii")
+    if kind == "stl-text":
+        return "stl", mesh.export(file_type="stl_ascii").encode()
+    data = mesh.export(file_type=kind)
+    if isinstance(data, dict):
+        import json
+
+        # One file: the buffers as data URIs are not what trimesh writes, so the header alone is damaged.
+        return kind, json.dumps(json.loads(data["model.gltf"])).encode()
+    return kind, data if isinstance(data, bytes) else data.encode()
+
+
+def trial(rng: np.random.Generator, folder: Path) -> Outcome:
+    """One mesh in one format with one kind of damage."""
+    arrays = [lambda: sphere(6), lambda: torus(64), lambda: sphere(3)][rng.integers(3)]
+    vertices, faces = arrays()
+    kind = FORMATS[rng.integers(len(FORMATS))]
+    ending, data = encoded(vertices, faces, kind)
+    name, damage = drawn(rng)
+    path = folder / f"mesh.{ending}"
+    path.write_bytes(damage(data, rng))
+    label = f"{kind} {name}"
+    with one_sentence(label) as outcome:
+        mesh = load_mesh(path)
+        if not np.isfinite(mesh.vertices.numpy()).all():
+            raise Finding(f"{label}: vertices that are not finite")
+        if len(mesh.faces) and int(mesh.faces.max()) >= len(mesh.vertices):
+            raise Finding(f"{label}: a face of a vertex that is not there")
+        if name in SHORTENING and kind != "gltf" and len(mesh.faces) < len(faces):
+            raise Finding(f"{label}: {len(mesh.faces)} of {len(faces)} faces, without a word")
+    return outcome[0] if outcome else Outcome(label, refused=False)
