@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,17 +22,12 @@ def encoded(vertices: np.ndarray, faces: np.ndarray, kind: str) -> tuple[str, by
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if kind == "ply-text":
-        return "ply", mesh.export(file_type="ply", encoding="ascii")
-    if kind == "stl-text":
-        return "stl", mesh.export(file_type="stl_ascii").encode()
-    data = mesh.export(file_type=kind)
+    ending, options = {"ply-text": ("ply", {"encoding": "ascii"}), "stl-text": ("stl_ascii", {})}.get(kind, (kind, {}))
+    data: Any = mesh.export(file_type=ending, **options)
     if isinstance(data, dict):
-        import json
-
-        # One file: the buffers as data URIs are not what trimesh writes, so the header alone is damaged.
-        return kind, json.dumps(json.loads(data["model.gltf"])).encode()
-    return kind, data if isinstance(data, bytes) else data.encode()
+        # The buffers of a glTF lie in other files, so the header alone is damaged.
+        data = data["model.gltf"]
+    return ending.removesuffix("_ascii"), data.encode() if isinstance(data, str) else bytes(data)
 
 
 def trial(rng: np.random.Generator, folder: Path) -> Outcome:
