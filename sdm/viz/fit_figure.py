@@ -17,7 +17,7 @@ from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.jacobian import vertices_with_jacobian
 from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
-from sdm.io.meshes.load import write_ply
+from sdm.io.meshes.write import write_ply
 from sdm.shapes import Cochlea, Family
 
 FORMATS = ("png", "pdf", "svg")

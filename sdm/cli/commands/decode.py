@@ -38,7 +38,7 @@ def decode(
     from sdm.deepsdf import DeepSDF, decode_mesh, interpolation_strip, load_code, render, save_picture
     from sdm.errors import FormatError
     from sdm.io.maps.formats import FORMATS, check_file, check_target, is_map_name
-    from sdm.io.meshes.load import write_ply
+    from sdm.io.meshes.write import write_ply
 
     if to is not None and out.suffix != ".png":
         raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")

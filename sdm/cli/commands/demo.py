@@ -40,7 +40,7 @@ def demo(
     from sdm.core.device import choose_device
     from sdm.core.grid import Grid
     from sdm.errors import FormatError
-    from sdm.io.meshes.load import write_ply
+    from sdm.io.meshes.write import write_ply
     from sdm.viz.figure import picture
 
     mesh = demo_mesh()

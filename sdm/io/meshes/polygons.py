@@ -1,121 +1,111 @@
-"""Concave polygons of OBJ, OFF and PLY files, which trimesh would cut into fans that reach out of them."""
+"""Polygon meshes as files declare them, and their triangles: fans where those are right, else ear clipping."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from sdm.io.meshes.ear_clipping import cut, find_wrong_fans
-from sdm.io.meshes.obj_text import plain_obj, without_textures
-
-# With the end of the line before: a search for plain text is much faster than one for the begin of a line.
-OBJ_VERTEX = re.compile(rb"\nv [ \t]*(\S+)[ \t]+(\S+)[ \t]+(\S+)")
-OBJ_POLYGON = re.compile(rb"\nf((?:[ \t]+[^\s#]+){4,})[ \t]*(?=\n|\Z)")
-# From so many corners on, trimesh takes a face for one with fewer whose corners have texture and normal, if all of a
-# material have as many numbers: six corners of two numbers for four of three.
-OBJ_MISTAKEN = 6
-OFF_COMMENT = re.compile(rb"#[^\n]*")
-OFF_TRIANGLE = (b"3 ", b"3\t")
-PLY_NAMES = ("vertex_index", "vertex_indices")
+# A fan's triangle that faces the wrong way by less than this share of the polygon's area is rounding of the file.
+FAN_ROUNDING = 1e-6
 
 
-def cut_text(path: Path) -> bytes | None:
-    """The text of an OBJ or OFF file with triangles for the polygons that its parser would not cut rightly.
+@dataclass(frozen=True)
+class PolygonMesh:
+    """Vertices and polygons of any number of corners.
 
-    Of OBJ files also what else it would not read rightly. None if there is nothing of the kind, so that files of
-    triangles and of convex polygons are parsed as they are; and for a file with anything odd, which is for its parser
-    to refuse.
+    Args:
+        vertices: (V,3) float64.
+        lengths: (F,) int64: corners of each polygon.
+        corners: (sum of lengths,) int64: vertex numbers, counted from 0, one polygon after the other.
     """
-    rewrite = {".obj": _obj, ".off": _off}.get(path.suffix.lower())
-    if rewrite is None:
-        return None
-    data = path.read_bytes()
-    plain = plain_obj(data) if rewrite is _obj else data
-    try:
-        found = rewrite(plain)
-    except (ValueError, IndexError):
-        found = None
-    return plain if found is None and plain is not data else found
+
+    vertices: np.ndarray
+    lengths: np.ndarray
+    corners: np.ndarray
+
+    @classmethod
+    def of_triangles(cls, vertices: np.ndarray, faces: np.ndarray) -> PolygonMesh:
+        """The mesh of vertices (V,3) and triangles (F,3)."""
+        return cls(vertices, np.full(len(faces), 3), faces.ravel())
 
 
-def _obj(data: bytes) -> bytes | None:
-    if b"\r" in data or b"\\" in data:
-        data = data.replace(b"\r\n", b"\n").replace(b"\\\n", b"")
-    data = b"\n" + data
-    lines = list(OBJ_POLYGON.finditer(data))
-    if not lines:
-        return None
-    bare = b"/" in data and max(len(line[1].split()) for line in lines) >= OBJ_MISTAKEN
-    if bare:
-        data = without_textures(data)
-        lines = list(OBJ_POLYGON.finditer(data))
-    vertices = np.array(OBJ_VERTEX.findall(data)).astype(np.float64)
-    corners = [line[1].split() for line in lines]
-    # Counted from 1.
-    polygons = [np.array([int(corner.split(b"/", 1)[0]) for corner in polygon]) - 1 for polygon in corners]
-    parts, done = [], 0
-    for number in find_wrong_fans(vertices, polygons):
-        line, names = lines[number], corners[number]
-        triangles = cut(vertices[polygons[number]])
-        parts += [data[done : line.start()], b"".join(b"\nf " + b" ".join(names[n] for n in t) for t in triangles)]
-        done = line.end()
-    return b"".join([*parts, data[done:]]) if parts or bare else None
+def triangulate(mesh: PolygonMesh) -> np.ndarray:
+    """Triangles (T,3) int64 in the order of the polygons; every corner must be the number of a vertex.
 
-
-def _off(data: bytes) -> bytes | None:
-    data = OFF_COMMENT.sub(b"", data) if b"#" in data else data
-    header, _, rest = data.partition(b"OFF")
-    lines = [line for line in rest.splitlines() if line.strip()]
-    vertex_count, face_count = (int(number) for number in lines[0].split()[:2])
-    end = 1 + vertex_count + face_count
-    faces_at = lines[1 + vertex_count : end]
-    if all(line.lstrip()[:2] in OFF_TRIANGLE for line in faces_at):
-        return None
-    rows = [line.split() for line in faces_at]
-    vertices = np.array([line.split()[:3] for line in lines[1 : 1 + vertex_count]]).astype(np.float64)
-    polygons = [np.array(row[1 : 1 + int(row[0])]).astype(np.int64) for row in rows]
-    if min(polygon.min() for polygon in polygons) < 0:
-        return None
-    # trimesh takes no more than four corners here, whatever their shape.
-    to_cut = {*find_wrong_fans(vertices, polygons), *(n for n, p in enumerate(polygons) if len(p) > 4)}
-    if not to_cut:
-        return None
-    faces: list[list[int]] = []
-    for number, polygon in enumerate(polygons):
-        triangles = cut(vertices[polygon]) if number in to_cut else [range(len(polygon))]
-        faces += [[int(polygon[corner]) for corner in triangle] for triangle in triangles]
-    text = [header + b"OFF", b"%d %d 0" % (vertex_count, len(faces)), *lines[1 : 1 + vertex_count]]
-    text += [b" ".join(b"%d" % number for number in (len(face), *face)) for face in faces]
-    return b"\n".join([*text, b""])
-
-
-def cut_ply(part: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Vertices (V,3) and faces (F,3) of a part that trimesh read from PLY; None if its own are right.
-
-    Its parser keeps the polygons as they are in the file, in `metadata`.
+    A polygon of K corners becomes K-2 triangles that use all of them, so that neighbours fit; one of fewer than three
+    corners has none.
     """
-    raw = part.metadata.get("_ply_raw")
-    if raw is None:
-        return None
-    polygons = _ply_polygons(raw["face"]["data"])
-    if polygons is None:
-        return None
-    vertices = np.column_stack([raw["vertex"]["data"][axis] for axis in "xyz"]).astype(np.float64)
-    if any(len(polygon) and (polygon.min() < 0 or polygon.max() >= len(vertices)) for polygon in polygons):
-        return None
-    wrong = find_wrong_fans(vertices, polygons)
-    if not wrong:
-        return None
-    faces = [polygon[cut(vertices[polygon])] for polygon in polygons if len(polygon) >= 3]
-    return vertices, np.concatenate(faces).astype(np.int64)
+    lengths = mesh.lengths
+    if (lengths == 3).all():
+        return mesh.corners.reshape(-1, 3)
+    starts = np.cumsum(lengths) - lengths
+    counts = np.maximum(lengths - 2, 0)
+    firsts = np.cumsum(counts) - counts
+    triangles = np.empty((int(counts.sum()), 3), np.int64)
+    for length in np.unique(lengths[lengths >= 3]).tolist():
+        own = np.flatnonzero(lengths == length)
+        polygons = mesh.corners[starts[own, None] + np.arange(length)]
+        steps = np.arange(1, length - 1)
+        cut = polygons[:, np.stack([0 * steps, steps, steps + 1], 1)]
+        if length > 3:
+            for number in np.flatnonzero(wrong_fans(mesh.vertices, polygons)).tolist():
+                cut[number] = polygons[number][clip_ears(mesh.vertices[polygons[number]])]
+        triangles[firsts[own, None] + np.arange(length - 2)] = cut
+    return triangles
 
 
-def _ply_polygons(data: Any) -> Any:
-    """Rows of corners, of one length or of several; None if all are triangles."""
-    names = list(data) if isinstance(data, dict) else list(data.dtype.names)
-    name = next((name for name in PLY_NAMES if name in names), names[0])
-    rows = data[name] if isinstance(data, dict) else data[name]["f1"]
-    return None if rows.ndim == 2 and rows.shape[1] == 3 else [np.asarray(row, np.int64).ravel() for row in rows]
+def wrong_fans(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
+    """Mask (M,) of the polygons (M,K) of vertices (V,3) that a fan from the first corner would not fill rightly.
+
+    A fan is right if all of its triangles face the way of the polygon: for every convex polygon, and some others.
+    """
+    corners = vertices[polygons]
+    spokes = corners[:, 1:] - corners[:, :1]
+    triangles = np.cross(spokes[:, :-1], spokes[:, 1:])
+    # Newell's normal, as long as twice the area.
+    normal = triangles.sum(1)
+    along = np.einsum("mkd,md->mk", triangles, normal)
+    return (along < -FAN_ROUNDING * (normal**2).sum(1, keepdims=True)).any(1)
+
+
+def clip_ears(corners: np.ndarray) -> np.ndarray:
+    """The K-2 triangles (K-2,3) of a polygon with corners (K,3) in order, concave or not, which face as it does.
+
+    The work is done in the plane of Newell's normal. A polygon that cuts itself there has no right triangles; it
+    becomes a fan.
+    """
+    import mapbox_earcut
+
+    count = len(corners)
+    steps = np.arange(1, count - 1)
+    fan = np.stack([0 * steps, steps, steps + 1], 1)
+    if not wrong_fans(corners, np.arange(count)[None]).any():
+        return fan
+    flat = _in_plane(corners)
+    found = mapbox_earcut.triangulate_float64(flat, np.array([count], np.uint32)).reshape(-1, 3).astype(np.int64)
+    size = _doubled_areas(flat, fan).sum()
+    areas = _doubled_areas(flat, found)
+    # The polygon runs counterclockwise in its plane; ear clipping promises no direction.
+    if areas.sum() < 0:
+        found, areas = found[:, ::-1], -areas
+    filled = len(found) == count - 2 and abs(np.abs(areas).sum() - size) <= FAN_ROUNDING * size
+    return found if filled else fan
+
+
+def _in_plane(corners: np.ndarray) -> np.ndarray:
+    """Coordinates (K,2) in which the polygon runs counterclockwise."""
+    spokes = corners[1:] - corners[0]
+    normal = np.cross(spokes[:-1], spokes[1:]).sum(0)
+    normal = normal / np.linalg.norm(normal)
+    right = np.cross(np.eye(3)[np.abs(normal).argmin()], normal)
+    right /= np.linalg.norm(right)
+    at = corners - corners[0]
+    return np.stack([at @ right, at @ np.cross(normal, right)], 1)
+
+
+def _doubled_areas(flat: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Twice the signed areas (T,) of triangles (T,3) of points (K,2), positive if counterclockwise."""
+    a, b, c = np.moveaxis(flat[triangles], 1, 0)
+    to_b, to_c = b - a, c - a
+    return to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0]

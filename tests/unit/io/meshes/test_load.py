@@ -10,7 +10,7 @@ from sdm.core.demo_mesh import demo_mesh
 from sdm.errors import FormatError, MeshError
 from sdm.inspect import inspect_mesh
 from sdm.io import load_mesh, mesh_files
-from sdm.io.meshes.load import write_ply
+from sdm.io.meshes.write import write_ply
 
 BOX = trimesh.creation.box((1, 2, 3))
 

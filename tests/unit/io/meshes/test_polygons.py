@@ -12,7 +12,7 @@ import sdm
 from sdm.errors import MeshError
 from sdm.inspect import inspect_mesh
 from sdm.io import load_mesh
-from sdm.io.meshes.ear_clipping import cut
+from sdm.io.meshes.polygons import clip_ears
 
 U = [(0, 0), (3, 0), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
 
@@ -146,9 +146,9 @@ def test_convex_polygons_stay_fans(ending, tmp_path):
     assert mesh.faces.tolist() == [[0, n, n + 1] for n in range(1, 5)]
 
 
-def area(corners: np.ndarray, triangles: list) -> tuple[float, float]:
+def area(corners: np.ndarray, triangles: np.ndarray) -> tuple[float, float]:
     """The sum of the triangles' areas, and the size of the sum of their area vectors."""
-    a, b, c = np.moveaxis(corners[np.array(triangles)], 1, 0)
+    a, b, c = np.moveaxis(corners[triangles], 1, 0)
     vectors = np.cross(b - a, c - a) / 2
     return float(np.linalg.norm(vectors, axis=1).sum()), float(np.linalg.norm(vectors.sum(0)))
 
@@ -164,7 +164,7 @@ def test_random_stars_in_any_plane(seed):
     # A gap of half a turn or more between two corners can make a star cut itself.
     if np.diff([*angle, angle[0] + 2 * np.pi]).max() > 3:
         return
-    triangles = cut(corners)
+    triangles = clip_ears(corners)
     assert sorted({corner for t in triangles for corner in t}) == list(range(count))
     total, net = area(corners, triangles)
     assert len(triangles) == count - 2
@@ -175,13 +175,13 @@ def test_corners_on_a_line_and_a_hole_with_a_bridge():
     ring = [(0, 0), (2, 0), (4, 0), (4, 4), (3, 4), (0, 4), (0, 0), (1, 1), (1, 3), (2, 3), (3, 3), (3, 1), (1, 1)]
     for first in range(len(ring)):
         corners = np.array([(*p, 0.0) for p in ring[first:] + ring[:first]])
-        total, net = area(corners, cut(corners))
+        total, net = area(corners, clip_ears(corners))
         assert (total, net) == (pytest.approx(12), pytest.approx(12))
 
 
 def test_a_polygon_that_cuts_itself_is_a_fan():
     corners = np.array([(0, 0, 0), (2, 2, 0), (2, 0, 0), (0, 3, 0), (-1, 1, 0.5)], float)
-    assert cut(corners) == [(0, 1, 2), (0, 2, 3), (0, 3, 4)]
+    assert clip_ears(corners).tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4]]
 
 
 @pytest.mark.parametrize(

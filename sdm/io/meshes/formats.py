@@ -1,0 +1,71 @@
+"""The formats of mesh files, by the end of the file's name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from sdm.errors import MeshError
+from sdm.io.meshes.obj import read_obj
+from sdm.io.meshes.off import read_off
+from sdm.io.meshes.ply import read_ply
+from sdm.io.meshes.polygons import PolygonMesh
+from sdm.io.meshes.stl import read_stl
+
+# Readers of our own: from the bytes of a file and its path, for messages, to its polygons.
+READERS: dict[str, Callable[[bytes, Path], PolygonMesh]] = {
+    "stl": read_stl,
+    "stl_ascii": read_stl,
+    "ply": read_ply,
+    "obj": read_obj,
+    "off": read_off,
+}
+# Formats that trimesh reads, with the module that each needs; all of those are in the extra `formats`.
+TRIMESH = {"glb": "", "gltf": "", "dae": "collada", "zae": "collada", "3mf": "lxml", "3dxml": "lxml", "xaml": "lxml"}
+# Archives of meshes, unpacked first.
+ARCHIVES = ("zip", "tar.gz", "tar.bz2", "bz2")
+# Drawings and points: they have no triangles, but trimesh says so more kindly than we could.
+DRAWINGS = ("dxf", "xyz")
+# The endings that messages name first.
+USUAL = ("stl", "ply", "obj", "off", "glb", "gltf")
+
+
+def known_endings() -> list[str]:
+    """The endings of every format, the usual ones first."""
+    return [*USUAL, *sorted({*READERS, *TRIMESH, *ARCHIVES, *DRAWINGS} - {*USUAL})]
+
+
+def mesh_endings() -> tuple[str, ...]:
+    """The endings, with their dots, of the files that are taken for meshes in a folder."""
+    return tuple(f".{ending}" for ending in (*READERS, *TRIMESH) if _is_installed(ending))
+
+
+def ending_of(path: Path) -> str:
+    """The ending of a mesh file's name, without its dot and in small letters.
+
+    Raises:
+        MeshError: It is not known, or its reader is not installed.
+    """
+    name = path.name.lower()
+    # The longer one of .bz2 and .tar.bz2.
+    fitting = [ending for ending in known_endings() if name.endswith(f".{ending}")]
+    found = max(fitting, key=len, default=None) or _of_plugins(name)
+    if found is None:
+        ending = f"ending {path.suffix}" if path.suffix else "name without an ending"
+        raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join(known_endings())}")
+    if not _is_installed(found):
+        raise MeshError(f"{path} needs {TRIMESH[found]} to be read: pip install 'warp-sdm[formats]'")
+    return found
+
+
+def _is_installed(ending: str) -> bool:
+    module = TRIMESH.get(ending)
+    return not module or find_spec(module) is not None
+
+
+def _of_plugins(name: str) -> str | None:
+    """The ending, if trimesh has a reader for it through a package that this project does not ask for."""
+    import trimesh
+
+    return next((ending for ending in trimesh.available_formats() if name.endswith(f".{ending}")), None)

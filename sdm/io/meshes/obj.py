@@ -1,0 +1,64 @@
+"""OBJ files: the vertices and faces; what they look like is passed over."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sdm.errors import MeshError
+from sdm.io.meshes.damage import require_coordinates
+from sdm.io.meshes.polygons import PolygonMesh
+from sdm.io.meshes.text_rows import as_bytes, as_integers, parse_rows
+
+# With the end of the line before, since a search for plain text is much faster than one for the begin of a line.
+VERTEX = re.compile(rb"\n[ \t]*v[ \t]([^\n#]*)")
+# `fo` is an older name of `f`.
+FACE = re.compile(rb"\n[ \t]*fo?(?!\S)([^\n#]*)")
+TEXTURE_AND_NORMAL = re.compile(rb"/\S*")
+
+
+def read_obj(data: bytes, path: Path) -> PolygonMesh:
+    """Vertices and polygons of an OBJ file, whatever its groups and materials.
+
+    Raises:
+        MeshError: A vertex of fewer than three coordinates, a face of fewer than three corners, or one that uses a
+            vertex that is not there.
+        ValueError: Something that should be a number is none.
+    """
+    text = b"\n" + as_bytes(data)
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\\" in text:
+        text = text.replace(b"\\\n", b" ")
+    points = parse_rows(VERTEX.findall(text))
+    require_coordinates(path, points.lengths)
+    lines = FACE.findall(text)
+    if b"/" in text:
+        lines = [TEXTURE_AND_NORMAL.sub(b"", line) for line in lines]
+    faces = parse_rows(lines)
+    if lines and faces.lengths.min() < 3:
+        face = int(faces.lengths.argmin())
+        raise MeshError(
+            f"{path} holds less than it says, it is cut off or damaged: face {face} of {len(lines)} has "
+            f"{int(faces.lengths[face])} corners"
+        )
+    corners = as_integers(faces.values)
+    if (corners == 0).any():
+        raise MeshError(f"a face of {path} uses vertex 0, but OBJ files number vertices from 1")
+    if (corners < 0).any():
+        corners = _count_forward(corners, faces.lengths, text)
+    wrong = (corners < 1) | (corners > len(points.starts))
+    if wrong.any():
+        number = int(as_integers(faces.values)[wrong][0])
+        raise MeshError(f"a face of {path} uses vertex {number}, which is not there: it has {len(points.starts)}")
+    return PolygonMesh(points.columns(3), faces.lengths, corners - 1)
+
+
+def _count_forward(corners: np.ndarray, lengths: np.ndarray, text: bytes) -> np.ndarray:
+    """Negative numbers of vertices, which count back from their face's line, counted from the first vertex instead."""
+    vertices = np.array([vertex.start() for vertex in VERTEX.finditer(text)])
+    faces = np.array([face.start() for face in FACE.finditer(text)])
+    above = np.repeat(np.searchsorted(vertices, faces), lengths)
+    return np.where(corners < 0, above + 1 + corners, corners)

@@ -1,0 +1,99 @@
+"""PLY files: vertices and faces, of text and binary ones of either byte order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sdm.errors import MeshError
+from sdm.io.meshes.damage import require_coordinates, require_corners, require_count
+from sdm.io.meshes.ply_binary import read_lists, read_values
+from sdm.io.meshes.ply_header import Element, PlyHeader, parse_header
+from sdm.io.meshes.polygons import PolygonMesh
+from sdm.io.meshes.text_rows import TextRows, as_integers, parse_rows, ragged_index
+
+NEEDED = ("vertex", "face")
+STRIPS = "tristrips"
+
+
+def read_ply(data: bytes, path: Path) -> PolygonMesh:
+    """Vertices and polygons of a PLY file; one without faces has none.
+
+    Raises:
+        MeshError: It holds less than its header says, or triangles as strips.
+        ValueError: It is damaged, or something else.
+    """
+    header = parse_header(data)
+    counts = {element.name: element.count for element in header.elements}
+    if counts.get(STRIPS):
+        raise MeshError(f"{path} has strips of triangles, which are not read: save it with faces")
+    if not counts.get("face"):
+        return PolygonMesh.of_triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    if "vertex" not in counts:
+        raise ValueError("it has faces and no vertices")
+    return _read_text(data, header, path) if header.ascii else _read_binary(data, header, path)
+
+
+def _read_binary(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
+    at, points, lengths, corners = header.end, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    left = set(NEEDED)
+    for element in header.elements:
+        if not left:
+            break
+        left.discard(element.name)
+        if element.name == "face":
+            lengths, corners, at = read_lists(data, at, element, element.corners(), path)
+        elif any(found.count_dtype for found in element.properties):
+            if element.name == "vertex":
+                raise ValueError("its vertices have lists")
+            at = read_lists(data, at, element, None, path)[2]
+        else:
+            values, at = read_values(data, at, element, path)
+            if element.name == "vertex":
+                points = np.column_stack([values[axis] for axis in "xyz"]).astype(np.float64)
+    return PolygonMesh(points, lengths, as_integers(corners))
+
+
+def _read_text(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
+    lines = [line for line in data[header.end :].splitlines() if line.strip()]
+    require_count(path, len(lines), sum(element.count for element in header.elements), "lines")
+    points, lengths, corners = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    begin = 0
+    for element in header.elements:
+        own = lines[begin : begin + element.count]
+        begin += element.count
+        if element.name == "vertex":
+            if any(found.count_dtype for found in element.properties):
+                raise ValueError("its vertices have lists")
+            rows = parse_rows(own)
+            names = [found.name for found in element.properties]
+            require_coordinates(path, rows.lengths, len(names))
+            points = rows.columns(len(names))[:, [names.index(axis) for axis in "xyz"]]
+        elif element.name == "face":
+            lengths, corners = _lists_of_text(parse_rows(own), element, path)
+    return PolygonMesh(points, lengths, corners)
+
+
+def _lists_of_text(rows: TextRows, element: Element, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths (F,) and entries of the faces' corners, from their lines."""
+    wanted = element.corners()
+    at, ends = rows.starts.copy(), rows.starts + rows.lengths
+    found = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    for kept in element.properties:
+        _require_row(path, at, ends, np.ones_like(at))
+        if not kept.count_dtype:
+            at += 1
+            continue
+        lengths = as_integers(rows.values[at])
+        if (lengths < 0).any():
+            raise ValueError("a face has a negative number of corners")
+        _require_row(path, at + 1, ends, lengths)
+        if kept.name == wanted:
+            found = lengths, as_integers(rows.values[ragged_index(at + 1, lengths)])
+        at += 1 + lengths
+    return found
+
+
+def _require_row(path: Path, at: np.ndarray, ends: np.ndarray, needed: np.ndarray) -> None:
+    require_corners(path, ends - at, needed)
