@@ -18,7 +18,7 @@ from sdm.bench.common.grids import cube_around
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.timing import median
 from sdm.bench.dense.job import Job, Ours, as_dict, recorded
-from sdm.engine.maps import slab_of
+from sdm.engine.ops import map_slab
 from sdm.kernels.dense import query as dense
 
 MESHES = ("rocker-arm", "nefertiti", "torus-1000000", "stanford-bunny")
@@ -81,7 +81,7 @@ def timed(job: Job, ours: Ours, grid: sdm.Grid) -> dict[str, float]:
 
     def query() -> Any:
         index = ours.index
-        return slab_of(ours.vertices[None], ours.faces, index._hierarchy, index._kind, grid, 0, grid.shape[0])[0]
+        return map_slab(ours.vertices[None], ours.faces, index._structure, grid, 0, grid.shape[0])[0]
 
     call = recorded(query)[0] if job.gpu else query
     call()

@@ -1,10 +1,12 @@
-"""The acceleration structure as torch tensors, so that torch's allocator and streams look after its memory."""
+"""The acceleration structure of a batch of meshes: a bounding volume hierarchy and what is searched with it."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -15,12 +17,11 @@ from sdm.errors import MeshError
 from sdm.kernels.bvh import tree, triangle_frames
 from sdm.kernels.bvh.build import build_tree
 from sdm.kernels.culling import normal_cones, voronoi_features
-from sdm.kernels.winding import dipole_tree
-from sdm.kernels.winding.boundary_term import Boundary, gather_boundary
-from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, SOUP, Winding
+from sdm.kernels.winding import dipole_tree, winding_number
+from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graph_branches import Join, kernels_beside
-from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, scratch_on
-from sdm.topology.boundary_edges import boundary_edges, loops, neighbours
+from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, set_array, workspace
+from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops, neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
 # number also than visiting them for a whole block of voxels.
@@ -30,34 +31,216 @@ MOST_FOR_BLOCKS = 8192
 FEWEST_FACES_AN_EDGE = 16
 
 
-def kind_of(edges: Tensor, faces: Tensor) -> int:
-    """How the sign of a mesh with these boundary edges and faces is found."""
-    count = edges.shape[0]
-    if count == 0:
-        return CLOSED
-    if count <= MOST_BOUNDARY_EDGES:
-        return OPEN
-    few = count <= MOST_FOR_BLOCKS and count * FEWEST_FACES_AN_EDGE <= faces.shape[0]
-    return MANY if few else SOUP
+class MeshKind(IntEnum):
+    """How winding numbers of a mesh are found; the numbers are the kernels'."""
+
+    CLOSED = winding_number.CLOSED
+    OPEN = winding_number.OPEN
+    MANY = winding_number.MANY
+    SOUP = winding_number.SOUP
+
+    @property
+    def visits_boundary(self) -> bool:
+        """Whether boundary edges are visited one by one."""
+        return self in (MeshKind.OPEN, MeshKind.MANY)
+
+    @property
+    def has_dipoles(self) -> bool:
+        """Whether there is a tree of dipoles."""
+        return self in (MeshKind.MANY, MeshKind.SOUP)
 
 
-def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[list[Tensor], int]:
-    """Build the hierarchy of a batch of meshes on their device.
+def kind_of(edges: int, faces: int) -> MeshKind:
+    """The kind of a mesh with so many boundary edges and faces."""
+    if edges == 0:
+        return MeshKind.CLOSED
+    if edges <= MOST_BOUNDARY_EDGES:
+        return MeshKind.OPEN
+    few = edges <= MOST_FOR_BLOCKS and edges * FEWEST_FACES_AN_EDGE <= faces
+    return MeshKind.MANY if few else MeshKind.SOUP
+
+
+class Sizes(NamedTuple):
+    """What the sizes of all arrays follow from."""
+
+    meshes: int
+    faces: int  # of each mesh
+    edges: int  # boundary edges of each mesh
+    kind: MeshKind
+
+    @property
+    def slots(self) -> int:
+        """Triangles of all meshes."""
+        return self.meshes * self.faces
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of all hierarchies."""
+        return self.meshes << (tree.depth_for(self.faces) + 1)
+
+    @property
+    def visited_edges(self) -> int:
+        """Boundary edges of all meshes, if they are visited."""
+        return self.meshes * self.edges if self.kind.visits_boundary else 0
+
+
+class Array(NamedTuple):
+    """One array of the structure."""
+
+    struct: str  # which of the kernels' structs it belongs to, see `KernelView`
+    name: str  # and its name there
+    dtype: Any  # Warp type of an element
+    length: Callable[[Sizes], int]  # number of elements, the same for each mesh
+
+
+ARRAYS = (
+    Array("tree", "corners", wp.vec3, lambda n: 4 * n.slots),
+    Array("tree", "lattice", wp.vec2i, lambda n: 3 * n.slots),
+    Array("tree", "face", wp.int32, lambda n: n.slots),
+    Array("tree", "boxes", wp.float32, lambda n: n.nodes * tree.BOX_FLOATS),
+    Array("tree", "frame", wp.float64, lambda n: n.meshes * tree.FRAME_SIZE),
+    Array("triangles", "frames", wp.float32, lambda n: n.slots * triangle_frames.FRAME_FLOATS),
+    Array("features", "rows", wp.float32, lambda n: n.slots * voronoi_features.FEATURE_FLOATS),
+    Array("features", "inverses", wp.float64, lambda n: n.slots * voronoi_features.INVERSES),
+    Array("features", "balls", wp.float32, lambda n: 4 * n.slots),
+    Array("cones", "triangles", wp.float32, lambda n: 4 * n.slots),
+    Array("cones", "nodes", wp.float32, lambda n: 4 * n.nodes),
+    Array("boundary", "ends", wp.vec3, lambda n: 2 * n.visited_edges),
+    Array("boundary", "lattice", wp.vec2i, lambda n: 2 * n.visited_edges),
+    Array("boundary", "apexes", wp.vec3, lambda n: n.visited_edges),
+    Array("winding", "moments", wp.float32, lambda n: n.nodes * dipole_tree.MOMENTS_SIZE if n.kind.has_dipoles else 0),
+)
+
+
+class KernelView(NamedTuple):
+    """The structure as kernels take it. Nobody may write into the structs."""
+
+    tree: Any  # `sdm.kernels.bvh.tree.Tree`
+    winding: Any  # `sdm.kernels.winding.winding_number.Winding`
+    frames: wp.array  # the triangles' frames
+    features: Any  # `sdm.kernels.culling.voronoi_features.Features`
+    cones: Any  # `sdm.kernels.culling.normal_cones.Cones`
+
+
+@dataclass(frozen=True, eq=False)
+class AccelerationStructure:
+    """The arrays of a batch of meshes that have the same number of faces, in torch's memory.
+
+    Args:
+        sizes: How many there are of everything.
+        memory: The tensor that all arrays are parts of, or one tensor for each of `ARRAYS`, in that order. They must
+            live until the last kernel that uses them is queued.
+        view: The arrays for kernels.
+        pieces: If they are parts of one tensor, the bytes of each, followed by those that nobody uses.
+
+    Torch operators take and give the structure as `tensors` and `sizes.kind`, see `from_tensors`.
+    """
+
+    sizes: Sizes
+    memory: tuple[Tensor, ...]
+    view: KernelView
+    pieces: tuple[int, ...] = ()
+
+    @classmethod
+    def empty(cls, sizes: Sizes, device: torch.device) -> AccelerationStructure:
+        """A structure without content: one allocation, and one tensor to tell of the streams that read it."""
+        nbytes, spans, pieces = _layout(sizes)
+        block = torch.empty(nbytes, dtype=torch.uint8, device=device)
+        base = block.data_ptr()
+        view = _view(sizes, [(base + offset, length) for offset, length in spans], device)
+        return cls(sizes, (block,), view, pieces)
+
+    @classmethod
+    def from_tensors(cls, tensors: Sequence[Tensor], kind: int, meshes: int) -> AccelerationStructure:
+        """The structure that was handed to an operator as `tensors` and its kind."""
+        spans = []
+        count = {}
+        for array, tensor in zip(ARRAYS, tensors, strict=True):
+            length = tensor.shape[0] // wp.types.type_size_in_bytes(array.dtype)
+            spans.append((tensor.data_ptr(), length))
+            count[array.struct, array.name] = length
+        faces, edges = count["tree", "face"] // meshes, count["boundary", "apexes"] // meshes
+        sizes = Sizes(meshes, faces, edges, MeshKind(kind))
+        return cls(sizes, tuple(tensors), _view(sizes, spans, tensors[0].device))
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """One tensor of bytes for each of `ARRAYS`, over the same memory."""
+        if not self.pieces:
+            return list(self.memory)
+        return list(self.memory[0].split(self.pieces)[::2])
+
+    @property
+    def kind(self) -> MeshKind:
+        """How winding numbers are found."""
+        return self.sizes.kind
+
+    @property
+    def device(self) -> torch.device:
+        """Where the arrays are."""
+        return self.memory[0].device
+
+    def of_mesh(self, mesh: int) -> AccelerationStructure:
+        """The structure of one mesh of the batch, over the same memory."""
+        return self.from_tensors(tensors_of_mesh(self.tensors, mesh, self.sizes.meshes), self.kind, 1)
+
+
+def tensors_of_mesh(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:
+    """The tensors of one mesh of a batch: slices, no copies."""
+    return [t[mesh * (t.shape[0] // meshes) : (mesh + 1) * (t.shape[0] // meshes)] for t in tensors]
+
+
+@lru_cache(maxsize=256)
+def _layout(sizes: Sizes) -> tuple[int, tuple[tuple[int, int], ...], tuple[int, ...]]:
+    """Bytes of all arrays together, of each its offset and number of elements, and the bytes and padding of each."""
+    end, spans, pieces = 0, [], []
+    for array in ARRAYS:
+        length = array.length(sizes)
+        nbytes = length * wp.types.type_size_in_bytes(array.dtype)
+        spans.append((end, length))
+        pieces += [nbytes, -nbytes % ALIGNMENT]
+        end += nbytes + -nbytes % ALIGNMENT
+    return end, tuple(spans), tuple(pieces)
+
+
+def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) -> KernelView:
+    """The kernels' view of arrays, each at an address and of a number of elements."""
+    winding = winding_number.Winding()
+    structs = {
+        "tree": tree.Tree(),
+        "features": voronoi_features.Features(),
+        "cones": normal_cones.Cones(),
+        "boundary": winding.boundary,
+        "winding": winding,
+    }
+    frames: Any = None
+    for array, (address, length) in zip(ARRAYS, spans, strict=True):
+        made = array_at(address, (length,), array.dtype, device)
+        if array.struct == "triangles":
+            frames = made
+        else:
+            set_array(structs[array.struct], array.name, made)
+    structs["tree"].count = sizes.faces
+    structs["tree"].depth = tree.depth_for(sizes.faces)
+    winding.boundary.count = sizes.edges if sizes.kind.visits_boundary else 0
+    winding.kind = int(sizes.kind)
+    return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
+
+
+def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> AccelerationStructure:
+    """Build the structure of a batch of meshes on their device.
 
     Args:
         vertices: (B,V,3) float32.
         faces: (F,3) int32, shared.
         edges: (E,2) int32 boundary edges, found here if None.
 
-    Returns:
-        The tensors that `unpack` understands, and the kind of mesh.
-
     Raises:
         MeshError: More triangles in all than the kernels can count.
     """
     check_count(vertices, faces)
     vertices, faces = vertices.contiguous(), faces.contiguous()
-    return build_known(vertices, faces, *surroundings(vertices, faces, edges))
+    return queue_build(vertices, faces, topology_for(vertices, faces, edges))
 
 
 def check_count(vertices: Tensor, faces: Tensor) -> None:
@@ -73,33 +256,34 @@ def check_count(vertices: Tensor, faces: Tensor) -> None:
         )
 
 
-def surroundings(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """What `build_known` wants to know about faces: neighbours, boundary edges and, of an open mesh, their loops."""
+def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
+    """The topology of a batch of meshes, with the loops of its boundary if `queue_build` looks at them."""
     if edges is None:
         edges = boundary_edges(vertices, faces)
-    around = loops(edges) if kind_of(edges, faces) in (OPEN, MANY) else edges
-    return neighbours(faces, vertices.shape[-2]), edges, around
+    around = loops(edges) if kind_of(edges.shape[0], faces.shape[0]).visits_boundary else edges
+    return MeshTopology(neighbours(faces, vertices.shape[-2]), edges, around)
 
 
-def build_known(
-    vertices: Tensor, faces: Tensor, shared: Tensor, edges: Tensor, around: Tensor, join: Join | None = None
-) -> tuple[list[Tensor], int]:
-    """`build` of contiguous tensors whose `surroundings` are known: queues kernels, and does nothing else.
+def queue_build(
+    vertices: Tensor, faces: Tensor, topology: MeshTopology, join: Join | None = None
+) -> AccelerationStructure:
+    """Queue the kernels of `build`, and do nothing else: `vertices` and `faces` are contiguous.
 
-    If they are found `beside` this, `join` is called before they are looked at.
+    If the topology is found on a branch of the graph that is being recorded, `join` is called before it is read.
     """
-    kind = kind_of(edges, faces)
-    meshes, count = vertices.shape[0], faces.shape[0]
-    tensors = _allocate(list(_sizes(meshes, count, edges.shape[0], kind).values()), vertices.device)
-    empty = scratch_on(vertices.device)
-    with on_current_stream(vertices, vertices, faces, edges, shared, around):
-        hierarchy, winding, local, pieces, facing = unpack(tensors, kind, meshes)
-        corners = as_warp(vertices, wp.vec3)
+    count, edges = faces.shape[0], topology.boundary.shape[0]
+    kind = kind_of(edges, count)
+    meshes, device = vertices.shape[0], vertices.device
+    structure = AccelerationStructure.empty(Sizes(meshes, count, edges, kind), device)
+    empty = workspace(device)
+    with on_current_stream(vertices, vertices, faces, *topology):
+        view = structure.view
+        corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
         normals = empty(4 * meshes * count, wp.float32)
         build_tree(
-            hierarchy,
+            view.tree,
             corners,
-            as_warp(faces, wp.int32),
+            triples,
             empty(6 * meshes, wp.float32),
             empty(2 * meshes * count, wp.int64),
             empty(2 * meshes * count, wp.int32),
@@ -107,97 +291,16 @@ def build_known(
         )
         if join is not None:
             join()
-        around_faces = as_warp(faces, wp.int32), as_warp(shared, wp.int32)
+        shared = as_warp(topology.neighbours, wp.int32)
         # None of these fills a GPU by itself.
         with kernels_beside(vertices) as join_parts:
-            voronoi_features.make_features(hierarchy, corners, normals, *around_faces, pieces)
-        triangle_frames.make_frames(hierarchy, local)
-        normal_cones.make_cones(hierarchy, normals, *around_faces, facing)
+            voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
+        triangle_frames.make_frames(view.tree, view.frames)
+        normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
         join_parts()
-        if kind in (OPEN, MANY):
-            gather_boundary(winding.boundary, hierarchy, corners, as_warp(edges, wp.int32), as_warp(around, wp.int32))
-        if kind in (MANY, SOUP):
-            dipole_tree.build_moments(hierarchy, winding.moments, meshes)
-    return tensors, kind
-
-
-def _sizes(meshes: int, count: int, edges: int, kind: int) -> dict[str, int]:
-    """Bytes of each array of a hierarchy, in the order of its tensors: what `_views` looks at."""
-    slots = meshes * count
-    arrays = tree.sizes(meshes, count)
-    sizes = {name: math.prod(shape) * wp.types.type_size_in_bytes(dtype) for name, (shape, dtype) in arrays.items()}
-    sizes["local"] = 4 * slots * triangle_frames.FRAME_FLOATS
-    sizes["rows"] = 4 * slots * voronoi_features.FEATURE_FLOATS
-    sizes["inverses"] = 8 * slots * voronoi_features.INVERSES
-    sizes["balls"] = 4 * slots * 4
-    sizes["cones"] = 4 * slots * 4
-    sizes["node_cones"] = 4 * (meshes << (tree.depth_for(count) + 3))
-    ends = 2 * meshes * edges if kind in (OPEN, MANY) else 0
-    sizes["ends"] = 4 * ends * 3
-    sizes["ends_lattice"] = 4 * ends * 2
-    sizes["apexes"] = 4 * ends // 2 * 3
-    nodes = arrays["boxes"][0][0] // tree.BOX_FLOATS if kind in (MANY, SOUP) else 0
-    sizes["moments"] = 4 * nodes * dipole_tree.MOMENTS_SIZE
-    return sizes
-
-
-def _allocate(sizes: list[int], device: torch.device) -> list[Tensor]:
-    """Bytes of these sizes, parts of one block: one allocation, and one to tell of the streams that read it."""
-    padded = []
-    for size in sizes:
-        padded += [size, -size % ALIGNMENT]
-    return list(torch.empty(sum(padded), dtype=torch.uint8, device=device).split(padded)[::2])
-
-
-def unpack(tensors: list[Tensor], kind: int, meshes: int) -> tuple[Any, Any, wp.array, Any, Any]:
-    """The kernels' view of what `build` made: a `Tree`, a `Winding`, the triangles' frames, `Features` and `Cones`.
-
-    Nobody may write into what is returned, as the next call may return the same. As for `as_warp`, the tensors must
-    live until the last kernel is queued.
-    """
-    at = tuple([(tensor.data_ptr(), tensor.shape[0]) for tensor in tensors])
-    return _views(at, kind, meshes, tensors[0].device)
-
-
-@lru_cache(maxsize=64)
-def _views(
-    at: tuple[tuple[int, int], ...], kind: int, meshes: int, device: torch.device
-) -> tuple[Any, Any, wp.array, Any, Any]:
-    # A function of addresses and sizes alone, as `array_at` is.
-    left = iter(at)
-
-    def array(dtype: Any) -> wp.array:
-        address, size = next(left)
-        return array_at(address, (size // wp.types.type_size_in_bytes(dtype),), dtype, device)
-
-    hierarchy = tree.Tree()
-    hierarchy.corners = array(wp.vec3)
-    hierarchy.lattice = array(wp.vec2i)
-    hierarchy.face = array(wp.int32)
-    hierarchy.boxes = array(wp.float32)
-    hierarchy.frame = array(wp.float64)
-    hierarchy.count = hierarchy.face.shape[0] // meshes
-    hierarchy.depth = tree.depth_for(hierarchy.count)
-    local = array(wp.float32)
-    pieces = voronoi_features.Features()
-    pieces.rows = array(wp.float32)
-    pieces.inverses = array(wp.float64)
-    pieces.balls = array(wp.float32)
-    facing = normal_cones.Cones()
-    facing.triangles = array(wp.float32)
-    facing.nodes = array(wp.float32)
-    boundary = Boundary()
-    boundary.ends = array(wp.vec3)
-    boundary.lattice = array(wp.vec2i)
-    boundary.apexes = array(wp.vec3)
-    boundary.count = boundary.apexes.shape[0] // meshes
-    winding = Winding()
-    winding.boundary = boundary
-    winding.moments = array(wp.float32)
-    winding.kind = kind
-    return hierarchy, winding, local, pieces, facing
-
-
-def one_of(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tensor]:
-    """The hierarchy of one mesh of a batch: slices, no copies."""
-    return [t[mesh * (t.shape[0] // meshes) : (mesh + 1) * (t.shape[0] // meshes)] for t in tensors]
+        if kind.visits_boundary:
+            boundary, loops = as_warp(topology.boundary, wp.int32), as_warp(topology.loops, wp.int32)
+            gather_boundary(view.winding.boundary, view.tree, corners, boundary, loops)
+        if kind.has_dipoles:
+            dipole_tree.build_moments(view.tree, view.winding.moments, meshes)
+    return structure

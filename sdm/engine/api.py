@@ -14,9 +14,9 @@ from sdm.core.device import choose_device, room_for
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
-from sdm.engine import ops  # noqa: F401 - registers the operators
-from sdm.engine.acceleration import build
-from sdm.engine.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, put_together, slab_of, slabs_of
+from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, put_together, slabs_of
+from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
 from sdm.errors import MeshError
 from sdm.inspect import orient_outward
 from sdm.topology.boundary_edges import boundary_edges
@@ -67,7 +67,7 @@ class MeshIndex:
         self._build()
 
     def _build(self) -> None:
-        self._hierarchy, self._kind = build(self.mesh.vertices.detach()[None], self.mesh.faces, self._edges)
+        self._structure = build(self.mesh.vertices.detach()[None], self.mesh.faces, self._edges)
 
     @property
     def closed(self) -> bool:
@@ -97,7 +97,7 @@ class MeshIndex:
     def signed_distance(self, points: Any, *, return_closest: Literal[True]) -> tuple[Tensor, Closest]: ...
     def signed_distance(self, points: Any, *, return_closest: bool = False) -> Tensor | tuple[Tensor, Closest]:
         """As `sdm.signed_distance`, on this index."""
-        return _at_points(self.mesh, points, return_closest, self._hierarchy, self._kind)
+        return _at_points(self.mesh, points, return_closest, self._structure)
 
     def distances_in(self, cube: Sequence[float], points: Tensor) -> Tensor:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.
@@ -108,8 +108,7 @@ class MeshIndex:
                 division by eights keeps apart, this is faster than in the mesh's box: no group has points of two.
             points: Anywhere; the values are those of `signed_distance` wherever they are.
         """
-        mesh = self.mesh
-        return torch.ops.sdm.distance(mesh.vertices, mesh.faces, points, self._hierarchy, self._kind, cube)
+        return points_distance(self.mesh.vertices, self.mesh.faces, points, self._structure, cube)
 
     def winding_number(self, points: Any) -> Tensor:
         """Generalised winding number of the mesh about points (...,3): (...) float32, more than 0.5 inside.
@@ -118,9 +117,7 @@ class MeshIndex:
         within 4e-4 near 0.25, 0.5 and 0.75, and elsewhere on the right side of them.
         """
         at = _as_points(points, self.device)
-        values = torch.ops.sdm.winding_number(
-            self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._hierarchy, self._kind
-        )
+        values = points_winding(self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._structure)
         return values.reshape(at.shape[:-1])
 
     def signed_distance_map(self, grid: Grid) -> SDM:
@@ -159,7 +156,7 @@ class MeshIndex:
             yield begin, end, values[0]
 
     def _slab(self, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
-        return slab_of(self.mesh.vertices[None], self.mesh.faces, self._hierarchy, self._kind, grid, begin, end)
+        return map_slab(self.mesh.vertices[None], self.mesh.faces, self._structure, grid, begin, end)
 
 
 def signed_distance_map(
@@ -228,7 +225,7 @@ def signed_distance(
     """
     _refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
-    return _at_points(mesh.to(where), points, return_closest, [], 0)
+    return _at_points(mesh.to(where), points, return_closest, None)
 
 
 def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str | torch.device | None = None) -> Tensor:
@@ -277,13 +274,13 @@ def _refuse_forward_mode(tensor: Tensor) -> None:
 
 
 def _at_points(
-    mesh: TriangleMesh, points: Any, return_closest: bool, hierarchy: list[Tensor], kind: int
+    mesh: TriangleMesh, points: Any, return_closest: bool, structure: AccelerationStructure | None
 ) -> Tensor | tuple[Tensor, Closest]:
     at = _as_points(points, mesh.device)
     shape, at = at.shape[:-1], at.reshape(-1, 3)
     if not return_closest and not (at.requires_grad or mesh.vertices.requires_grad):
-        return torch.ops.sdm.distance(mesh.vertices, mesh.faces, at, hierarchy, kind).reshape(shape)
-    values, point, face, barycentric = torch.ops.sdm.closest(mesh.vertices, mesh.faces, at, hierarchy, kind)
+        return points_distance(mesh.vertices, mesh.faces, at, structure).reshape(shape)
+    values, point, face, barycentric = points_closest(mesh.vertices, mesh.faces, at, structure)
     values = values.reshape(shape)
     if not return_closest:
         return values

@@ -17,13 +17,15 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine import ops
-from sdm.engine.acceleration import build, build_known, check_count, surroundings
+from sdm.engine.acceleration import build, check_count, queue_build, topology_for
+from sdm.engine.ops import map_slab
 from sdm.errors import GridError
 from sdm.kernels.dense.cost_model import THINNEST_SLAB
 from sdm.runtime import cuda_graphs
 from sdm.runtime.captured_call import Work
 from sdm.runtime.graph_branches import Join, beside
 from sdm.topology.boundary_edges import (
+    MeshTopology,
     guess,
     is_known,
     leaves_none_over,
@@ -74,17 +76,6 @@ def put_together(slabs: Iterable[tuple[int, int, Tensor]], layers: int) -> Tenso
     return whole
 
 
-def slab_of(
-    vertices: Tensor, faces: Tensor, hierarchy: list[Tensor], kind: int, grid: Grid, begin: int, end: int
-) -> tuple[Tensor, Tensor]:
-    """Layers of a grid's maps (B,end-begin,ny,nz), and how many voxels are ambiguous (B,)."""
-    shape = [end - begin, grid.shape[1], grid.shape[2]]
-    direction = [x for row in grid.direction for x in row]
-    return torch.ops.sdm.distance_map(
-        vertices, faces, hierarchy, kind, list(grid.origin), list(grid.spacing), shape, begin, direction
-    )
-
-
 def is_replayable(vertices: Tensor, grid: Grid, meshes: int = 1) -> bool:
     """Whether maps of these vertices may be recorded and replayed."""
     return meshes * grid.nbytes <= LARGEST_RECORDED and cuda_graphs.serves(vertices)
@@ -103,13 +94,13 @@ def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor 
             remember_closed(faces, count, found[1])
             return found[0][0], None
         return found[0][0], found[1]
-    around = surroundings(vertices, faces)
-    remember_open(faces, count, around[1])
+    topology = topology_for(vertices, faces)
+    remember_open(faces, count, topology.boundary)
     kind, work = _guessed(faces, count, grid)
     if work is _closed_map and not leaves_none_over(faces, count):
         values, ambiguous = _maps(vertices[None], faces, grid, None)
         return values[0], ambiguous
-    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *around)
+    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *topology)
     cuda_graphs.note(kind, partial(work, grid), (vertices, faces))
     return made[0][0], made[1] if len(made) > 1 else None
 
@@ -129,19 +120,19 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     most = max(1, LARGEST_SLAB // _thinnest(grid))
     if vertices.shape[0] > most:
         return torch.cat([batch_maps(some, faces, grid, edges) for some in vertices.split(most)])
-    hierarchy, kind = build(vertices.detach(), faces, edges)
+    structure = build(vertices.detach(), faces, edges)
     slabs = slabs_of(grid, LARGEST_SLAB // vertices.shape[0])
     return put_together(
-        ((begin, end, slab_of(vertices, faces, hierarchy, kind, grid, begin, end)[0]) for begin, end in slabs),
+        ((begin, end, map_slab(vertices, faces, structure, grid, begin, end)[0]) for begin, end in slabs),
         grid.shape[0],
     )
 
 
 def _maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> tuple[Tensor, Tensor | None]:
     """Replayable maps (B,nx,ny,nz), and how many voxels are ambiguous (B,), None for closed meshes."""
-    shared, edges, around = surroundings(vertices, faces, edges)
-    kind = "known", vertices.shape, faces.shape[0], edges.shape[0], grid, ops.DENSE_METHOD
-    inputs = vertices, faces, shared, edges, around
+    topology = topology_for(vertices, faces, edges)
+    kind = "known", vertices.shape, faces.shape[0], topology.boundary.shape[0], grid, ops.DENSE_METHOD
+    inputs = vertices, faces, *topology
     found = cuda_graphs.replayed(kind, inputs)
     if found is None:
         work = partial(_known_maps, grid)
@@ -160,8 +151,8 @@ def _known_maps(
     around: Tensor,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    hierarchy, kind = build_known(vertices, faces, shared, edges, around, join)
-    found = slab_of(vertices, faces, hierarchy, kind, grid, 0, grid.shape[0])
+    structure = queue_build(vertices, faces, MeshTopology(shared, edges, around), join)
+    found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
     return found if edges.shape[0] else found[:1]
 
 

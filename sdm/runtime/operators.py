@@ -12,7 +12,9 @@ from functools import wraps
 from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 from torch.library import Library
+from torch.utils._python_dispatch import _get_current_dispatch_mode
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -45,6 +47,23 @@ def define(name: str, fake: Callable[..., Any]) -> Callable[[F], F]:
 def differentiate(name: str, backward: Callable[..., Any], setup_context: Callable[..., None]) -> None:
     """Give the operator `sdm::<name>` a gradient, as `torch.library.register_autograd` does."""
     torch.library.register_autograd(f"sdm::{name}", backward, setup_context=setup_context, lib=_LIBRARY)
+
+
+def is_eager(*tensors: Tensor) -> bool:
+    """Whether nobody watches what happens to these tensors: no gradients, no compiler, no transform, no mode.
+
+    Then an operator's implementation may be called directly.
+    """
+    if torch.compiler.is_compiling() or _get_current_dispatch_mode() is not None:
+        return False
+    if torch._C._functorch.maybe_current_level() is not None:
+        return False
+    gradients = torch.is_grad_enabled()
+    for tensor in tensors:
+        # Subclasses only look like tensors.
+        if type(tensor) not in (Tensor, torch.nn.Parameter) or (gradients and tensor.requires_grad):
+            return False
+    return True
 
 
 def _hidden_from_compilers(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 from sdm.errors import MeshError
 from sdm.kernels.topology import boundary_loops
 from sdm.kernels.topology.edge_pairing import REMARKS, gather_ends, pair_edges
-from sdm.runtime.torch_warp import as_warp, on_current_stream, scratch_on, version_of
+from sdm.runtime.torch_warp import as_warp, on_current_stream, version_of, workspace
 from sdm.topology.joining import join_on_device, join_on_host, loops_on_host
 
 # Up to this many edges left over, and this many in all meshes, are joined on the host: on a GPU each of the many small
@@ -33,6 +33,20 @@ _seen_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _seen_host: WeakIdKeyDictionary = WeakIdKeyDictionary()
 # By numbers of faces and vertices.
 _last_open: OrderedDict[tuple[int, int], tuple[int, int]] = OrderedDict()
+
+
+class MeshTopology(NamedTuple):
+    """What a mesh's faces say about how they meet, all int32.
+
+    Args:
+        neighbours: (F,4), see `neighbours`.
+        boundary: (E,2), see `boundary_edges`.
+        loops: (E,), see `loops`; any tensor where nobody looks at it.
+    """
+
+    neighbours: Tensor
+    boundary: Tensor
+    loops: Tensor
 
 
 @dataclass
@@ -186,7 +200,7 @@ def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
             as_warp(remarks, wp.int32),
             as_warp(left_over, wp.int32),
             as_warp(shared, wp.int32),
-            scratch_on(faces.device),
+            workspace(faces.device),
         )
     return remarks, left_over, shared
 
@@ -213,7 +227,7 @@ def queue_joining(
             as_warp(bounds, wp.int32),
             as_warp(around, wp.int32),
             as_warp(remarks, wp.int32),
-            scratch_on(device),
+            workspace(device),
         )
     return remarks, bounds, around
 

@@ -13,9 +13,10 @@ import warp as wp
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.engine.acceleration import as_warp, build, scratch_on, unpack
+from sdm.engine.acceleration import as_warp, build
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.winding.column_sums import slab_winding
+from sdm.runtime.torch_warp import workspace
 from tests.helpers import oracle
 
 CPU = torch.device("cpu")
@@ -25,13 +26,13 @@ TIE = 1e-6
 
 def on_slab(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, begin: int = 0) -> np.ndarray:
     """What the kernels put down as winding numbers of meshes (B,V,3) from layer `begin` on."""
-    tensors, kind = build(torch.from_numpy(np.ascontiguousarray(vertices)), torch.from_numpy(faces))
-    tree, winding, *_ = unpack(tensors, kind, len(vertices))
+    structure = build(torch.from_numpy(np.ascontiguousarray(vertices)), torch.from_numpy(faces))
+    tree, winding, *_ = structure.view
     slab = Slab()
     slab.origin, slab.spacing = wp.vec3d(*grid.origin), wp.vec3d(*grid.spacing)
     slab.shape, slab.first = wp.vec3i(grid.shape[0] - begin, *grid.shape[1:]), begin
     values = torch.empty((len(vertices), grid.shape[0] - begin, *grid.shape[1:]))
-    slab_winding(tree, winding, slab, as_warp(values, wp.float32), scratch_on(CPU))
+    slab_winding(tree, winding, slab, as_warp(values, wp.float32), workspace(CPU))
     return values.numpy()
 
 

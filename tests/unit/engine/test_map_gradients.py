@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.ops
+import sdm.engine.gradients
 from sdm.bench.common.meshes import load_case, sphere, torus
 
 GRID = sdm.Grid([-1.1, -1.0, -0.9], [0.31, 0.43, 0.37], [7, 5, 6])
@@ -31,7 +31,7 @@ def weights():
 @pytest.mark.parametrize("name", ["torus", "open hemisphere", "random soup"])
 def test_map(monkeypatch, weights, name, chunk):
     """Looked up in one go, or a few layers at a time."""
-    monkeypatch.setattr(sdm.engine.ops, "BACKWARD_CHUNK", chunk)
+    monkeypatch.setattr(sdm.engine.gradients, "BACKWARD_CHUNK", chunk)
     case = load_case(name)
     leaf = torch.tensor(case.vertices, requires_grad=True)
     field = sdm.signed_distance_map(sdm.TriangleMesh(leaf, case.faces), GRID, device="cpu")

@@ -16,8 +16,10 @@ def _inputs(prebuilt: bool, gradients: bool, missing: int, meshes: int = 1) -> t
     vertices, faces = sphere(4)
     batch = torch.tensor(vertices).repeat(meshes, 1, 1)
     index = torch.tensor(faces[missing:].copy())
-    tensors, kind = build(batch, index) if prebuilt else ([], 0)
-    return batch.requires_grad_(gradients), index, tensors, kind
+    if not prebuilt:
+        return batch.requires_grad_(gradients), index, [], 0
+    structure = build(batch, index)
+    return batch.requires_grad_(gradients), index, structure.tensors, int(structure.kind)
 
 
 @pytest.fixture(params=[(False, False, 0), (True, False, 0), (True, True, 0), (False, True, 3), (True, True, 3)])

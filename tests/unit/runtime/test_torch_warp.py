@@ -15,7 +15,7 @@ import warp as wp
 import sdm
 from sdm.bench.common.meshes import cube, sphere
 from sdm.kernels.launch import launch
-from sdm.runtime.torch_warp import as_warp, scratch_on
+from sdm.runtime.torch_warp import array_at, as_warp, set_array, workspace
 
 
 @wp.kernel
@@ -85,7 +85,7 @@ def test_what_is_no_such_array(tensor, dtype):
 
 
 def test_scratch_arrays_share_no_byte():
-    empty = scratch_on(torch.device("cpu"))
+    empty = workspace(torch.device("cpu"))
     sizes = [1, 1000, 0, 7, 1 << 16, (1 << 16) + 1, 3, 1 << 16, 1 << 16, 1 << 16, 5, 1 << 20, 2]
     arrays = [empty(size, wp.int32) for size in sizes]
     for number, array in enumerate(arrays):
@@ -120,10 +120,50 @@ def test_a_hierarchy_is_let_go_with_its_index():
     index = sdm.MeshIndex(sdm.TriangleMesh(*cube()), "cpu")
     index.signed_distance(np.zeros((3, 3), np.float32))
     index.signed_distance_map(sdm.Grid([0, 0, 0], [0.5] * 3, [4, 4, 4]))
-    block = weakref.ref(index._hierarchy[0].untyped_storage())
-    assert index._hierarchy[0].untyped_storage().data_ptr() == index._hierarchy[-1].untyped_storage().data_ptr()
-    tensors = [weakref.ref(tensor) for tensor in index._hierarchy]
-    del index
+    held = index._structure.tensors
+    block = weakref.ref(held[0].untyped_storage())
+    assert held[0].untyped_storage().data_ptr() == held[-1].untyped_storage().data_ptr()
+    tensors = [weakref.ref(tensor) for tensor in held]
+    del index, held
     gc.collect()
     assert block() is None
     assert all(tensor() is None for tensor in tensors)
+
+
+@wp.struct
+class _Inner:
+    vectors: wp.array(dtype=wp.vec3)
+
+
+@wp.struct
+class _Outer:
+    inner: _Inner
+    numbers: wp.array(dtype=wp.float64)
+
+
+@pytest.mark.parametrize(("shape", "dtype"), [((7,), wp.vec3), ((0,), wp.int32), ((2, 5, 3, 4), wp.float32)])
+def test_an_array_is_the_one_that_warp_makes(shape, dtype):
+    memory = torch.zeros(4096, dtype=torch.uint8)
+    made = array_at(memory.data_ptr(), shape, dtype, memory.device)
+    expected = wp.array(ptr=memory.data_ptr(), dtype=dtype, shape=shape, device="cpu", copy=False)
+    assert bytes(made.__ctype__()) == bytes(expected.__ctype__())
+    without = {"ctype"}
+    assert {k: v for k, v in vars(made).items() if k not in without} == {
+        k: v for k, v in vars(expected).items() if k not in without
+    }
+    # What one array is told is not told of the next.
+    made.mark_read()
+    assert not array_at(memory.data_ptr(), shape, dtype, memory.device)._is_read
+
+
+def test_a_struct_is_the_one_that_warp_fills():
+    memory = torch.zeros(4096, dtype=torch.uint8)
+    vectors = array_at(memory.data_ptr(), (3,), wp.vec3, memory.device)
+    numbers = array_at(memory.data_ptr() + 512, (9,), wp.float64, memory.device)
+    made, expected = _Outer(), _Outer()
+    set_array(made.inner, "vectors", vectors)
+    set_array(made, "numbers", numbers)
+    expected.inner.vectors, expected.numbers = vectors, numbers
+    assert bytes(made.__ctype__()) == bytes(expected.__ctype__())
+    assert made.inner.vectors is vectors
+    assert made.numbers is numbers

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 
 from sdm.bench.common.meshes import sphere
-from sdm.engine.acceleration import build, unpack
+from sdm.engine.acceleration import build
 from sdm.kernels.bvh.tree import Tree, node_box
 from sdm.kernels.culling.normal_cones import LEVELS, MOST_AROUND, Cones, cone_misses, merged
 from sdm.kernels.geometry.voxel_box import VoxelBox
@@ -101,9 +101,9 @@ class Built:
 
 def built(vertices: np.ndarray, faces: np.ndarray) -> Built:
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
-    tensors, kind = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
-    tree, _winding, _frames, features, cones = unpack(tensors, kind, 1)
-    return Built(vertices, faces, tree, features, cones, tensors)
+    structure = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
+    tree, _winding, _frames, features, cones = structure.view
+    return Built(vertices, faces, tree, features, cones, structure)
 
 
 def sheet(count: int, z: Any, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:

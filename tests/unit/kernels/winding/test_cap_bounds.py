@@ -8,7 +8,7 @@ import pytest
 import torch
 import warp as wp
 
-from sdm.engine.acceleration import build, unpack
+from sdm.engine.acceleration import build
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.winding import winding_number
 from sdm.kernels.winding.boundary_term import Boundary
@@ -60,9 +60,9 @@ def fan(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def caps_of(vertices: np.ndarray, faces: np.ndarray):
-    tensors, kind = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
-    assert kind == winding_number.OPEN
-    return tensors, unpack(tensors, kind, 1)[1].boundary
+    structure = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
+    assert structure.kind == winding_number.OPEN
+    return structure, structure.view.winding.boundary
 
 
 def exact_share(boundary: Boundary, at: np.ndarray) -> np.ndarray:
