@@ -100,7 +100,7 @@ def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor 
     if work is _closed_map and not leaves_none_over(faces, count):
         values, ambiguous = _maps(vertices[None], faces, grid, None)
         return values[0], ambiguous
-    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *topology)
+    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *tuple(topology)[:3])
     cuda_graphs.note(kind, partial(work, grid), (vertices, faces))
     return made[0][0], made[1] if len(made) > 1 else None
 

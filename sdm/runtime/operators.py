@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch._C._functorch import maybe_current_level
 from torch.library import Library
 from torch.utils._python_dispatch import _get_current_dispatch_mode
 
@@ -56,7 +57,7 @@ def is_eager(*tensors: Tensor) -> bool:
     """
     if torch.compiler.is_compiling() or _get_current_dispatch_mode() is not None:
         return False
-    if torch._C._functorch.maybe_current_level() is not None:
+    if maybe_current_level() is not None:
         return False
     gradients = torch.is_grad_enabled()
     for tensor in tensors:

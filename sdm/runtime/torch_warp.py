@@ -66,7 +66,7 @@ def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
 
 
 @lru_cache(maxsize=256)
-def _prototype(dtype: Any, dimensions: int, device: torch.device) -> tuple[dict[str, Any], type, int]:
+def _prototype(dtype: Any, dimensions: int, device: torch.device) -> tuple[dict[str, Any], Any, int]:
     """The attributes of such an array, the type of its descriptor, and the bytes of an element."""
     array = wp.array(ptr=1, dtype=dtype, shape=(1,) * dimensions, device=wp.device_from_torch(device), copy=False)
     return vars(array), type(array.__ctype__()), wp.types.type_size_in_bytes(dtype)
