@@ -100,7 +100,7 @@ def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor 
     if work is _closed_map and not leaves_none_over(faces, count):
         values, ambiguous = _maps(vertices[None], faces, grid, None)
         return values[0], ambiguous
-    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *tuple(topology)[:3])
+    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *topology)
     cuda_graphs.note(kind, partial(work, grid), (vertices, faces))
     return made[0][0], made[1] if len(made) > 1 else None
 
@@ -149,6 +149,7 @@ def _known_maps(
     shared: Tensor,
     edges: Tensor,
     around: Tensor,
+    *,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
     structure = queue_build(vertices, faces, MeshTopology(shared, edges, around), join)
@@ -164,7 +165,7 @@ def _closed_map(grid: Grid, say: cuda_graphs.Say, vertices: Tensor, faces: Tenso
     # The kernels after this trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, vertices.shape[0] - 1)
     none = faces.new_empty((0, 2))
-    return _known_maps(grid, say, vertices[None], within, shared, none, none, join)[0], shared
+    return _known_maps(grid, say, vertices[None], within, shared, none, none, join=join)[0], shared
 
 
 def _open_map(
@@ -181,5 +182,5 @@ def _open_map(
         say(remarks)
         # As above.
         edges = bounds.clamp(0, last)
-    values, ambiguous = _known_maps(grid, say, vertices[None], faces.clamp(0, last), shared, edges, around, join)
+    values, ambiguous = _known_maps(grid, say, vertices[None], faces.clamp(0, last), shared, edges, around, join=join)
     return values, ambiguous
