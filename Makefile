@@ -4,6 +4,8 @@
 
 VENV ?= .venv
 BIN := $(VENV)/bin
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell $(name) -c '$(SUPPORTED)' 2>/dev/null && echo $(name))))
 PIP_ARGS ?=
 ARGS ?=
 RECORDS ?= bench/results
@@ -52,8 +54,16 @@ clean: ## Remove what the targets made
 	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 	find sdm kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
+# Debian and Ubuntu keep ensurepip in the package python3-venv; where it is missing, the system's own pip fills the folder.
 $(VENV)/.made:
-	@sh tools/make_venv.sh "$(VENV)" "$(PYTHON)"
+	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUPPORTED)' || \
+	{ echo "Python 3.11, 3.12 or 3.13 is needed: install one, or name it with PYTHON=/path/to/python3" >&2; exit 1; }
+	@echo "Making $(VENV) with $$($(PYTHON) --version)"
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || \
+	{ rm -rf $(VENV) && $(PYTHON) -m venv --without-pip $(VENV) && \
+	$(PYTHON) -m pip --quiet --disable-pip-version-check --python $(BIN)/python install pip; } || \
+	{ rm -rf $(VENV); echo "$(PYTHON) can make no environment: install venv for it (on Debian: apt install python3-venv)" >&2; exit 1; }
 	@touch $@
 
 $(VENV)/.installed: $(VENV)/.made pyproject.toml constraints.txt

@@ -8,7 +8,7 @@ import platform
 import subprocess
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from sdm.bench.common.checkout import checkout
 
 
 def describe(device: str, packages: tuple[str, ...] = ("warp-lang", "torch", "numpy")) -> dict[str, object]:
@@ -81,14 +81,18 @@ def commit() -> str:
     """The checkout's commit, with `+` if tracked files differ from it; SDM_COMMIT where git cannot know it."""
     if "SDM_COMMIT" in os.environ:
         return os.environ["SDM_COMMIT"]
+    root = checkout()
+    if root is None:
+        # An installed copy may lie inside another project's checkout.
+        return "unknown"
     try:
-        head = _git("rev-parse", "--short=12", "HEAD").strip()
-        changed = _git("status", "--porcelain", "--untracked-files=no", "--", "sdm", "kernels", "bench")
+        head = _git(root, "rev-parse", "--short=12", "HEAD").strip()
+        changed = _git(root, "status", "--porcelain", "--untracked-files=no", "--", "sdm", "kernels", "bench")
         changed = [line for line in changed.splitlines() if "bench/results/" not in line]
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return head + ("+" if changed else "")
 
 
-def _git(*words: str) -> str:
-    return subprocess.run(["git", "-C", str(ROOT), *words], check=True, capture_output=True, text=True).stdout
+def _git(root: Path, *words: str) -> str:
+    return subprocess.run(["git", "-C", str(root), *words], check=True, capture_output=True, text=True).stdout

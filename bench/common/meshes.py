@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from sdm.bench.common import degenerate_meshes as nasty
+from sdm.bench.common.checkout import data_folder
 from sdm.bench.common.mesh_formulas import Arrays, cube, hemisphere, inverted, joined, moebius, moved, sphere, torus
 
-__all__ = ["Case", "cube", "data_folder", "generated_names", "load_case", "missing_note", "names", "sphere", "torus"]
+__all__ = ["Case", "cube", "generated_names", "load_case", "missing_note", "names", "sphere", "torus"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,6 @@ _REAL = {
     "soup": "soup",
 }
 SCALA = "scala tympani"
-
-
-def data_folder() -> Path:
-    """Where the real meshes are: the environment variable SDM_DATA, else `../shared/data` beside the checkout."""
-    return Path(os.environ.get("SDM_DATA") or Path(__file__).resolve().parents[2] / ".." / "shared" / "data")
 
 
 def generated_names() -> list[str]:

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -35,6 +34,7 @@ from typing import Any
 
 import torch
 
+from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe, device_name
 from sdm.bench.deepsdf import beside_surrogate as fitting
@@ -259,7 +259,7 @@ def arguments() -> argparse.Namespace:
         command = commands.add_parser(name)
         command.add_argument("shapes", choices=("cochlea", "atria"))
         command.add_argument("--out", type=Path, required=True, help="folder of the run")
-        command.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+        command.add_argument("--data", type=Path, default=data_folder())
         command.add_argument("--cache", type=Path, help="file that keeps the surfaces of the atria")
         command.add_argument("--device", default="auto")
         command.add_argument("--budget-s", type=float, help="seconds of training, or after which no part begins")
@@ -288,7 +288,7 @@ def arguments() -> argparse.Namespace:
         command.add_argument("--size", type=int, default=192, help="pixels of a picture")
     command = commands.add_parser("report")
     command.add_argument("runs", nargs="+", type=Path)
-    command.add_argument("--to", type=Path, default=Path("bench/results"))
+    command.add_argument("--to", type=Path, default=results_folder())
     return parser.parse_args()
 
 

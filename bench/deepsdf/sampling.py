@@ -20,6 +20,7 @@ from typing import Any
 
 import torch
 
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.common.oracle import Brute
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--triangles", type=int, default=6_000)
     parser.add_argument("--budget-s", type=float, default=60.0, help="of each timing, about")
     parser.add_argument("--no-compile", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("bench/results/sampling.json"))
+    parser.add_argument("--out", type=Path, default=results_folder() / "sampling.json")
     options = parser.parse_args()
     device, gpu = options.device, options.device.startswith("cuda")
     start = time.perf_counter()

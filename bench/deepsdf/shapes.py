@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
+from sdm.bench.common.checkout import data_folder
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import label_surface
 from sdm.errors import FormatError
@@ -125,7 +126,7 @@ class _Folder:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+    parser.add_argument("--data", type=Path, default=data_folder())
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     with _Folder(options.data) as folder:

@@ -23,10 +23,11 @@ import numpy as np
 
 import sdm
 from sdm.bench.common import query_points as sampling
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.correctness import LIMIT, Tally, compare, rounding
 from sdm.bench.common.grids import cube_around, turned_around
 from sdm.bench.common.json_file import put, write
-from sdm.bench.common.machine import ROOT, describe
+from sdm.bench.common.machine import describe
 from sdm.bench.common.markdown import accuracy_markdown
 from sdm.bench.common.meshes import Case, load_case, missing_note, names
 from sdm.bench.common.oracle import Brute
@@ -177,7 +178,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     options.points = options.points or (1_000_000 if gpu else 20_000)
     options.resolution = options.resolution or (128 if gpu else 64)
     options.meshes = options.meshes or [*names(), *([MILLION] if gpu else [])]
-    options.out = options.out or ROOT / "bench" / "results" / f"accuracy-{options.device.split(':')[0]}.json"
+    options.out = options.out or results_folder() / f"accuracy-{options.device.split(':')[0]}.json"
     return options
 
 

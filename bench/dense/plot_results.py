@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sdm import FormatError, SDMError
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.markdown import machine_line
 from sdm.bench.dense import compare_plots as peers
 from sdm.bench.dense import plots as dense
@@ -56,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "python -m sdm.bench.dense.plot_results", description=(__doc__ or "").split("\n", maxsplit=1)[0]
     )
     parser.add_argument("results", nargs="+", type=Path, help="JSON files of sdm.bench.dense or sdm bench")
-    parser.add_argument("--out", type=Path, default=Path("bench/results/plots"), help="folder for the pictures")
+    parser.add_argument("--out", type=Path, default=results_folder() / "plots", help="folder for the pictures")
     options = parser.parse_args(argv)
     try:
         for path in options.results:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sdm.bench.common.checkout import docs_folder
 from sdm.bench.common.figure import STYLE
 from sdm.bench.dense import stages
 from sdm.io.files.atomic import replacing
@@ -26,7 +27,6 @@ PIXELS = 96
 # The normal of the cut: nearly along the spiral's axis, so that the tube is met lengthwise and across.
 PLANE = (0.45, 0.15, 1.0)
 KEPT, PASSED, PICKED = "#c2341d", "#e8a33d", "#1f5a96"
-OUT = Path(__file__).resolve().parents[2] / "docs" / "stages.png"
 
 
 def outline() -> np.ndarray:
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         "python -m sdm.bench.dense.stages_figure", description=(__doc__ or "").split("\n")[0]
     )
-    parser.add_argument("--out", type=Path, default=OUT, help="PNG file to write")
+    parser.add_argument("--out", type=Path, default=docs_folder() / "stages.png", help="PNG file to write")
     draw(parser.parse_args(argv).out)
     return 0
 

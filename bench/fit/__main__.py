@@ -17,12 +17,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from sdm.bench.common.checkout import docs_folder, results_folder
 from sdm.bench.fit.cases import cases
 from sdm.bench.fit.coverage import coverage
 from sdm.bench.fit.pictures import pictures
 from sdm.bench.fit.real import real
-
-RESULTS = Path(__file__).parents[1] / "results"
 
 
 def main() -> None:
@@ -31,7 +30,7 @@ def main() -> None:
     studies = parser.add_subparsers(dest="study", required=True)
     each = {name: studies.add_parser(name) for name in ("cases", "coverage", "real", "pictures")}
     for name, study in each.items():
-        study.add_argument("--out", type=Path, default=RESULTS / f"fit-{name}.json", help="results, JSON")
+        study.add_argument("--out", type=Path, default=results_folder() / f"fit-{name}.json", help="results, JSON")
         study.add_argument("--device", default="cpu", help="cpu, cuda or cuda:N, for our own backends")
     for name in ("cases", "coverage", "real"):
         each[name].add_argument("--weights", type=Path, default=None, help="a surrogate's; the shipped ones by default")
@@ -47,7 +46,7 @@ def main() -> None:
     each["coverage"].add_argument("--workers", type=int, default=1, help="processes, one thread each")
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
     each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
-    each["pictures"].add_argument("--docs", type=Path, default=Path("docs"))
+    each["pictures"].add_argument("--docs", type=Path, default=docs_folder())
     options = parser.parse_args()
     {"cases": cases, "coverage": coverage, "real": real, "pictures": pictures}[options.study](options)
 

@@ -14,7 +14,6 @@ import importlib
 import importlib.metadata
 import itertools
 import json
-import os
 import platform
 import time
 from pathlib import Path
@@ -26,6 +25,7 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.json_file import write
 from sdm.shapes import Cochlea
 
@@ -41,9 +41,9 @@ DAMPING = 0.02
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(os.environ.get("SDM_DATA", "../shared/data")))
+    parser.add_argument("--data", type=Path, default=data_folder())
     parser.add_argument("--samples", type=int, default=1000, help="random shapes to check besides the 16 corners")
-    parser.add_argument("--out", type=Path, default=Path("bench/results/cochlea_fit.json"))
+    parser.add_argument("--out", type=Path, default=results_folder() / "cochlea_fit.json")
     options = parser.parse_args()
     family = Cochlea()
     result = {

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sdm import SDMError
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.figure import sheet
 from sdm.bench.fit.real import real_mesh, scan
 from sdm.bench.fit.tools import backends_by_name, case, fit_case, truth_backend
@@ -16,8 +17,6 @@ from sdm.viz.fit_figure import draw_fit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-RESULTS = Path(__file__).parents[1] / "results"
 
 
 def pictures(options: argparse.Namespace) -> None:
@@ -35,8 +34,9 @@ def pictures(options: argparse.Namespace) -> None:
         result = fit_case(image, "0.2", backends)
         title = "The mean human scala tympani, scanned at 0.2 mm"
         draw_fit(image.values, image.grid, backends[0], result, options.docs / "fit-real.png", title=title)
-    if (RESULTS / "fit-coverage.json").is_file():
-        _coverage(json.loads((RESULTS / "fit-coverage.json").read_text()), options.docs / "fit-coverage.png")
+    record = results_folder() / "fit-coverage.json"
+    if record.is_file():
+        _coverage(json.loads(record.read_text()), options.docs / "fit-coverage.png")
 
 
 def _coverage(record: dict, path: Path) -> None:

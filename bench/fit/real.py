@@ -7,7 +7,6 @@ four parameters and a pose describe it through a scanner, not how well they desc
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import torch
 
 from sdm import Grid, MeshIndex, SDMError, TriangleMesh, load_mesh
+from sdm.bench.common.checkout import data_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.tools import backends_by_name, fit_case
@@ -56,7 +56,7 @@ def real_mesh(data: Path | None) -> TriangleMesh:
     Raises:
         SDMError: The data are not there.
     """
-    folder = Path(os.environ.get("SDM_DATA", "../shared/data")) if data is None else data
+    folder = data_folder() if data is None else data
     path = folder / "scala_tympani" / "scala_tympani_mean.ply"
     if not path.is_file():
         raise SDMError(f"there is no {path}: name the folder of test data with --data or SDM_DATA")

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-from sdm.bench.common.machine import ROOT
+from sdm.bench.common.checkout import checkout
 from sdm.errors import SDMError
 
 
@@ -23,7 +23,7 @@ def run(command: Sequence[str], name: str, resolution: int, timeout_s: float) ->
     try:
         return subprocess.run(
             [*command, sys.executable, "-m", "sdm.bench.gpu.map_work", name, str(resolution)],
-            cwd=ROOT,
+            cwd=checkout(),
             check=False,
             capture_output=True,
             text=True,

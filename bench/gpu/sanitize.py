@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sdm.bench.common.checkout import checkout
 from sdm.bench.common.json_file import write
-from sdm.bench.common.machine import ROOT, describe
+from sdm.bench.common.machine import describe
 from sdm.errors import DeviceError, SDMError
 
 TOOLS = ("memcheck", "racecheck")
@@ -53,7 +54,7 @@ def check(tool: str, program: str, resolution: int, timeout_s: float) -> dict[st
     try:
         done = subprocess.run(
             [*command, sys.executable, *WORK, str(resolution)],
-            cwd=ROOT,
+            cwd=checkout(),
             check=False,
             env=environment,
             capture_output=True,
@@ -102,7 +103,7 @@ def _run(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if not torch.cuda.is_available():
         raise DeviceError("compute-sanitizer watches a GPU, and no CUDA device is there")
     program = find_tool("compute-sanitizer")
-    plain = subprocess.run([sys.executable, *WORK, str(options.resolution)], cwd=ROOT, check=False)
+    plain = subprocess.run([sys.executable, *WORK, str(options.resolution)], cwd=checkout(), check=False)
     if plain.returncode:
         raise SDMError(f"the work fails without the tools already (exit code {plain.returncode}): mend that first")
     results: dict[str, dict[str, Any]] = {}

@@ -24,7 +24,6 @@ prediction counts as a failure; the learning rate follows one schedule; there ar
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from dataclasses import replace
 from functools import partial
@@ -33,6 +32,7 @@ from typing import Any
 
 import torch
 
+from sdm.bench.common.checkout import data_folder
 from sdm.bench.common.machine import describe
 from sdm.bench.segmentation.ensemble_tables import ensembles_tables, mixtures_tables
 from sdm.bench.segmentation.ensembles import (
@@ -153,8 +153,7 @@ def average(todo: list[Job], options: argparse.Namespace, end: float, on: list[s
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("run", "ensemble", "table"))
-    data = Path(os.environ.get("SDM_DATA") or "../shared/data") / "la"
-    parser.add_argument("--data", type=Path, default=data)
+    parser.add_argument("--data", type=Path, default=data_folder() / "la")
     parser.add_argument("--logs", type=Path, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
     parser.add_argument("--keep", type=Path, default=None, help="folder for the networks, METHOD-SEED.pt")

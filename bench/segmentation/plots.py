@@ -7,6 +7,7 @@ import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sdm.bench.common.checkout import docs_folder
 from sdm.bench.common.figure import COLOURS, OURS, drawing
 from sdm.bench.segmentation import juhl, ma
 from sdm.bench.segmentation.gpu_jobs import read_logs
@@ -36,7 +37,7 @@ def main() -> None:
     parser.add_argument("--ma", type=Path, default=ma.LOGS)
     parser.add_argument("--juhl", type=Path, default=juhl.LOGS)
     parser.add_argument("--whole", type=Path, default=WHOLE)
-    parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument("--out", type=Path, default=docs_folder())
     options = parser.parse_args()
     if logs := read_logs(options.juhl):
         draw_shapes(logs, options.out / "segmentation-shapes.png")

@@ -31,6 +31,7 @@ from typing import Any
 import torch
 import torch.distributed as dist
 
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.stream.loader import loader
@@ -61,7 +62,7 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=tuple(PARTS), default=list(USUAL))
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--budget-s", type=float, help="be through in about this time, leaving out what does not fit")
-    parser.add_argument("--out", type=Path, default=Path("bench/results/stream.json"))
+    parser.add_argument("--out", type=Path, default=results_folder() / "stream.json")
     options = parser.parse_args()
     deadline = None if options.budget_s is None else time.monotonic() + options.budget_s
     several = int(os.environ.get("WORLD_SIZE", "1")) > 1

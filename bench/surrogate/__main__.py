@@ -24,6 +24,7 @@ from typing import Any
 
 import torch
 
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.surrogate.accuracy import accuracy
@@ -50,7 +51,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     kind = options.device.split(":")[0]
-    out = options.out or Path(f"bench/results/surrogate-{kind}.json")
+    out = options.out or results_folder() / f"surrogate-{kind}.json"
     report: dict[str, Any] = json.loads(out.read_text()) if out.is_file() else {}
     options.deadline = time.perf_counter() + options.budget_s
     for name in options.parts:

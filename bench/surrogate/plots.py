@@ -7,9 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from sdm.bench.common.checkout import docs_folder, results_folder
 from sdm.bench.common.figure import COLOURS, OURS, drawing, log_axes, plain_ticks
 
-RESULTS = Path("bench/results")
 MEASURES = (
     ("mae_mm", "everywhere", "#9db7d1"),
     ("mae_near_mm", "within 0.5 mm of the surface", COLOURS["Warp winding number"]),
@@ -20,9 +20,9 @@ NETWORK, ENGINE, LIBRARY = COLOURS[OURS], "#e39a8c", "#9a9a9a"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--accuracy", type=Path, default=RESULTS / "surrogate-cpu.json")
-    parser.add_argument("--timing", type=Path, default=RESULTS / "surrogate-cpu.json")
-    parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument("--accuracy", type=Path, default=results_folder() / "surrogate-cpu.json")
+    parser.add_argument("--timing", type=Path, default=results_folder() / "surrogate-cpu.json")
+    parser.add_argument("--out", type=Path, default=docs_folder())
     options = parser.parse_args()
     if options.accuracy.is_file():
         draw_accuracy(json.loads(options.accuracy.read_text())["accuracy"], options.out / "surrogate-accuracy.png")

@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sdm.bench.common.checkout import results_folder, within_checkout
 from sdm.bench.common.json_file import put, write
 from sdm.bench.surrogate.accuracy import COLUMNS
 from sdm.io.files.atomic import replacing
@@ -26,7 +27,7 @@ LARGEST_MB = 8.0
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("weights", type=Path, help="NAME.safetensors, with NAME.json beside it")
-    parser.add_argument("--results", type=Path, default=Path("bench/results/surrogate-cuda.json"))
+    parser.add_argument("--results", type=Path, default=results_folder() / "surrogate-cuda.json")
     parser.add_argument("--to", type=Path, default=WEIGHTS, help="folder of the package's weights")
     options = parser.parse_args()
     measured = json.loads(options.results.read_text())["accuracy"]
@@ -58,6 +59,7 @@ def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Pat
     errors, training = facts["errors"], facts["training"]
     box = "\n".join(f"| {name} | {low:g} | {high:g} | {unit} |" for name, low, high, unit in facts["parameters"])
     before = f"It went on from weights of {made_by(facts['started_from'])}.\n" if "started_from" in facts else ""
+    source = within_checkout(results)
     lines = "\n".join(f"| {label} | {errors[key]:.4f} |" for key, label in COLUMNS.items())
     return f"""# Model card: {facts["model"]}
 
@@ -79,7 +81,7 @@ the exact engine (`sdm predict --exact`), which the surrogate imitates.
 On the fixed validation set `{facts["validation"]}` (uniform shapes that no training has, and
 the corners of the box), against exact maps; lengths in mm, "near" is within 0.5 mm of the surface. Means over
 shapes; "max" and "worst" over all.
-The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{results}`).
+The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{source}`).
 
 | measure | value |
 | --- | ---: |
