@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from sdm.bench.segmentation.ensembles import seeds_of
-from sdm.bench.segmentation.gpu_jobs import groups_of, is_mixed, read_ensembles, read_logs
+from sdm.bench.segmentation.log_file import LogFile, groups_of, is_mixed
 from sdm.bench.segmentation.trials import Logs, by_case, differs, means, settings_of
 from sdm.segmentation import METHODS
 
@@ -16,33 +15,33 @@ from sdm.segmentation import METHODS
 Found = tuple[str, dict[str, Any], Logs]
 
 
-def ensembles_tables(folders: Mapping[str, Path], moved: str | None = None) -> str:
+def ensembles_tables(files: Mapping[str, LogFile], moved: str | None = None) -> str:
     """A row for each ensemble of one protocol beside the mean over its seeds' trainings, then its cases.
 
     Empty if there are none. An empty prediction counts as a distance of `FAILED`. A mean is missing where the log of
     one of its trainings is. If there is a case `moved`, the means without it follow.
     """
     found = [
-        (name, log, _trainings(log, folder))
-        for name, folder in folders.items()
-        for log in _ordered(folder)
+        (name, log, _trainings(log, file))
+        for name, file in files.items()
+        for log in _ordered(file)
         if not is_mixed(log)
     ]
     return _tables(found, moved)
 
 
-def mixtures_tables(folders: Mapping[str, Path], main: Logs, moved: str | None = None) -> str:
+def mixtures_tables(files: Mapping[str, LogFile], main: Logs, moved: str | None = None) -> str:
     """What the protocols are that ensembles mix, less those of `main`; then as `ensembles_tables`, of these ensembles.
 
-    The log of a training may be in any of the folders: it is known by its settings and seed. Of one that was done
+    The log of a training may be in any of the files: it is known by its settings and seed. Of one that was done
     more than once it is the first.
     """
-    logs = [(name, log) for name, folder in folders.items() for log in _ordered(folder) if is_mixed(log)]
+    logs = [(name, log) for name, file in files.items() for log in _ordered(file) if is_mixed(log)]
     if not logs:
         return ""
     known: dict[str, dict[str, Any]] = {}
-    for folder in folders.values():
-        for one in read_logs(folder) if folder.is_dir() else []:
+    for file in files.values():
+        for one in file.trainings():
             known.setdefault(_key(settings_of(one)), one)
     told = dict.fromkeys(f"- {name}: {_protocols(log, main)}" for name, log in logs)
     return "\n".join([*told, "", _tables([(name, log, _of_networks(log, known)) for name, log in logs], moved)])
@@ -97,17 +96,16 @@ def _tables(found: Sequence[Found], moved: str | None) -> str:
     return "\n".join(lines)
 
 
-def _ordered(folder: Path) -> Logs:
+def _ordered(file: LogFile) -> Logs:
     order = list(METHODS)
-    found = read_ensembles(folder) if folder.is_dir() else []
-    return sorted(found, key=lambda log: order.index(log["job"]["settings"]["method"]))
+    return sorted(file.ensembles(), key=lambda log: order.index(log["job"]["settings"]["method"]))
 
 
-def _trainings(log: Mapping[str, Any], folder: Path) -> Logs:
+def _trainings(log: Mapping[str, Any], file: LogFile) -> Logs:
     """Those of an ensemble's seeds; none unless all are there."""
     method, seeds = log["job"]["settings"]["method"], log["job"]["seeds"]
     names = {f"{method}-{seed}" for seed in seeds}
-    own = [one for one in read_logs(folder) if one["job"]["name"] in names]
+    own = [one for one in file.trainings() if one["job"]["name"] in names]
     return own if len(own) == len(seeds) else []
 
 

@@ -1,6 +1,6 @@
 """Ensembles of Ma's rows: the mean over a method's seeds, of networks that their trainings kept.
 
-A training keeps its network as METHOD-SEED.pt; the scores of their mean are METHOD-ensemble.json beside the logs.
+A training keeps its network as METHOD-SEED.pt; the log of their mean is METHOD-ensemble, beside those of the trainings.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from sdm.bench.common.machine import describe
-from sdm.bench.segmentation.gpu_jobs import Job, groups_of, read_ensembles
+from sdm.bench.segmentation.log_file import Job, LogFile, groups_of
 from sdm.segmentation import METHODS, Case, Settings, cell, check_cases, load_model, load_settings, read_cases
 from sdm.segmentation import validate_ensemble as validate
 
@@ -69,7 +69,7 @@ def as_ensemble(own: Sequence[Job], keep: Path) -> Job:
     }
 
 
-def ensemble_jobs(listed: Sequence[Job], keep: Path, logs: Path, *, complete: bool = False) -> list[Job]:
+def ensemble_jobs(listed: Sequence[Job], keep: Path, logs: LogFile, *, complete: bool = False) -> list[Job]:
     """An ensemble for each method of which two or more trainings, if `complete` all that are listed, kept a network.
 
     Those whose log has these seeds, or some that are not kept any more, are left out: they are done.
@@ -83,10 +83,9 @@ def ensemble_jobs(listed: Sequence[Job], keep: Path, logs: Path, *, complete: bo
     return not_done(found, logs)
 
 
-def not_done(jobs: Sequence[Job], logs: Path) -> list[Job]:
+def not_done(jobs: Sequence[Job], logs: LogFile) -> list[Job]:
     """Ensembles without those whose log has their seeds, or some that are not kept any more."""
-    found = read_ensembles(logs) if logs.is_dir() else []
-    known = {log["job"]["name"]: _seeds(log["job"]) for log in found}
+    known = {log["job"]["name"]: _seeds(log["job"]) for log in logs.ensembles()}
     return [job for job in jobs if _seeds(job) > known.get(job["name"], set())]
 
 
@@ -109,7 +108,7 @@ def by_method(listed: Sequence[Job]) -> dict[str, list[Job]]:
     return found
 
 
-def ensemble_after(job: Job, *, listed: Sequence[Job], keep: Path, logs: Path) -> Job | None:
+def ensemble_after(job: Job, *, listed: Sequence[Job], keep: Path, logs: LogFile) -> Job | None:
     """The ensemble of a method, once its last training is done."""
     own = [other for other in listed if other["settings"]["method"] == job["settings"]["method"]]
     return next(iter(ensemble_jobs(own, keep, logs, complete=True)), None)

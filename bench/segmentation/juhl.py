@@ -26,13 +26,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.machine import describe
-from sdm.bench.segmentation.gpu_jobs import Job, devices, read_logs, run_jobs
+from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
 from sdm.bench.segmentation.juhl_shapes import TARGETS, Shape, ShapeBatches, shapes
+from sdm.bench.segmentation.log_file import Job, LogFile, log_file
 from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
 from sdm.segmentation import Settings, cell, scores_of, table, train
 
-LOGS = Path(__file__).parents[1] / "results" / "segmentation_juhl"
+LOGS = LogFile(results_folder() / "segmentation_juhl.jsonl")
 COLUMNS = ("dice", "contour_dice", "average_surface_distance_mm", "rms_surface_distance_mm")
 # Network -> its target; None: the label.
 NETWORKS: dict[str, str | None] = {"pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
@@ -66,7 +68,7 @@ def main() -> None:
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("run", "table"))
-    parser.add_argument("--logs", type=Path, default=LOGS)
+    parser.add_argument("--logs", type=log_file, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-juhl"), help="unfinished trainings")
     parser.add_argument("--budget-s", type=float, default=3600.0)
     parser.add_argument("--gpus", type=int, default=None, help="default: all")
@@ -191,11 +193,11 @@ def score(prediction: Tensor, truth: Tensor) -> dict[str, float | bool]:
     return scores_of(prediction[inner], truth[inner], (1.0, 1.0, 1.0))
 
 
-def table_of(logs: Path) -> str:
+def table_of(logs: LogFile) -> str:
     """A row for each network and way to enlarge; its cases are those of all seeds."""
     rows: dict[str, list[dict[str, Any]]] = {}
     seeds: dict[str, int] = {}
-    for log in read_logs(logs):
+    for log in logs.trainings():
         for way in ("nearest", "linear"):
             name = f"{log['job']['network']} {way}"
             rows.setdefault(name, []).extend(log[way])

@@ -4,16 +4,17 @@
     python -m sdm.bench.segmentation.ma table                                # the table from the logs
     python -m sdm.bench.segmentation.ma run --data DIR/la --keep FOLDER --ensemble  # and each row's mean over seeds
     python -m sdm.bench.segmentation.ma ensemble --data DIR/la --keep FOLDER        # that alone, of kept networks
-    python -m sdm.bench.segmentation.ma ensemble --data DIR/la --keep FINE --beside COARSE --logs MIXED  # and others
+    python -m sdm.bench.segmentation.ma ensemble --data DIR/la --keep FINE --beside COARSE --logs M.jsonl  # and others
 
 J. Ma et al., "How distance transform maps boost segmentation CNNs: an empirical study", MIDL 2020. DIR/la has `train`
 and `val` with HDF5 files (data sets image, label). Every row has the same network, patches, optimiser, schedule and
 number of steps; nothing is chosen by the validation cases but what is said in the log's settings. Distances are in
 voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
-An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble.json. Its
+An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble. Its
 networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say. What is
 not said is as in the table that is kept in bench/results. With --beside the networks of a row in other folders, whose
-settings may be others (voxels four times as large), are averaged with those in --keep; the logs need their own folder.
+settings may be others (voxels four times as large), are averaged with those in --keep; the logs need their own file.
+A trial of the protocol has --logs FILE.jsonl/NAME, one of several in a file.
 
 What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
 whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff
@@ -32,7 +33,7 @@ from typing import Any
 
 import torch
 
-from sdm.bench.common.checkout import data_folder
+from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.machine import describe
 from sdm.bench.segmentation.ensemble_tables import ensembles_tables, mixtures_tables
 from sdm.bench.segmentation.ensembles import (
@@ -48,7 +49,8 @@ from sdm.bench.segmentation.ensembles import (
     refuse_other_networks,
     too_few,
 )
-from sdm.bench.segmentation.gpu_jobs import Job, devices, groups_of, read_ensembles, read_logs, run_jobs, short
+from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
+from sdm.bench.segmentation.log_file import Job, LogFile, groups_of, log_file, short
 from sdm.bench.segmentation.mixtures import mixtures, refuse_folders
 from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
 from sdm.bench.segmentation.trials import settings_of
@@ -68,7 +70,7 @@ from sdm.segmentation import (
     validate,
 )
 
-LOGS = Path(__file__).parents[1] / "results" / "segmentation_ma"
+LOGS = LogFile(results_folder() / "segmentation_ma.jsonl")
 COLUMNS = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm", "contour_dice")
 # Seconds until the processes train, and of a job beside its steps: preparing the cases, and prediction.
 STARTING_S = 25.0
@@ -146,7 +148,7 @@ def average(todo: list[Job], options: argparse.Namespace, end: float, on: list[s
         return
     for job in todo:
         # It may be there, of fewer seeds.
-        (options.logs / f"{job['name']}.json").unlink(missing_ok=True)
+        options.logs.remove(job["name"])
     run_jobs(todo, work, options.logs, options.work, budget_s=end - time.monotonic(), on=on[: max(1, len(todo))])
 
 
@@ -154,7 +156,7 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("run", "ensemble", "table"))
     parser.add_argument("--data", type=Path, default=data_folder() / "la")
-    parser.add_argument("--logs", type=Path, default=LOGS)
+    parser.add_argument("--logs", type=log_file, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-segmentation-ma"), help="unfinished trainings")
     parser.add_argument("--keep", type=Path, default=None, help="folder for the networks, METHOD-SEED.pt")
     parser.add_argument(
@@ -234,15 +236,15 @@ def job_of(options: argparse.Namespace) -> Job:
     }
 
 
-def refuse_others(listed: list[Job], logs: Path) -> None:
+def refuse_others(listed: list[Job], logs: LogFile) -> None:
     """A log of another protocol must not pass for a training, or an ensemble, of this one."""
-    found = [*read_logs(logs), *read_ensembles(logs)] if logs.is_dir() else []
+    found = [*logs.trainings(), *logs.ensembles()]
     known = {log["job"]["name"]: protocols(log["job"]) for log in found}
     for job in listed:
         own = short(protocols(job))
         if known.get(job["name"], own) != own:
             raise SystemExit(
-                f"{logs / job['name']}.json is of a training with other settings: choose another folder with --logs"
+                f"{job['name']} in {logs} is of a training with other settings: choose another file with --logs"
             )
 
 
@@ -328,19 +330,18 @@ def _summary(cases: list[dict[str, Any]], training: Training) -> str:
 
 def tables(options: argparse.Namespace) -> str:
     """Of the trainings and, if there are any, of the ensembles."""
-    folders = {options.logs.name: options.logs}
-    main = read_logs(LOGS) if LOGS.is_dir() else []
-    found = [text for text in (ensembles_tables(folders), mixtures_tables(folders, main)) if text]
-    if not found or read_logs(options.logs):
+    files = {options.logs.name: options.logs}
+    found = [text for text in (ensembles_tables(files), mixtures_tables(files, LOGS.trainings())) if text]
+    if not found or options.logs.trainings():
         found.insert(0, table_of(options.logs, options.parts))
     return "\n\n".join(found)
 
 
-def table_of(logs: Path, parts: str) -> str:
+def table_of(logs: LogFile, parts: str) -> str:
     """A row for each method; its cases are those of all seeds."""
     rows: dict[str, list[dict[str, Any]]] = {}
     seeds: dict[str, int] = {}
-    for log in read_logs(logs):
+    for log in logs.trainings():
         name = log["job"]["settings"]["method"]
         rows.setdefault(name, []).extend(log[parts].values())
         seeds[name] = seeds.get(name, 0) + 1

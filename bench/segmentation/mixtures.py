@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sdm.bench.segmentation.ensembles import as_ensemble, by_method, kept_trainings
-from sdm.bench.segmentation.gpu_jobs import Job, read_logs
+from sdm.bench.segmentation.log_file import Job, LogFile
 from sdm.errors import SDMError
 from sdm.segmentation import check_ensemble, load_model
 
 
-def refuse_folders(keep: Path, beside: Sequence[Path], logs: Path, table: Path) -> None:
+def refuse_folders(keep: Path, beside: Sequence[Path], logs: LogFile, table: LogFile) -> None:
     """Networks must not count twice, and a mixture must not pass for a row of the table or of a protocol.
 
     Args:
@@ -20,11 +20,11 @@ def refuse_folders(keep: Path, beside: Sequence[Path], logs: Path, table: Path) 
         logs: Where the mixtures' logs are to be.
         table: Where the table's are.
     """
-    places = [folder.resolve() for folder in (keep, *beside)]
-    if len(set(places)) < len(places):
+    folders = [folder.resolve() for folder in (keep, *beside)]
+    if len(set(folders)) < len(folders):
         raise SystemExit("a folder is named twice in --keep and --beside: its networks would count twice")
-    if logs.resolve() == table.resolve() or (logs.is_dir() and read_logs(logs)):
-        raise SystemExit(f"{logs} has the logs of trainings: choose a folder of their own for mixtures with --logs")
+    if logs.resolve() == table.resolve() or logs.trainings():
+        raise SystemExit(f"{logs} has the logs of trainings: choose a file of their own for mixtures with --logs")
 
 
 def mixtures(

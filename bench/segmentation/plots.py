@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from sdm.bench.common.checkout import docs_folder
 from sdm.bench.common.figure import COLOURS, OURS, drawing
 from sdm.bench.segmentation import juhl, ma
-from sdm.bench.segmentation.gpu_jobs import read_logs
+from sdm.bench.segmentation.log_file import log_file
 from sdm.bench.segmentation.report import WHOLE, differences, half_width, protocol, values_of
 from sdm.bench.segmentation.seeds import of_shared_seeds, rows_of, spreads
 from sdm.bench.segmentation.trials import Logs, most_moved
@@ -34,16 +34,16 @@ HUES = ("#777777", COLOURS["Warp winding number"], COLOURS["libigl winding numbe
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--ma", type=Path, default=ma.LOGS)
-    parser.add_argument("--juhl", type=Path, default=juhl.LOGS)
-    parser.add_argument("--whole", type=Path, default=WHOLE)
+    parser.add_argument("--ma", type=log_file, default=ma.LOGS)
+    parser.add_argument("--juhl", type=log_file, default=juhl.LOGS)
+    parser.add_argument("--whole", type=log_file, default=WHOLE)
     parser.add_argument("--out", type=Path, default=docs_folder())
     options = parser.parse_args()
-    if logs := read_logs(options.juhl):
+    if logs := options.juhl.trainings():
         draw_shapes(logs, options.out / "segmentation-shapes.png")
-    if logs := read_logs(options.ma):
+    if logs := options.ma.trainings():
         draw_atrium(logs, options.out / "segmentation-atrium.png", "Left atrium, patches: each row beside the baseline")
-    if logs := read_logs(options.whole):
+    if logs := options.whole.trainings():
         title = "Left atrium, whole volumes: each row beside the baseline"
         draw_atrium(logs, options.out / "segmentation-atrium-whole.png", title)
 

@@ -21,28 +21,29 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import put
 from sdm.bench.segmentation import juhl as segmentation_juhl
 from sdm.bench.segmentation import ma as segmentation_ma
 from sdm.bench.segmentation.ensemble_tables import ensembles_tables, mixtures_tables
-from sdm.bench.segmentation.gpu_jobs import read_logs
+from sdm.bench.segmentation.log_file import LogFile, log_file
 from sdm.bench.segmentation.seeds import of_shared_seeds, repeats_table, seeds_table, shared_seeds
 from sdm.bench.segmentation.trials import Logs, designs_and_others, effects_table, most_moved, trials_table
 from sdm.segmentation import MA_ROWS, METHODS
 
-OUT = Path(__file__).parents[1] / "results" / "segmentation.md"
-WHOLE = Path(__file__).parents[1] / "results" / "segmentation_ma_whole"
-TRIALS = Path(__file__).parents[1] / "results" / "segmentation_ma_trials"
+OUT = "segmentation.md"
+WHOLE = LogFile(results_folder() / "segmentation_ma_whole.jsonl")
+TRIALS = LogFile(results_folder() / "segmentation_ma_trials.jsonl")
 Values = dict[str, dict[str, float]]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ma", type=Path, default=segmentation_ma.LOGS)
-    parser.add_argument("--juhl", type=Path, default=segmentation_juhl.LOGS)
-    parser.add_argument("--whole", type=Path, default=WHOLE)
-    parser.add_argument("--trials", type=Path, default=TRIALS)
-    parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT.name}")
+    parser.add_argument("--ma", type=log_file, default=segmentation_ma.LOGS)
+    parser.add_argument("--juhl", type=log_file, default=segmentation_juhl.LOGS)
+    parser.add_argument("--whole", type=log_file, default=WHOLE)
+    parser.add_argument("--trials", type=log_file, default=TRIALS)
+    parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT}")
     options = parser.parse_args()
     text = page(options.ma, options.juhl, options.trials, options.whole)
     print(text)
@@ -50,11 +51,11 @@ def main() -> None:
         put(options.out, text + "\n")
 
 
-def page(ma: Path, juhl: Path, trials: Path, whole: Path | None = None) -> str:
+def page(ma: LogFile, juhl: LogFile, trials: LogFile, whole: LogFile | None = None) -> str:
     """The page in Markdown."""
-    logs, shape_logs = read_logs(ma), read_logs(juhl)
+    logs, shape_logs = ma.trainings(), juhl.trainings()
     further = {} if whole is None else {whole.name: whole}
-    found = {name: more for name, folder in further.items() if (more := read_logs(folder))}
+    found = {name: more for name, file in further.items() if (more := file.trainings())}
     parts = ["# Segmentation guided by distance maps", ""]
     parts += [
         "Made by `python -m sdm.bench.segmentation.report --out bench/results/segmentation.md`; logs beside it.",
@@ -76,13 +77,13 @@ def page(ma: Path, juhl: Path, trials: Path, whole: Path | None = None) -> str:
     return "\n".join(parts).rstrip()
 
 
-def study(folder: Path, logs: Logs) -> list[str]:
-    """Ma's rows by one protocol, whose logs are in a folder: the tables, and each row beside the baseline."""
+def study(file: LogFile, logs: Logs) -> list[str]:
+    """Ma's rows by one protocol, whose logs are in a file: the tables, and each row beside the baseline."""
     same = of_shared_seeds(logs)
     told = "" if len(same) == len(logs) else f", by the {len(shared_seeds(logs))} seeds that all rows have"
     parts = [protocol(logs), "", "Largest connected component, mean (sd) over cases and seeds:", ""]
-    parts += [segmentation_ma.table_of(folder, "largest"), "", "As predicted, all components:", ""]
-    parts += [segmentation_ma.table_of(folder, "plain"), ""]
+    parts += [segmentation_ma.table_of(file, "largest"), "", "As predicted, all components:", ""]
+    parts += [segmentation_ma.table_of(file, "plain"), ""]
     parts += [f"Against the baseline, case by case (largest component){told}:", "", against_baseline(same), ""]
     return [*parts, *by_seed(same)]
 
@@ -103,7 +104,7 @@ def without(logs: Logs, case: str) -> Logs:
     return [{**log, **{p: {c: v for c, v in log[p].items() if c != case} for p in parts}} for log in logs]
 
 
-def other_protocols(logs: Logs, trials: Path, further: Mapping[str, Logs]) -> list[str]:
+def other_protocols(logs: Logs, trials: LogFile, further: Mapping[str, Logs]) -> list[str]:
     """Trainings that are not of the table; `further` is looked through for repetitions alone."""
     designs, others = designs_and_others(trials)
     if not others:
@@ -125,9 +126,9 @@ def other_protocols(logs: Logs, trials: Path, further: Mapping[str, Logs]) -> li
     return parts
 
 
-def ensembles(main: Path, logs: Logs, further: Mapping[str, Path], trials: Path) -> list[str]:
+def ensembles(main: LogFile, logs: Logs, further: Mapping[str, LogFile], trials: LogFile) -> list[str]:
     """Those of the tables' trainings and of other protocols, then those over networks of several protocols."""
-    others = {path.name: path for path in sorted(trials.iterdir()) if path.is_dir()} if trials.is_dir() else {}
+    others = trials.trials()
     table, moved = {"the table": main}, most_moved(logs)
     parts = {
         "### Ensembles: the mean of what networks say that differ in their seed (largest component)": (

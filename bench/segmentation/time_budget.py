@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-from sdm.bench.segmentation.gpu_jobs import read_logs
+from sdm.bench.segmentation.log_file import LogFile
 
 # Steps before the clock counts: kernels are chosen and compiled, memory is taken.
 WARM = 15
@@ -43,7 +42,7 @@ def shared(processes: int) -> float:
     return 1.0 if processes == 1 else processes * (1.0 - GAPS)
 
 
-def known_steps(logs: Path) -> int | None:
+def known_steps(logs: LogFile) -> int | None:
     """The steps of the trainings that are there already: all rows of a table have the same."""
-    found = read_logs(logs) if logs.is_dir() else []
+    found = logs.trainings()
     return found[0]["job"]["settings"]["steps"] if found else None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdm.bench.segmentation.gpu_jobs import read_logs
+from sdm.bench.segmentation.log_file import LogFile
 from sdm.segmentation import Settings
 
 Logs = list[dict[str, Any]]
@@ -76,10 +75,9 @@ def most_moved(logs: Logs) -> str:
     return max(by_case(logs).items(), key=lambda item: statistics.pstdev(h for _, h in item[1]))[0]
 
 
-def designs_and_others(folder: Path) -> tuple[dict[str, Logs], dict[str, Logs]]:
-    """By subfolder: logs of more than one protocol, from which effects are read, and those of one."""
-    folders = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-    found = {path.name: logs for path in folders if (logs := read_logs(path))}
+def designs_and_others(file: LogFile) -> tuple[dict[str, Logs], dict[str, Logs]]:
+    """By trial: logs of more than one protocol, from which effects are read, and those of one."""
+    found = {name: logs for name, trial in file.trials().items() if (logs := trial.trainings())}
     mixed = {name for name, logs in found.items() if any(protocol_of(log) != protocol_of(logs[0]) for log in logs)}
     return {n: v for n, v in found.items() if n in mixed}, {n: v for n, v in found.items() if n not in mixed}
 

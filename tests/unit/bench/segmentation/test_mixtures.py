@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 import sys
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pytest
 import torch
 
 from sdm.bench.segmentation import ma, report
-from sdm.bench.segmentation.gpu_jobs import read_ensembles, read_logs, short
+from sdm.bench.segmentation.log_file import LogFile, short
 from sdm.segmentation import Settings, TrainedModel, load_model, predict, read_cases, save_model, validate_ensemble
 from tests.helpers.segmentation_cases import volume, write_hdf5
 
@@ -58,7 +56,7 @@ def mix(data, tmp_path, monkeypatch, capsys):
             "--keep",
             tmp_path / "fine",
             "--logs",
-            tmp_path / "mixed",
+            tmp_path / "mixed.jsonl",
         ]
         monkeypatch.setattr(sys, "argv", ["segmentation_ma", what, "--gpus", "0", *map(str, [*places, *more])])
         ma.main()
@@ -72,9 +70,9 @@ def test_fine_and_coarse_networks_together(mix, data, tmp_path):
     coarse = keep(tmp_path / "coarse", "baseline-0", "baseline-4", "head-sdf-l1-2", "boundary-0", **COARSE)
     said = mix("--beside", coarse)
     assert "2 of 2 jobs to do" in said
-    logs = read_ensembles(tmp_path / "mixed")
+    logs = LogFile(tmp_path / "mixed.jsonl").ensembles()
     assert [log["job"]["name"] for log in logs] == ["baseline-ensemble", "head-sdf-l1-ensemble"]
-    assert read_logs(tmp_path / "mixed") == []
+    assert LogFile(tmp_path / "mixed.jsonl").trainings() == []
     # As the library has it, each in windows of its own patch.
     files = [fine / "baseline-0.pt", fine / "baseline-1.pt", coarse / "baseline-0.pt", coarse / "baseline-4.pt"]
     networks = [load_model(file) for file in files]
@@ -95,8 +93,8 @@ def test_fine_and_coarse_networks_together(mix, data, tmp_path):
     assert "patches 32x16x16, voxels 2 times as large" in said
     assert "no logs in" not in said
     # The same windows for all, if the command says so.
-    mix("--beside", coarse, "--logs", tmp_path / "windows", "--window", "16", "16", "16", "--methods", "baseline")
-    (log,) = read_ensembles(tmp_path / "windows")
+    mix("--beside", coarse, "--logs", tmp_path / "windows.jsonl", "--window", "16", "16", "16", "--methods", "baseline")
+    (log,) = LogFile(tmp_path / "windows.jsonl").ensembles()
     ((_, plain, _),) = validate_ensemble(networks, read_cases(data, "val"), window=CUBE)
     assert log["plain"]["c2"] == short(plain)
 
@@ -105,7 +103,7 @@ def test_mirror_images_that_one_kind_knows(mix, data, tmp_path):
     fine = keep(tmp_path / "fine", "baseline-0")
     other = keep(tmp_path / "other", "baseline-0", mirrors="x")
     mix("--beside", other)
-    (log,) = read_ensembles(tmp_path / "mixed")
+    (log,) = LogFile(tmp_path / "mixed.jsonl").ensembles()
     assert log["job"]["mirrors"] == "x"
     networks = [load_model(folder / "baseline-0.pt") for folder in (fine, other)]
     ((_, plain, _),) = validate_ensemble(networks, read_cases(data, "val"), mirrors=True)
@@ -120,16 +118,16 @@ def test_what_is_done_is_skipped_and_done_again_with_a_further_seed(mix, tmp_pat
     assert "0 of 0 jobs to do" in mix("--beside", coarse, third)
     keep(coarse, "baseline-1", **COARSE)
     assert "1 of 1 jobs to do" in mix("--beside", coarse, third)
-    (log,) = read_ensembles(tmp_path / "mixed")
+    (log,) = LogFile(tmp_path / "mixed.jsonl").ensembles()
     assert [group["seeds"] for group in log["job"]["beside"]] == [[0, 1], [0]]
     assert "baseline (0 + 0, 1 + 0)" in mix("--beside", coarse, third)
     assert "0 of 0 jobs to do" in mix("--beside", coarse, third, "--seeds", "0")
     (coarse / "baseline-0.pt").unlink()
     assert "0 of 0 jobs to do" in mix("--beside", coarse, third)
-    with pytest.raises(SystemExit, match=r"baseline-ensemble\.json is of a training with other settings"):
+    with pytest.raises(SystemExit, match=r"baseline-ensemble in .*mixed\.jsonl is of a training with other settings"):
         mix("--beside", coarse)
     keep(tmp_path / "fine", "baseline-1")
-    with pytest.raises(SystemExit, match=r"baseline-ensemble\.json is of a training with other settings"):
+    with pytest.raises(SystemExit, match=r"baseline-ensemble in .*mixed\.jsonl is of a training with other settings"):
         mix()
 
 
@@ -141,7 +139,7 @@ def test_methods_that_are_left_out(mix, tmp_path):
     (line,) = [line for line in said.splitlines() if line.startswith("pwr is left out")]
     assert "which have no mean" in line
     assert str(coarse / "pwr-0.pt") in line
-    assert [log["job"]["name"] for log in read_ensembles(tmp_path / "mixed")] == ["baseline-ensemble"]
+    assert [log["job"]["name"] for log in LogFile(tmp_path / "mixed.jsonl").ensembles()] == ["baseline-ensemble"]
 
 
 def test_folders_that_are_refused(mix, tmp_path, monkeypatch):
@@ -153,48 +151,47 @@ def test_folders_that_are_refused(mix, tmp_path, monkeypatch):
         mix("--beside", coarse, fine)
     with pytest.raises(SystemExit, match="holds no networks of these methods"):
         mix("--beside", tmp_path / "none")
-    monkeypatch.setattr(ma, "LOGS", tmp_path / "mixed")
-    with pytest.raises(SystemExit, match="mixed has the logs of trainings: choose a folder of their own"):
+    monkeypatch.setattr(ma, "LOGS", LogFile(tmp_path / "mixed.jsonl"))
+    with pytest.raises(SystemExit, match=r"mixed\.jsonl has the logs of trainings: choose a file of their own"):
         mix("--beside", coarse)
-    assert not (tmp_path / "mixed").exists()
+    assert not (tmp_path / "mixed.jsonl").exists()
     monkeypatch.undo()
-    log(tmp_path / "mixed", "baseline-0", 0.8, 9.0, {})
-    with pytest.raises(SystemExit, match="mixed has the logs of trainings: choose a folder of their own"):
+    log(LogFile(tmp_path / "mixed.jsonl"), "baseline-0", 0.8, 9.0, {})
+    with pytest.raises(SystemExit, match=r"mixed\.jsonl has the logs of trainings: choose a file of their own"):
         mix("--beside", coarse)
-    shutil.rmtree(tmp_path / "mixed")
+    (tmp_path / "mixed.jsonl").unlink()
     keep(coarse, "baseline-1")
     with pytest.raises(SystemExit, match=r"baseline-1\.pt are of trainings whose settings differ in more than the"):
         mix("--beside", coarse)
 
 
-def log(folder: Path, name: str, dice: float, distance: float, changes: dict, **job) -> None:
+def log(file: LogFile, name: str, dice: float, distance: float, changes: dict, **job) -> None:
     """Of a training, METHOD-SEED, or of an ensemble."""
     method, seed = name.rsplit("-", 1)
     settings = Settings(**{"method": method, "seed": int(seed) if seed.isdigit() else 0, **changes}).record()
     scores = {"dice": dice, "jaccard": dice, "contour_dice": dice, "average_surface_distance_mm": 1.0}
     cases = {c: {**scores, "hausdorff95_mm": distance + more} for c, more in (("5UB5X", 6.0), ("6799X", 0.0))}
     found = {"training_s": 1.0, "machine": {"device": "abacus"}, "largest": cases, "plain": cases}
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps({"job": {"name": name, "settings": settings, **job}, **found}))
+    file.put({"job": {"name": name, "settings": settings, **job}, **found})
 
 
 def test_the_report_has_mixtures_apart(tmp_path):
-    main, trials = tmp_path / "ma", tmp_path / "trials"
+    main, trials, none = (LogFile(tmp_path / f"{name}.jsonl") for name in ("ma", "trials", "none"))
     coarse = {"coarsen": 4, "patch": (64, 48, 32)}
     for method in ("baseline", "pwr"):
         for seed, distance in enumerate((10.0, 20.0)):
             log(main, f"{method}-{seed}", 0.8, distance, {})
-            log(trials / "coarse", f"{method}-{seed}", 0.7, distance, coarse)
+            log(LogFile(trials.path, "coarse"), f"{method}-{seed}", 0.7, distance, coarse)
     # Once more: the first counts.
-    log(trials / "later", "baseline-0", 0.1, 50.0, coarse)
+    log(LogFile(trials.path, "later"), "baseline-0", 0.1, 50.0, coarse)
     log(main, "baseline-ensemble", 0.9, 8.0, {}, seeds=[0, 1])
-    before = report.page(main, tmp_path / "none", trials)
+    before = report.page(main, none, trials)
     assert "several protocols" not in before
     beside = {"settings": Settings(**coarse).record(), "seeds": [0, 1]}
-    log(trials / "mixed", "baseline-ensemble", 0.95, 5.0, {}, seeds=[0, 1], beside=[beside])
+    log(LogFile(trials.path, "mixed"), "baseline-ensemble", 0.95, 5.0, {}, seeds=[0, 1], beside=[beside])
     # Of a training there is no log.
-    log(trials / "mixed", "pwr-ensemble", 0.9, 6.0, {}, seeds=[0, 2], beside=[beside])
-    text = report.page(main, tmp_path / "none", trials)
+    log(LogFile(trials.path, "mixed"), "pwr-ensemble", 0.9, 6.0, {}, seeds=[0, 2], beside=[beside])
+    text = report.page(main, none, trials)
     start, end = text.index("### Ensembles of several protocols"), text.index("## Simple shapes")
     assert text[:start] + text[end:] == before
     lines = text[start:end].splitlines()

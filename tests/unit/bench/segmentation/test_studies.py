@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+import multiprocessing
 import time
 from pathlib import Path
 
@@ -11,12 +13,14 @@ import pytest
 import torch
 
 from sdm.bench.segmentation import juhl, ma, plots, report
-from sdm.bench.segmentation.gpu_jobs import claimed, read_logs, run_jobs, write_log
+from sdm.bench.segmentation.gpu_jobs import claimed, run_jobs
 from sdm.bench.segmentation.juhl_shapes import ShapeBatches, _at_coarse, shapes
+from sdm.bench.segmentation.log_file import LogFile, log_file
 from sdm.bench.segmentation.pack import pack, unpack
 from sdm.bench.segmentation.seeds import repeats_table, spread_of
 from sdm.bench.segmentation.time_budget import fitted_steps
 from sdm.bench.segmentation.trials import differs
+from sdm.errors import FormatError
 from sdm.segmentation import MA_ROWS, METHODS
 from tests.helpers.segmentation_cases import volume, write_hdf5
 
@@ -33,18 +37,59 @@ def work(job, device, unfinished, kept, deadline):
 
 def run(tmp_path: Path, *names: str, budget_s: float = 60.0) -> list[str]:
     calls.clear()
-    run_jobs([{"name": n} for n in names], work, tmp_path / "logs", tmp_path / "work", budget_s=budget_s, on=["cpu"])
+    logs = LogFile(tmp_path / "logs.jsonl")
+    run_jobs([{"name": n} for n in names], work, logs, tmp_path / "work", budget_s=budget_s, on=["cpu"])
     return list(calls)
 
 
 def test_jobs_that_are_done_are_not_done_again(tmp_path, capsys):
     assert run(tmp_path, "a", "bad", "slow", "b") == ["a", "bad", "slow", "b"]
     assert "bad failed on cpu" in capsys.readouterr().out
-    assert sorted(p.name for p in (tmp_path / "logs").iterdir()) == ["a.json", "b.json"]
+    assert [log["job"]["name"] for log in LogFile(tmp_path / "logs.jsonl").trainings()] == ["a", "b"]
     assert run(tmp_path, "a", "bad", "slow", "b", "c") == ["bad", "slow", "c"]
-    log = read_logs(tmp_path / "logs")[0]
+    log = LogFile(tmp_path / "logs.jsonl").trainings()[0]
     assert log["value"] == math.inf
     assert log["list"] == [1.2346]
+
+
+def add_logs(file: LogFile, first: int) -> None:
+    for number in range(first, first + 20):
+        file.put({"job": {"name": f"{number:02}"}, "value": number / 3})
+
+
+def test_processes_write_one_log_file_together(tmp_path):
+    file = LogFile(tmp_path / "logs.jsonl", "one")
+    file.put({"job": {"name": "20"}, "value": "replaced"})
+    LogFile(file.path).put({"job": {"name": "20"}, "value": math.nan})
+    context = multiprocessing.get_context("fork")
+    processes = [context.Process(target=add_logs, args=(file, first)) for first in (0, 20)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [log["job"]["name"] for log in file.trainings()] == [f"{number:02}" for number in range(40)]
+    assert file.trainings()[20] == {"job": {"name": "20"}, "value": 6.6667}
+    (other,) = LogFile(file.path).trainings()
+    assert math.isnan(other["value"])
+    assert list(LogFile(file.path).trials()) == ["one"]
+    file.remove("20")
+    assert len(file.trainings()) == 39
+    assert LogFile(file.path).names() == {"20"}
+    assert list(tmp_path.iterdir()) == [file.path]
+
+
+def test_a_damaged_line_is_named(tmp_path):
+    (tmp_path / "logs.jsonl").write_text('{"job": {"name": "a"}}\n{"job": {"na\n')
+    with pytest.raises(FormatError, match=r"logs\.jsonl, line 2, is not JSON"):
+        LogFile(tmp_path / "logs.jsonl").trainings()
+
+
+def test_names_of_log_files():
+    assert log_file("runs/a.jsonl") == LogFile(Path("runs/a.jsonl"))
+    assert log_file("runs/a.jsonl/b") == LogFile(Path("runs/a.jsonl"), "b")
+    assert str(log_file("runs/a.jsonl/b")) == "runs/a.jsonl/b"
+    with pytest.raises(argparse.ArgumentTypeError, match="runs/a is no log file: give FILE"):
+        log_file("runs/a")
 
 
 def both(job):
@@ -54,14 +99,13 @@ def both(job):
 
 def test_what_follows_several_jobs_is_done_once(tmp_path):
     listed = [{"name": "a"}, {"name": "b"}]
-    logs, unfinished = tmp_path / "logs", tmp_path / "work"
+    logs, unfinished = LogFile(tmp_path / "logs.jsonl"), tmp_path / "work"
     calls.clear()
     run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
     assert calls == ["a", "both", "b"]
     assert not claimed(unfinished, {"name": "both"})
     # A run that was cut short leaves its claims behind; the next begins afresh.
-    for log in logs.iterdir():
-        log.unlink()
+    logs.path.unlink()
     run_jobs(listed, work, logs, unfinished, budget_s=60.0, on=["cpu"], follow=both)
     assert calls == ["a", "both", "b"] * 2
 
@@ -89,12 +133,20 @@ def test_rows_of_the_study_of_left_atria():
 def test_a_study_of_left_atria_in_small(tmp_path, method, more, capsys):
     for part, seed in (("train", 0), ("train", 1), ("val", 2)):
         write_hdf5(tmp_path / "la" / part / f"c{seed}.h5", *volume(seed))
-    words = ["run", "--data", str(tmp_path / "la"), "--logs", str(tmp_path / "logs"), "--work", str(tmp_path / "w")]
+    words = [
+        "run",
+        "--data",
+        str(tmp_path / "la"),
+        "--logs",
+        str(tmp_path / "logs.jsonl"),
+        "--work",
+        str(tmp_path / "w"),
+    ]
     words += ["--steps", "2", "--patch", "16", "16", "16", "--batch", "2", "--filters", "2", "--seeds", "0"]
     options = ma.parser().parse_args([*words, "--methods", method, *more])
     jobs = ma.jobs(options)
     run_jobs(jobs, ma.work, options.logs, options.work, budget_s=60.0, on=["cpu"])
-    (log,) = read_logs(options.logs)
+    (log,) = options.logs.trainings()
     assert set(log["largest"]) == {"c2"}
     assert f"| {method} (1) |" in ma.table_of(options.logs, "largest")
     assert method in METHODS
@@ -103,13 +155,14 @@ def test_a_study_of_left_atria_in_small(tmp_path, method, more, capsys):
 
 
 def test_logs_of_another_protocol_do_not_pass_for_done(tmp_path):
-    ma_log(tmp_path, "baseline", 0, {"a": 0.9}, batch=2, optimizer="sgd", learning_rate=0.05, mirrors="")
+    logs = LogFile(tmp_path / "logs.jsonl")
+    ma_log(logs, "baseline", 0, {"a": 0.9}, batch=2, optimizer="sgd", learning_rate=0.05, mirrors="")
     parse = ma.parser().parse_args
     words = ["run", "--steps", "2000", "--methods", "baseline", "--seeds"]
-    ma.refuse_others(ma.jobs(parse([*words, "0", "1"])), tmp_path)
-    ma.refuse_others(ma.jobs(parse([*words, "1", "--position"])), tmp_path)
-    with pytest.raises(SystemExit, match=r"baseline-0.json is of a training with other settings: choose another"):
-        ma.refuse_others(ma.jobs(parse([*words, "0", "--position"])), tmp_path)
+    ma.refuse_others(ma.jobs(parse([*words, "0", "1"])), logs)
+    ma.refuse_others(ma.jobs(parse([*words, "1", "--position"])), logs)
+    with pytest.raises(SystemExit, match=r"baseline-0 in .*logs\.jsonl is of a training with other settings: choose"):
+        ma.refuse_others(ma.jobs(parse([*words, "0", "--position"])), logs)
 
 
 def test_the_page_s_command_goes_on_with_its_table():
@@ -167,8 +220,9 @@ def test_scores_in_a_box_are_those_of_the_volume():
 
 def test_the_table_of_shapes(tmp_path):
     case = {"dice": 0.9, "contour_dice": 0.8, "average_surface_distance_mm": 1.0, "rms_surface_distance_mm": 2.0}
-    write_log(tmp_path / "a.json", {"job": {"network": "pwc"}, "nearest": [case], "linear": [case]})
-    lines = juhl.table_of(tmp_path).splitlines()
+    logs = LogFile(tmp_path / "logs.jsonl")
+    logs.put({"job": {"name": "a", "network": "pwc"}, "nearest": [case], "linear": [case]})
+    lines = juhl.table_of(logs).splitlines()
     assert lines[2] == "| PWC, nearest (as published) (1) | 90.00 | 80.00 | 1.00 | 2.00 |"
 
 
@@ -191,7 +245,7 @@ def test_work_is_told_the_deadline(tmp_path):
     run_jobs(
         [{"name": "x"}],
         lambda job, device, unfinished, kept, deadline: seen.append(deadline),
-        tmp_path,
+        LogFile(tmp_path / "logs.jsonl"),
         tmp_path,
         budget_s=5.0,
         on=["cpu"],
@@ -199,7 +253,7 @@ def test_work_is_told_the_deadline(tmp_path):
     assert 0 < seen[0] - time.monotonic() <= 5.0
 
 
-def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float], **changes) -> None:
+def ma_log(file: LogFile, method: str, seed: int, dice: dict[str, float], **changes) -> None:
     job = {
         "name": f"{method}-{seed}",
         "settings": ma.Settings(method=method, seed=seed, **changes).record(),
@@ -215,16 +269,25 @@ def ma_log(folder: Path, method: str, seed: int, dice: dict[str, float], **chang
         for name, value in dice.items()
     }
     log = {"job": job, "training_s": 1.0, "machine": {"device": "abacus"}, "largest": cases, "plain": cases}
-    write_log(folder / f"{method}-{seed}.json", log)
+    file.put(log)
+
+
+def logs_of(folder: Path, name: str) -> LogFile:
+    return LogFile(folder / f"{name}.jsonl")
+
+
+def trial(folder: Path, name: str) -> LogFile:
+    return LogFile(folder / "trials.jsonl", name)
 
 
 def test_the_report_compares_case_by_case(tmp_path):
     """Differences of 0.01 to 0.04: mean 2.5 %, of the hard half 3.5 %."""
+    own, none = LogFile(tmp_path / "ma.jsonl"), LogFile(tmp_path / "none.jsonl")
     for seed in (0, 1):
-        ma_log(tmp_path, "baseline", seed, {"a": 0.8, "b": 0.82, "c": 0.9, "d": 0.92})
-        ma_log(tmp_path, "pwr", seed, {"a": 0.84, "b": 0.85, "c": 0.92, "d": 0.93})
-    ma_log(tmp_path, "boundary", 7, {"a": 0.5})
-    text = report.page(tmp_path, tmp_path / "none", tmp_path / "none")
+        ma_log(own, "baseline", seed, {"a": 0.8, "b": 0.82, "c": 0.9, "d": 0.92})
+        ma_log(own, "pwr", seed, {"a": 0.84, "b": 0.85, "c": 0.92, "d": 0.93})
+    ma_log(own, "boundary", 7, {"a": 0.5})
+    text = report.page(own, none, none)
     row, without = [line for line in text.splitlines() if line.startswith("| pwr | +")]
     assert row.startswith("| pwr | +2.50 [+0.45, +4.55] | 0.125 | +3.50 | +1.50 | -0.25 [")
     assert "The same without a:" in text
@@ -239,28 +302,31 @@ def test_the_report_compares_case_by_case(tmp_path):
 def test_rows_with_more_seeds_are_compared_by_those_that_all_have(tmp_path):
     """By seeds 0 and 1 PWR is 5 % better; with seed 2, which it lacks, the baseline would be as good."""
     for seed, low in enumerate((0.8, 0.8, 0.95)):
-        ma_log(tmp_path / "whole", "baseline", seed, {"a": low, "b": low}, coarsen=2)
-        ma_log(tmp_path / "ma", "baseline", seed, {"a": 0.7, "b": 0.7})
+        ma_log(logs_of(tmp_path, "whole"), "baseline", seed, {"a": low, "b": low}, coarsen=2)
+        ma_log(logs_of(tmp_path, "ma"), "baseline", seed, {"a": 0.7, "b": 0.7})
     for seed in (0, 1):
-        ma_log(tmp_path / "whole", "pwr", seed, {"a": 0.86, "b": 0.84}, coarsen=2)
-    text = report.page(tmp_path / "ma", tmp_path / "none", tmp_path / "none", tmp_path / "whole")
+        ma_log(logs_of(tmp_path, "whole"), "pwr", seed, {"a": 0.86, "b": 0.84}, coarsen=2)
+    text = report.page(
+        logs_of(tmp_path, "ma"), logs_of(tmp_path, "none"), logs_of(tmp_path, "none"), logs_of(tmp_path, "whole")
+    )
     whole = text[text.index("### Whole volumes") :]
     assert "of voxels 2 times as large" in whole
     assert "| baseline (3) | 85.00" in whole
     assert "case by case (largest component), by the 2 seeds that all rows have:" in whole
     assert "| pwr | +5.00 [" in whole
     assert "| pwr | 85.0, 85.0 | +5.0, +5.0 |" in whole
-    assert "Whole volumes" not in report.page(tmp_path / "ma", tmp_path / "none", tmp_path / "none")
+    assert "Whole volumes" not in report.page(
+        logs_of(tmp_path, "ma"), logs_of(tmp_path, "none"), logs_of(tmp_path, "none")
+    )
 
 
 def test_the_report_tells_what_other_protocols_changed(tmp_path):
     """Two halves with one setting each; 95HD is 10 (1 - Dice) here, and case b moves most."""
-    ma_log(tmp_path / "ma", "baseline", 0, {"a": 0.9, "b": 0.9})
-    trials = tmp_path / "trials"
+    ma_log(logs_of(tmp_path, "ma"), "baseline", 0, {"a": 0.9, "b": 0.9})
     for seed, (mirrors, low) in enumerate([("", 0.8), ("xyz", 0.5), ("", 0.8), ("xyz", 0.5)]):
-        ma_log(trials / "half", "baseline", seed, {"a": 0.9, "b": low}, mirrors=mirrors)
-    ma_log(trials / "short", "pwr", 1, {"a": 0.8, "b": 0.6}, steps=100, mirrors="x", optimizer="sgd")
-    text = report.page(tmp_path / "ma", tmp_path / "none", trials)
+        ma_log(trial(tmp_path, "half"), "baseline", seed, {"a": 0.9, "b": low}, mirrors=mirrors)
+    ma_log(trial(tmp_path, "short"), "pwr", 1, {"a": 0.8, "b": 0.6}, steps=100, mirrors="x", optimizer="sgd")
+    text = report.page(logs_of(tmp_path, "ma"), logs_of(tmp_path, "none"), logs_of(tmp_path, "trials"))
     assert "| short | 100 steps, sgd, mirrored along x | pwr (1) | 70.00 | 3.00 | 70.0, 3.0 | 80.00, 2.00 |" in text
     assert "| short (1) | 2.0 | 4.0 |" in text
     assert "| mirrored along xyz | not mirrored | +15.00 | -1.50 | +0.00, +0.00 |" in text
@@ -271,11 +337,11 @@ def test_a_folder_of_trials_is_compared_with_its_own_baseline(tmp_path):
     """One seed is enough of a whole table, and a folder without a baseline has nothing to compare with."""
     for seed in (0, 1):
         for method in ("baseline", "pwr"):
-            ma_log(tmp_path / "ma", method, seed, {"a": 0.8, "b": 0.9})
-            ma_log(tmp_path / "trials" / "position", method.replace("baseline", "pwc"), seed, {"a": 0.8, "b": 0.9})
+            ma_log(logs_of(tmp_path, "ma"), method, seed, {"a": 0.8, "b": 0.9})
+            ma_log(trial(tmp_path, "position"), method.replace("baseline", "pwc"), seed, {"a": 0.8, "b": 0.9})
     for method in MA_ROWS:
-        ma_log(tmp_path / "trials" / "adam", method, 0, {"a": 0.8, "b": 0.9}, steps=5)
-    text = report.page(tmp_path / "ma", tmp_path / "none", tmp_path / "trials")
+        ma_log(trial(tmp_path, "adam"), method, 0, {"a": 0.8, "b": 0.9}, steps=5)
+    text = report.page(logs_of(tmp_path, "ma"), logs_of(tmp_path, "none"), logs_of(tmp_path, "trials"))
     assert "| position (4) |" in text
     assert "seeds of position" not in text
     assert "The baseline is not there yet." not in text
@@ -287,17 +353,17 @@ def test_the_picture_of_atria(tmp_path, seeds):
     pytest.importorskip("matplotlib")
     for seed in range(seeds):
         for method, low in (("baseline", 0.8), ("pwr", 0.85), ("head-sdf-l1", 0.7)):
-            ma_log(tmp_path / "ma", method, seed, {"a": low, "b": 0.9})
-    plots.draw_atrium(read_logs(tmp_path / "ma"), tmp_path / "atrium.png", "A title")
+            ma_log(logs_of(tmp_path, "ma"), method, seed, {"a": low, "b": 0.9})
+    plots.draw_atrium(logs_of(tmp_path, "ma").trainings(), tmp_path / "atrium.png", "A title")
     assert (tmp_path / "atrium.png").stat().st_size > 1000
 
 
 def test_a_training_that_was_done_twice(tmp_path):
     """Dice of 80 and 84 has a deviation of 2 sqrt(2); 95HD is 10 (1 - Dice) here."""
     for number, low in enumerate((0.8, 0.88)):
-        ma_log(tmp_path / str(number), "pwr", 3, {"a": low, "b": 0.8})
-        ma_log(tmp_path / str(number), "pwr", 4 + number, {"a": low, "b": 0.8})
-    folders = {name: read_logs(tmp_path / name) for name in ("0", "1")}
+        ma_log(logs_of(tmp_path, str(number)), "pwr", 3, {"a": low, "b": 0.8})
+        ma_log(logs_of(tmp_path, str(number)), "pwr", 4 + number, {"a": low, "b": 0.8})
+    folders = {name: logs_of(tmp_path, name).trainings() for name in ("0", "1")}
     lines = repeats_table(folders, "a").splitlines()
     assert lines[2:-2] == ["| pwr-3 | 0, 1 | 80.0, 84.0 | 2.0, 1.6 | 80.0, 2.0; 80.0, 2.0 |"]
     assert "2.83 % Dice and 0.28 voxels (0.00 and 0.00 without a)." in lines[-1]
@@ -322,8 +388,9 @@ def test_what_chance_does_to_a_table():
 
 
 def test_logs_of_before_a_choice_have_its_default(tmp_path):
-    ma_log(tmp_path, "baseline", 0, {"a": 0.9})
-    (log,) = read_logs(tmp_path)
+    own = logs_of(tmp_path, "ma")
+    ma_log(own, "baseline", 0, {"a": 0.9})
+    (log,) = own.trainings()
     settings = log["job"]["settings"]
     del settings["mirrors"], settings["average"], settings["position"]
     assert differs(log, log) == "as in the table"
