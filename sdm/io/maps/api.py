@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from sdm.core.device import require_memory
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, GridError, SDMError
@@ -54,6 +55,8 @@ def load(path: str | Path) -> SDM:
     source = Path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):
+        grid = chosen.module.read_grid(source)
+        require_memory(grid.nbytes, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")
         return chosen.module.read(source)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
-from sdm.io.maps.record import KEY, from_record, record
+from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_checksum
 
 # NIfTI-1 counts voxels with 16 bits.
 LARGEST_NIFTI_1 = 32767
@@ -47,9 +48,10 @@ def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: scaling is applied, values become float32."""
     with held(path) as holder:
         image = opened(path, holder)
-        grid, count = _geometry(image, path)
-        values = np.asanyarray(image.dataobj).reshape(grid.shape)
-        return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
+        grid, count, kept = _geometry(image, path)
+        values = plain_numbers(np.asanyarray(image.dataobj).reshape(grid.shape), path)
+        verify(kept, values, str(path))
+        return SDM(torch.from_numpy(values), grid, count)
 
 
 def read_grid(path: Path) -> Grid:
@@ -79,7 +81,8 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     image.header.set_intent("estimate", name="distance")
     image.set_sform(affine, space)
     image.set_qform(affine, space)
-    text = json.dumps({KEY: record(field.grid, field.ambiguous_voxels, made_from)}, separators=(",", ":"))
+    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from), values)
+    text = to_line({KEY: kept})
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image
 
@@ -99,16 +102,26 @@ def opened(path: Path, holder: FileHolder | None = None) -> Any:
     raise FormatError(f"{path} is not a NIfTI image")
 
 
-def _geometry(image: Any, path: Path) -> tuple[Grid, int | None]:
+def _geometry(image: Any, path: Path) -> tuple[Grid, int | None, Any]:
+    """Grid, count of ambiguous voxels, and the record that both are from; None where the image's header tells."""
     shape = tuple(image.shape)
     if len(shape) < 3 or any(n != 1 for n in shape[3:]):
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
     for extension in image.header.extensions:
         kept = _said(extension.get_content())
         exact = None if kept is None else from_record(kept, str(path))
-        if exact is not None and exact[0].shape == shape[:3] and _close(exact[0].affine, image.affine):
-            return exact
-    return Grid.from_affine(image.affine, shape[:3]), None
+        if exact is not None and exact[0].shape != shape[:3]:
+            _check_length(image, path)
+        elif exact is not None and _close(exact[0].affine, image.affine):
+            return *exact, kept
+    return Grid.from_affine(image.affine, shape[:3]), None, None
+
+
+def _check_length(image: Any, path: Path) -> None:
+    """Of a map of ours with another shape, as a crop has, see that no damage made that shape."""
+    needed = int(image.dataobj.offset) + image.dataobj.dtype.itemsize * math.prod(image.shape)
+    if not path.name.lower().endswith(".gz") and path.stat().st_size != needed:
+        raise FormatError(f"{path} is damaged: {needed:,} bytes are needed for its shape, and it has others")
 
 
 def _said(content: Any) -> Any:

@@ -11,11 +11,14 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
+from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.record import MADE_FROM, from_record, record
 
 FIELDS = ("version", "origin", "spacing", "shape", "direction", "ambiguous_voxels")
 # An archive holds arrays alone, and no array is None.
 UNCOUNTED = -1
+# Bytes of what is beside the values, at most.
+MOST_BESIDE = 1 << 20
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -33,7 +36,8 @@ def read(path: Path) -> SDM:
     with path.open("rb") as file:
         archive = _open(file, path)
         grid, count = _geometry(archive, path)
-        return SDM(torch.from_numpy(archive["values"]), grid, count)
+        _check_values(archive, grid, path)
+        return SDM(torch.from_numpy(plain_numbers(archive["values"], path)), grid, count)
 
 
 def read_grid(path: Path) -> Grid:
@@ -53,7 +57,21 @@ def _open(file: IO[bytes], path: Path) -> Any:
     archive = np.load(file, allow_pickle=False)
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise FormatError(f"{path} is not an .npz archive")
+    members = archive.zip.infolist() if archive.zip else []
+    beside = sum(info.file_size for info in members if info.filename != "values.npy")
+    if beside > MOST_BESIDE:
+        raise FormatError(f"{path} has {beside:,} bytes beside its values: it was not written by sdm, or is damaged")
     return archive
+
+
+def _check_values(archive: Any, grid: Grid, path: Path) -> None:
+    """Refuse values of another shape than the grid's before they are read."""
+    with archive.zip.open("values.npy") as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape = read(file)[0]
+    if shape != grid.shape:
+        raise FormatError(f"{path} is damaged: its values have the shape {shape}, and its grid {grid.shape}")
 
 
 def _geometry(archive: Any, path: Path) -> tuple[Grid, int | None]:

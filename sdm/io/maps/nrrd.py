@@ -15,7 +15,8 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
-from sdm.io.maps.record import KEY, from_text, to_text
+from sdm.io.maps.nrrd_data import read_values
+from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_checksum
 
 SPACE = "right-anterior-superior"
 # Axes of the spaces of the NRRD standard that point the other way than right, anterior and superior.
@@ -32,6 +33,8 @@ WITH_TIME = "-time"
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map, not compressed: distances hardly shrink."""
     affine = field.grid.affine
+    values = field.numpy().astype("<f4", copy=False)
+    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from), values)
     header = {
         "space": SPACE,
         "space directions": affine[:3, :3].T,
@@ -39,18 +42,20 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         "kinds": ["domain"] * 3,
         "endian": "little",
         "encoding": "raw",
-        KEY: to_text(field.grid, field.ambiguous_voxels, made_from),
+        KEY: to_line(kept),
     }
-    values = field.numpy().astype("<f4", copy=False)
     with path.open("wb") as file:
         nrrd.write(file, values, header, index_order="F")
 
 
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: values become float32."""
-    values, header = nrrd.read(str(path), index_order="F")
-    grid, count = _geometry(header, path)
-    return SDM(torch.from_numpy(plain_numbers(values, path)), grid, count)
+    with path.open("rb") as file:
+        header = nrrd.read_header(file)
+        grid, count, kept = _geometry(header, path)
+        values = plain_numbers(read_values(file, header, path), path)
+    verify(kept, values, str(path))
+    return SDM(torch.from_numpy(values), grid, count)
 
 
 def read_grid(path: Path) -> Grid:
@@ -64,17 +69,19 @@ def read_record(path: Path) -> Any:
     return json.loads(header[KEY]) if KEY in header else None
 
 
-def _geometry(header: Any, path: Path) -> tuple[Grid, int | None]:
+def _geometry(header: Any, path: Path) -> tuple[Grid, int | None, Any]:
+    """Grid, count of ambiguous voxels, and the record that both are from; None where the image's header tells."""
     shape = tuple(int(n) for n in header["sizes"])
     if len(shape) != 3:
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
     affine = _affine(header, path)
     if KEY in header:
-        exact = from_text(header[KEY], str(path))
+        kept = json.loads(header[KEY])
+        exact = from_record(kept, str(path))
         scale = np.abs(exact[0].affine[:3, :3]).max()
         if exact[0].shape == shape and np.allclose(exact[0].affine, affine, rtol=1e-12, atol=1e-9 * scale):
-            return exact
-    return Grid.from_affine(affine, shape), None
+            return *exact, kept
+    return Grid.from_affine(affine, shape), None, None
 
 
 def _affine(header: Any, path: Path) -> np.ndarray:

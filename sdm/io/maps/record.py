@@ -1,10 +1,13 @@
-"""What every format keeps beside the values: the exact geometry, in float64, and which mesh the map is of."""
+"""Record beside the values of a map: its exact geometry in float64, and the digest of its mesh."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import zlib
 from typing import Any
+
+import numpy as np
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
@@ -15,12 +18,14 @@ VERSION = 1
 KEY = "sdm"
 # In it, the digest of the mesh, where it is known.
 MADE_FROM = "made_from"
+# In it, the checksum of values and record, for formats that have none of their own.
+CHECKSUM = "crc32"
 # Hexadecimal digits.
 DIGEST = 32
 
 
 def digest_of(mesh: TriangleMesh) -> str:
-    """What meshes of the same triangles, in the same order and facing the same way, have in common."""
+    """Digest of a mesh: the same for the same triangles in the same order, facing the same way."""
     vertices, faces = mesh.numpy()
     digest = hashlib.sha256(f"{vertices.shape} {faces.shape}".encode())
     digest.update(vertices.astype("<f4", copy=False).tobytes())
@@ -42,9 +47,35 @@ def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = Non
     return found if made_from is None else {**found, MADE_FROM: made_from}
 
 
-def to_text(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = None) -> str:
-    """`record` as one line of JSON."""
-    return json.dumps(record(grid, ambiguous_voxels, made_from), separators=(",", ":"))
+def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:
+    """A record with the checksum of itself and of values (nx,ny,nz) float32."""
+    return {**kept, CHECKSUM: _checksum(kept, values)}
+
+
+def verify(kept: Any, values: np.ndarray, name: str) -> None:
+    """Compare values (nx,ny,nz) float32, and the record itself, with the record's checksum, if it has one.
+
+    Raises:
+        FormatError: They are not what was written.
+    """
+    if not isinstance(kept, dict) or CHECKSUM not in kept:
+        return
+    found = {key: value for key, value in kept.items() if key != CHECKSUM}
+    if _checksum(found, values) != kept[CHECKSUM]:
+        raise FormatError(
+            f"{name} is not what sdm wrote: it is damaged, or another program changed its values and kept their "
+            "checksum; compute or copy it again"
+        )
+
+
+def _checksum(kept: dict[str, Any], values: np.ndarray) -> str:
+    begin = zlib.crc32(to_line(dict(sorted(kept.items()))).encode())
+    return f"{zlib.crc32(np.ascontiguousarray(values, '<f4').data, begin):08x}"
+
+
+def to_line(kept: dict[str, Any]) -> str:
+    """One line of JSON."""
+    return json.dumps(kept, separators=(",", ":"))
 
 
 def from_record(found: Any, name: str) -> tuple[Grid, int | None]:
@@ -60,8 +91,3 @@ def from_record(found: Any, name: str) -> tuple[Grid, int | None]:
     count = found["ambiguous_voxels"]
     grid = Grid(found["origin"], found["spacing"], found["shape"], found["direction"])
     return grid, None if count is None else int(count)
-
-
-def from_text(text: str, name: str) -> tuple[Grid, int | None]:
-    """`from_record` of one line of JSON."""
-    return from_record(json.loads(text), name)

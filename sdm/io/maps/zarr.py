@@ -72,6 +72,8 @@ def read(path: Path) -> SDM:
     """Read a whole map. `zarr.open_array` reads parts."""
     array = _open(path)
     grid, count = _geometry(array, path)
+    if array.shape != grid.shape:
+        raise FormatError(f"{path} is damaged: it has the shape {array.shape}, and its record says {grid.shape}")
     # Zarr reads a chunk that is gone as the fill value, without a word.
     if lost := array.nchunks - array.nchunks_initialized:
         raise FormatError(f"{path} has lost {lost:,} of its {array.nchunks:,} chunks: copy or compute the map again")

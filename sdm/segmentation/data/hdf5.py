@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from sdm.errors import FormatError
+from sdm.core.device import require_memory
+from sdm.errors import FormatError, SDMError
 from sdm.io.files.list_files import visible
 from sdm.io.files.one_line import one_line
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.labels import foreground
+
+if TYPE_CHECKING:
+    import h5py
 
 ENDINGS = (".h5", ".hdf5")
 
@@ -28,7 +33,8 @@ def read_hdf5(path: Path) -> Case:
     `spacing` of the file, three lengths in mm, does.
 
     Raises:
-        FormatError: The file cannot be read, has no `image`, or something there is not of numbers.
+        FormatError: The file cannot be read, has no `image`, or something there is not of numbers or lies in another
+            file.
     """
     try:
         import h5py
@@ -38,11 +44,13 @@ def read_hdf5(path: Path) -> Case:
         with h5py.File(path, "r") as file:
             if "image" not in file:
                 raise FormatError(f"{path} has no data set called image: found {', '.join(file) or 'nothing'}")
-            image = np.asarray(file["image"])
-            label = np.asarray(file["label"]) if "label" in file else None
+            image = _values(file, "image", path)
+            label = _values(file, "label", path) if "label" in file else None
             told = file.attrs.get("spacing", (1.0, 1.0, 1.0))
     # Data sets of other software may be groups, or of types that numpy does not know.
     except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
+        if isinstance(error, SDMError):
+            raise
         raise FormatError(f"{path} cannot be read: {one_line(error)}") from error
     if image.dtype.kind not in "buif":
         raise FormatError(f"{path} has an image of type {image.dtype}: numbers are needed")
@@ -62,3 +70,16 @@ def read_hdf5(path: Path) -> Case:
         affine=np.diag([*spacing, 1.0]),
         source=path,
     )
+
+
+def _values(file: h5py.File, name: str, path: Path) -> np.ndarray:
+    """A data set of the file itself: a link or storage elsewhere could name any file that the user may read."""
+    import h5py
+
+    found = file[name]
+    stored = found if isinstance(found, h5py.Dataset) else None
+    if found.file.filename != file.filename or (stored is not None and (stored.external or stored.is_virtual)):
+        raise FormatError(f"{path} has its {name} in another file, which is not read: copy it into this one")
+    if stored is not None:
+        require_memory(stored.nbytes, torch.device("cpu"), f"the {name} of {path}")
+    return np.asarray(found)

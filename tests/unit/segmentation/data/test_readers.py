@@ -11,6 +11,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.segmentation import has_part, read_cases
+from sdm.segmentation.data.hdf5 import read_hdf5
 from tests.helpers.segmentation_cases import AFFINE, volume, write_hdf5, write_nnunet
 
 
@@ -205,3 +206,28 @@ def test_the_left_atria(data_dir):
     cases = read_cases(data_dir / "la", "val")
     assert len(cases) == 8
     assert all(c.label is not None and c.label.any() and c.label.shape == c.image.shape for c in cases)
+
+
+@pytest.mark.parametrize("how", ["external storage", "external link", "through a link", "virtual"])
+def test_an_hdf5_file_reads_no_other_file(how, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    secret = np.arange(64, dtype=np.float32).reshape(4, 4, 4)
+    (tmp_path / "secret.raw").write_bytes(secret.tobytes())
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["image"] = secret
+    with h5py.File(tmp_path / "case.h5", "w") as file:
+        if how == "external storage":
+            stored = [(str(tmp_path / "secret.raw"), 0, h5py.h5f.UNLIMITED)]
+            file.create_dataset("image", (4, 4, 4), "f4", external=stored)
+        elif how == "virtual":
+            layout = h5py.VirtualLayout((4, 4, 4), "f4")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "image", (4, 4, 4))
+            file.create_virtual_dataset("image", layout)
+        else:
+            file["far"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "/")
+            file["image"] = h5py.SoftLink("/far/image")
+            if how == "external link":
+                del file["image"]
+                file["image"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "image")
+    with pytest.raises(FormatError, match=r"case\.h5 has its image in another file"):
+        read_hdf5(tmp_path / "case.h5")
