@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save
-    from sdm.runtime import cuda_graphs as replay  # noqa: F401
+    from sdm.runtime import graphs as cuda_graphs  # noqa: F401
     from sdm.stream import SDMStream
 
 __version__ = "0.1.0"
@@ -29,7 +29,7 @@ _PACKAGES = {
     "fit": "fit",
     "losses": "losses",
     "metrics": "metrics",
-    "replay": "runtime.cuda_graphs",
+    "cuda_graphs": "runtime.graphs",
     "shapes": "shapes",
 }
 

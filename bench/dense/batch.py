@@ -17,7 +17,7 @@ from sdm.bench.common.oracle import Brute
 from sdm.bench.common.query_points import generator
 from sdm.bench.common.timing import median, once
 from sdm.bench.dense.job import MIB, Job, as_dict, peak_mib
-from sdm.runtime import cuda_graphs
+from sdm.runtime import graphs
 
 BATCH, RESOLUTION = 64, 64
 # A batch at a time that a training step takes, and a large one.
@@ -58,11 +58,11 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
         def call(at: Tensor = at, shared: Tensor = shared) -> Tensor:
             return sdm.signed_distance_maps(at, shared, grid)
 
-        cuda_graphs.clear()
+        graphs.clear()
         first, values = once(call, job.device)
         if job.gpu:
             # The third call is recorded, so those that are timed are replayed.
-            for _ in range(cuda_graphs.CALLS):
+            for _ in range(graphs.CALLS):
                 call()
         timing = median(call, job.device, 3 * job.runs, 2e3)
         yield {

@@ -11,7 +11,7 @@ import sdm
 from sdm.bench.common.timing import median
 from sdm.bench.dense.batch import BATCHES, GRID, RESOLUTION, family
 from sdm.bench.dense.job import Job, as_dict, recorded
-from sdm.runtime import cuda_graphs
+from sdm.runtime import graphs
 
 
 def rows(job: Job) -> Iterator[dict[str, Any]]:
@@ -27,7 +27,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
         at, shared = torch.from_numpy(vertices).to(job.device), torch.from_numpy(faces).to(job.device)
         other = at.flip(0).contiguous()
         row = {"mesh": name, "batch": batch, "resolution": resolution}
-        with cuda_graphs.paused():
+        with graphs.paused():
             expected = sdm.signed_distance_maps(other, shared, grid)
             plain = median(lambda a=at, s=shared: sdm.signed_distance_maps(a, s, grid), job.device, 3 * job.runs, 1e3)
         row["plain"] = as_dict(plain)

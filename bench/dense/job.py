@@ -20,7 +20,7 @@ from sdm.bench.common.oracle import Brute
 from sdm.bench.common.query_points import generator
 from sdm.bench.common.timing import Timing, median, once
 from sdm.bench.peers import Peer
-from sdm.runtime import cuda_graphs
+from sdm.runtime import graphs
 
 MIB = 1 << 20
 # Slabs of a grid that stand for all of it, one drawn in each of as many equal parts.
@@ -107,11 +107,11 @@ class Ours:
 def time_ours(job: Job, ours: Ours, grid: sdm.Grid, budget_s: float = 2.0) -> tuple[dict[str, Any], Tensor]:
     """Milliseconds of sdm's steps on a grid, warm, with their spread and peak memory; and the map."""
     # No row is slower to be recorded for those before it.
-    cuda_graphs.clear()
+    graphs.clear()
     first, values = once(lambda: ours.map_new(grid), job.device)
     if job.gpu:
         # The third call is recorded, so those that are timed are replayed.
-        for _ in range(cuda_graphs.CALLS):
+        for _ in range(graphs.CALLS):
             ours.map_new(grid)
     budget = 1e3 * budget_s
     new = median(lambda: ours.map_new(grid), job.device, job.runs, budget)
@@ -156,7 +156,7 @@ def peak_mib(job: Job, call: Callable[[], Any]) -> float | None:
     """
     if not job.gpu:
         return None
-    with cuda_graphs.paused():
+    with graphs.paused():
         torch.cuda.synchronize()
         before = torch.cuda.memory_allocated()
         torch.cuda.reset_peak_memory_stats()

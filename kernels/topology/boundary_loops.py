@@ -1,9 +1,9 @@
-"""Boundary edges and their loops on the device, where few edges are left over.
+"""Boundary edges and their loops on the device, where few edges are unmatched.
 
 The same as `sdm.topology.joining` finds on the host.
 
-For calls that must not wait: how many edges are left over, and how many bound the mesh, is guessed by the caller, and
-remarks tell whether that was right. Each step compares every edge with every other, which for a thousand takes a GPU
+For calls that must not wait: how many edges are unmatched, and how many bound the mesh, is guessed by the caller, and
+flags tell whether that was right. Each step compares every edge with every other, which for a thousand takes a GPU
 less time than a sort. Only simple loops are followed here, in which one edge begins at each vertex.
 """
 
@@ -17,27 +17,27 @@ import warp as wp
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
-from sdm.kernels.topology.edge_pairing import LEFT_OVER, OUT_OF_RANGE
+from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 
 wp.set_module_options({"enable_backward": False})
 
-# Places of the remarks: a vertex out of range; by how many more edges than guessed are left over, and than bound the
+# Places of the flags: a vertex out of range; by how many more edges than guessed are unmatched, and than bound the
 # mesh; edges that are not followed by one.
-WRONG_VERTEX, WRONG_LEFT_OVER, WRONG_EDGES, TANGLED, REMARKS = 0, 1, 2, 3, 4
+WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
 _NONE = 0x7FFFFFFF
 
 
 @wp.func
-def end_of(left_over: wp.array2d(dtype=wp.int32), end: int, vertices: int):
-    """The vertex at an end of an edge left over; one that is there, if the rows are not."""
-    return wp.clamp(left_over[end / 2, end % 2], 0, vertices - 1)
+def end_of(unmatched: wp.array2d(dtype=wp.int32), end: int, vertices: int):
+    """The vertex at an end of an unmatched edge; one that is there, if the rows are not."""
+    return wp.clamp(unmatched[end / 2, end % 2], 0, vertices - 1)
 
 
 @wp.kernel
 def _join_ends(
     begin: int,
     lanes: int,
-    left_over: wp.array2d(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
     vertices: wp.array2d(dtype=wp.vec3),
     same: wp.array(dtype=wp.int32),
 ):
@@ -46,11 +46,11 @@ def _join_ends(
     lane = thread % lanes
     end = thread / lanes
     count = vertices.shape[1]
-    mine = end_of(left_over, end, count)
+    mine = end_of(unmatched, end, count)
     least = mine
     other = lane
     while other < same.shape[0]:
-        theirs = end_of(left_over, other, count)
+        theirs = end_of(unmatched, other, count)
         if theirs < least:
             equal = bool(True)
             for mesh in range(vertices.shape[0]):
@@ -74,7 +74,7 @@ def key_of(same: wp.array(dtype=wp.int32), row: int):
 def _add_up(
     begin: int,
     lanes: int,
-    left_over: wp.array2d(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
     same: wp.array(dtype=wp.int32),
     balances: wp.array(dtype=wp.int32),
 ):
@@ -90,7 +90,7 @@ def _add_up(
         if key_of(same, other) == key:
             first = wp.min(first, other)
             up = same[2 * other + 1] - same[2 * other]
-            balance = balance + wp.sign(up) * left_over[other, 2]
+            balance = balance + wp.sign(up) * unmatched[other, 2]
         other = other + lanes
     # Small numbers, which floats hold exactly.
     balance = int(sum_of_lanes(float(balance)))
@@ -109,7 +109,7 @@ def _write_edges(
     balances: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
     edges: wp.array2d(dtype=wp.int32),
-    remarks: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
@@ -129,11 +129,11 @@ def _write_edges(
         for i in range(at, wp.min(at + wp.abs(balances[row]), edges.shape[0])):
             edges[i, 0] = wp.where(balances[row] > 0, low, high)
             edges[i, 1] = wp.where(balances[row] > 0, high, low)
-        fetch_add(remarks, WRONG_EDGES, wp.abs(balances[row]))
+        fetch_add(flags, WRONG_EDGES, wp.abs(balances[row]))
         if row == 0:
-            remarks[WRONG_VERTEX] = found[OUT_OF_RANGE]
-            remarks[WRONG_LEFT_OVER] = found[LEFT_OVER] - rows
-            fetch_add(remarks, WRONG_EDGES, -edges.shape[0])
+            flags[WRONG_VERTEX] = found[OUT_OF_RANGE]
+            flags[WRONG_UNMATCHED] = found[UNMATCHED] - rows
+            fetch_add(flags, WRONG_EDGES, -edges.shape[0])
 
 
 @wp.kernel
@@ -142,7 +142,7 @@ def _follow(
     lanes: int,
     edges: wp.array2d(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
-    remarks: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
 ):
     """The edge that follows each one, and its first vertex, in one number."""
     thread = begin + wp.tid()
@@ -160,7 +160,7 @@ def _follow(
     following = least_whole_of_lanes(following)
     if lane == 0:
         if many != 1:
-            remarks[TANGLED] = 1
+            flags[TANGLED] = 1
             following = edge
         ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(edges[edge, 0])
 
@@ -191,30 +191,30 @@ def _number_loops(
 
 
 def join_edges(
-    left_over: wp.array,
+    unmatched: wp.array,
     found: wp.array,
     vertices: wp.array,
     edges: wp.array,
     around: wp.array,
-    remarks: wp.array,
+    flags: wp.array,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
     """Boundary edges and their loops from what `sdm.kernels.topology.edge_pairing` found.
 
     Args:
-        left_over: (N,3) int32, as many rows of what is left over as are guessed to be.
-        found: (2) int32, what `edges.pair_edges` remarks.
+        unmatched: (N,3) int32, as many rows of the unmatched edges as are guessed to be.
+        found: (2) int32, the flags of `edge_pairing.pair_edges`.
         vertices: (meshes, V) vec3.
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
         around: (E) int32, filled: equal for edges of one loop.
-        remarks: (REMARKS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
+        flags: (FLAGS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
         empty: Allocates scratch: `empty(length, dtype)`.
     """
-    device, rows, count = vertices.device, left_over.shape[0], edges.shape[0]
+    device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     same, balances, ahead = empty(2 * rows, wp.int32), empty(rows, wp.int32), empty(count, wp.int64)
-    launch(_join_ends, 2 * rows * lanes, [lanes, left_over, vertices, same], device)
-    launch(_add_up, rows * lanes, [lanes, left_over, same, balances], device)
-    launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, remarks], device)
-    launch(_follow, count * lanes, [lanes, edges, ahead, remarks], device)
+    launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, same], device)
+    launch(_add_up, rows * lanes, [lanes, unmatched, same, balances], device)
+    launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, flags], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, flags], device)
     launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, around], device)

@@ -1,4 +1,4 @@
-"""Which faces of a mesh meet at an edge, and which edges are left over: one sort of all edges.
+"""Which faces of a mesh meet at an edge, and which edges are unmatched: one sort of all edges.
 
 Edge k of face f has the number 3 f + k. It leads from the face's corner k to the next.
 """
@@ -15,8 +15,8 @@ from sdm.kernels.primitives.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
 
-# Places of the remarks about a mesh.
-OUT_OF_RANGE, LEFT_OVER, REMARKS = 0, 1, 2
+# Places of the flags about a mesh.
+OUT_OF_RANGE, UNMATCHED, FLAGS = 0, 1, 2
 
 
 def bits_for(vertices: int) -> int:
@@ -33,7 +33,7 @@ def _make_keys(
     keys: wp.array(dtype=wp.int64),
     edges: wp.array(dtype=wp.int32),
     first: wp.array(dtype=wp.int32),
-    remarks: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
 ):
     edge = begin + wp.tid()
     face = edge / 3
@@ -41,7 +41,7 @@ def _make_keys(
     end = faces[face, (edge + 1) % 3]
     key = wp.int64(0)
     if start < 0 or start >= vertices:
-        remarks[OUT_OF_RANGE] = 1
+        flags[OUT_OF_RANGE] = 1
     else:
         keep_least(first, start, face - faces.shape[0])
         key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
@@ -63,10 +63,10 @@ def _pair(
     faces: wp.array2d(dtype=wp.int32),
     keys: wp.array(dtype=wp.int64),
     edges: wp.array(dtype=wp.int32),
-    left_over: wp.array2d(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
     owned: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
-    remarks: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
 ):
     """One thread for each group of edges with the same ends."""
     i = begin + wp.tid()
@@ -97,10 +97,10 @@ def _pair(
     if balance != 0:
         start = faces[lead / 3, lead % 3]
         end = faces[lead / 3, (lead + 1) % 3]
-        row = fetch_add(remarks, LEFT_OVER, 1)
-        left_over[row, 0] = wp.min(start, end)
-        left_over[row, 1] = wp.max(start, end)
-        left_over[row, 2] = balance
+        row = fetch_add(flags, UNMATCHED, 1)
+        unmatched[row, 0] = wp.min(start, end)
+        unmatched[row, 1] = wp.max(start, end)
+        unmatched[row, 2] = balance
 
 
 @wp.kernel
@@ -109,10 +109,10 @@ def _own(
     faces: wp.array2d(dtype=wp.int32),
     owned: wp.array(dtype=wp.int32),
     first: wp.array(dtype=wp.int32),
-    remarks: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
 ):
-    if remarks[OUT_OF_RANGE] != 0:
+    if flags[OUT_OF_RANGE] != 0:
         return
     face = begin + wp.tid()
     bits = int(0)
@@ -126,8 +126,8 @@ def _own(
 def pair_edges(
     faces: wp.array,
     first: wp.array,
-    remarks: wp.array,
-    left_over: wp.array,
+    flags: wp.array,
+    unmatched: wp.array,
     neighbours: wp.array,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
@@ -136,9 +136,9 @@ def pair_edges(
     Args:
         faces: (F,3) int32.
         first: (V) int32, zero; afterwards F less than the first face at each vertex.
-        remarks: (REMARKS) int32, zero; afterwards 1 if there is a vertex out of range (then all else has no meaning),
-            and the number of edges left over.
-        left_over: (3 * F, 3) int32; afterwards the first rows are the edges left over, in any order: the lower vertex,
+        flags: (FLAGS) int32, zero; afterwards 1 if there is a vertex out of range (then all else has no meaning),
+            and the number of unmatched edges.
+        unmatched: (3 * F, 3) int32; afterwards the first rows are the unmatched edges, in any order: the lower vertex,
             the higher, and how many more of the edges between them lead up than back.
         neighbours: (F,4) int32, filled as `sdm.topology.boundary_edges.neighbours` says.
         empty: Allocates scratch: `empty(length, dtype)`.
@@ -146,16 +146,16 @@ def pair_edges(
     count, vertices, device = faces.shape[0], first.shape[0], faces.device
     total, bits = 3 * count, bits_for(vertices)
     keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
-    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, remarks], device)
+    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, flags], device)
     wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
-    launch(_pair, total, [faces, keys, edges, left_over, owned, neighbours, remarks], device)
-    launch(_own, count, [faces, owned, first, remarks, neighbours], device)
+    launch(_pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device)
+    launch(_own, count, [faces, owned, first, flags, neighbours], device)
 
 
 @wp.kernel
 def _gather_ends(
     begin: int,
-    left_over: wp.array2d(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
     vertices: wp.array2d(dtype=wp.vec3),
     rows: wp.array2d(dtype=wp.int32),
     places: wp.array2d(dtype=wp.vec3),
@@ -163,14 +163,14 @@ def _gather_ends(
     i = begin + wp.tid()
     edge = i / 2
     for k in range(3):
-        rows[edge, k] = left_over[edge, k]
+        rows[edge, k] = unmatched[edge, k]
     for mesh in range(vertices.shape[0]):
-        places[i, mesh] = vertices[mesh, left_over[edge, i % 2]]
+        places[i, mesh] = vertices[mesh, unmatched[edge, i % 2]]
 
 
-def gather_ends(left_over: wp.array, vertices: wp.array, rows: wp.array, places: wp.array) -> None:
-    """Copy what is left over (N,3) to `rows`, and where its ends are in each of the `vertices` (meshes,V) to `places`.
+def gather_ends(unmatched: wp.array, vertices: wp.array, rows: wp.array, places: wp.array) -> None:
+    """Copy the unmatched edges (N,3) to `rows`, and where their ends are to `places`.
 
-    `places` is (2 * N, meshes) vec3, the lower vertex of each edge first.
+    `vertices` is (meshes, V) vec3, `places` (2 * N, meshes) vec3, the lower vertex of each edge first.
     """
-    launch(_gather_ends, places.shape[0], [left_over, vertices, rows, places], vertices.device)
+    launch(_gather_ends, places.shape[0], [unmatched, vertices, rows, places], vertices.device)

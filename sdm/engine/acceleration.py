@@ -19,9 +19,10 @@ from sdm.kernels.bvh.build import build_tree
 from sdm.kernels.culling import normal_cones, voronoi_features
 from sdm.kernels.winding import dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
-from sdm.runtime.graph_branches import Join, kernels_beside
+from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, set_array, workspace
-from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops, neighbours
+from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops
+from sdm.topology.face_pairing import neighbours
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
 # number also than visiting them for a whole block of voxels.
@@ -144,10 +145,14 @@ class AccelerationStructure:
     @classmethod
     def empty(cls, sizes: Sizes, device: torch.device) -> AccelerationStructure:
         """A structure without content: one allocation, and one tensor to tell of the streams that read it."""
-        nbytes, spans, pieces = _layout(sizes)
-        block = torch.empty(nbytes, dtype=torch.uint8, device=device)
+        return cls.over(torch.empty(_layout(sizes)[0], dtype=torch.uint8, device=device), sizes)
+
+    @classmethod
+    def over(cls, block: Tensor, sizes: Sizes) -> AccelerationStructure:
+        """The structure whose arrays are parts of a block of bytes, as those of `empty` are."""
+        _, spans, pieces = _layout(sizes)
         base = block.data_ptr()
-        view = _view(sizes, [(base + offset, length) for offset, length in spans], device)
+        view = _view(sizes, [(base + offset, length) for offset, length in spans], block.device)
         return cls(sizes, (block,), view, pieces)
 
     @classmethod
@@ -174,6 +179,11 @@ class AccelerationStructure:
     def kind(self) -> MeshKind:
         """How winding numbers are found."""
         return self.sizes.kind
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(tensor.nbytes for tensor in self.memory)
 
     @property
     def device(self) -> torch.device:

@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
-from sdm.engine.maps import LARGEST_SLAB, batch_maps, is_replayable, map_of, put_together, slabs_of
+from sdm.engine.maps import LARGEST_SLAB, batch_maps, index_map, is_recordable, mesh_map, put_together, slabs_of
 from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
 from sdm.errors import MeshError
 from sdm.inspect import orient_outward
@@ -58,11 +58,9 @@ class MeshIndex:
     def __init__(
         self, mesh: TriangleMesh, device: str | torch.device | None = None, *, orient: Orient = "keep"
     ) -> None:
-        if orient not in ("keep", "auto"):
-            raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
         _refuse_forward_mode(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
-        self.mesh = (orient_outward(mesh) if orient == "auto" else mesh).to(self.device)
+        self.mesh = _oriented(mesh, orient).to(self.device)
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()
 
@@ -123,6 +121,9 @@ class MeshIndex:
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
         with room_for(grid.nbytes, self.device, _described(grid)):
+            if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
+                values, ambiguous = index_map(self._structure, grid)
+                return SDM(values, grid, 0 if self.closed else int(ambiguous))
             unclear = []
 
             def slabs() -> Iterator[tuple[int, int, Tensor]]:
@@ -183,16 +184,16 @@ def signed_distance_map(
     Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, and up to 128 more where
     slices are thick (`sdm.engine.thick_slices`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more
     for finer ones, at most a 14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU
-    calls of one kind are recorded and replayed, which keeps some of that memory: see `sdm.runtime.cuda_graphs`.
+    calls of one kind are recorded and replayed, which keeps some of that memory: see `sdm.runtime.graphs`.
     """
-    if orient == "keep":
-        mesh = mesh.to(choose_device(device, mesh.vertices))
-        if is_replayable(mesh.vertices, grid):
-            _refuse_forward_mode(mesh.vertices)
-            with room_for(grid.nbytes, mesh.device, _described(grid)):
-                values, ambiguous = map_of(mesh.vertices, mesh.faces, grid)
-            return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
-    return MeshIndex(mesh, device, orient=orient).signed_distance_map(grid)
+    where = choose_device(device, mesh.vertices)
+    mesh = _oriented(mesh, orient).to(where)
+    if is_recordable(mesh.vertices, grid.nbytes):
+        _refuse_forward_mode(mesh.vertices)
+        with room_for(grid.nbytes, mesh.device, _described(grid)):
+            values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
+        return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
+    return MeshIndex(mesh, where).signed_distance_map(grid)
 
 
 @overload
@@ -251,6 +252,12 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
     with room_for(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps"):
         return batch_maps(batch, shared, grid, None)
+
+
+def _oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:
+    if orient not in ("keep", "auto"):
+        raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
+    return orient_outward(mesh) if orient == "auto" else mesh
 
 
 def _described(grid: Grid) -> str:

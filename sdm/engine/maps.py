@@ -1,15 +1,15 @@
-"""Whole maps, from vertices and faces to values: queued step by step, or all at once from a recording.
+"""Whole maps, from vertices and faces to values: queued step by step, or all at once from a CUDA graph.
 
 Each call without gradients on a GPU is a function of a few tensors that queues kernels and does nothing else, so that
-`sdm.runtime.cuda_graphs` can record it. What a mesh's faces say by themselves is looked up beforehand, with one
-exception: as soon as such calls are recorded, faces never seen before are taken for those of a closed mesh, or of one
-with as many boundary edges as the last open one of as many vertices and faces. What they say is read while the map is
-under way; if the guess was wrong, the map is thrown away and made anew.
+`sdm.runtime.graphs` can record it. What a mesh's faces say by themselves is looked up beforehand, with one exception:
+as soon as such calls are recorded, faces never seen before are taken for those of a closed mesh, or of one with as many
+boundary edges as the last open one of as many vertices and faces. What they say is read while the map is under way; if
+the guess was wrong, the map is thrown away and made anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 
 import torch
@@ -17,23 +17,16 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine import ops
-from sdm.engine.acceleration import build, check_count, queue_build, topology_for
-from sdm.engine.ops import map_slab
+from sdm.engine.acceleration import AccelerationStructure, Sizes, build, check_count, queue_build, topology_for
+from sdm.engine.ops import map_slab, structure_slab
 from sdm.errors import GridError
 from sdm.kernels.dense.cost_model import THINNEST_SLAB
-from sdm.runtime import cuda_graphs
-from sdm.runtime.captured_call import Work
-from sdm.runtime.graph_branches import Join, beside
-from sdm.topology.boundary_edges import (
-    MeshTopology,
-    guess,
-    is_known,
-    leaves_none_over,
-    queue_joining,
-    queue_pairing,
-    remember_closed,
-    remember_open,
-)
+from sdm.runtime import graphs
+from sdm.runtime.graphs import Call, Verify
+from sdm.runtime.graphs.branches import Join, beside
+from sdm.topology import guesses
+from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.face_pairing import is_known, remember_closed
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
@@ -76,111 +69,104 @@ def put_together(slabs: Iterable[tuple[int, int, Tensor]], layers: int) -> Tenso
     return whole
 
 
-def is_replayable(vertices: Tensor, grid: Grid, meshes: int = 1) -> bool:
-    """Whether maps of these vertices may be recorded and replayed."""
-    return meshes * grid.nbytes <= LARGEST_RECORDED and cuda_graphs.serves(vertices)
+def is_recordable(vertices: Tensor, nbytes: int) -> bool:
+    """Whether a call of so many bytes about meshes with these vertices may be recorded and replayed."""
+    return vertices.is_cuda and nbytes <= LARGEST_RECORDED and graphs.supports(vertices)
 
 
-def map_of(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None]:
-    """The map (nx,ny,nz) of a replayable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
+def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None]:
+    """The map (nx,ny,nz) of a recordable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
     vertices, count = vertices.detach(), vertices.shape[0]
     if is_known(faces, count):
-        values, ambiguous = _maps(vertices[None], faces, grid, None)
-        return values[0], ambiguous
-    kind, work = _guessed(faces, count, grid)
-    found = cuda_graphs.replayed(kind, (vertices, faces))
-    if found is not None:
-        if work is _closed_map:
-            remember_closed(faces, count, found[1])
-            return found[0][0], None
-        return found[0][0], found[1]
-    topology = topology_for(vertices, faces)
-    remember_open(faces, count, topology.boundary)
-    kind, work = _guessed(faces, count, grid)
-    if work is _closed_map and not leaves_none_over(faces, count):
-        values, ambiguous = _maps(vertices[None], faces, grid, None)
-        return values[0], ambiguous
-    made = _known_maps(grid, cuda_graphs.unheard, vertices[None], faces, *topology)
-    cuda_graphs.note(kind, partial(work, grid), (vertices, faces))
-    return made[0][0], made[1] if len(made) > 1 else None
+        return _unpacked(graphs.run(_known_call(vertices[None], faces, grid, None)))
+    guessed = guesses.guess(faces, count)
+
+    def settle() -> tuple[tuple[Tensor, ...], Call | None]:
+        topology = topology_for(vertices, faces)
+        guesses.remember(faces, count, topology.boundary)
+        better = guesses.guess(faces, count)
+        if not guesses.is_right(better, faces, count):
+            return graphs.run(_known_call(vertices[None], faces, grid, topology.boundary)), None
+        found = _queue_maps(grid, graphs.unverified, vertices[None], faces, *topology)
+        return found, _guessed_call(better, vertices, faces, grid)
+
+    found, was_guessed = graphs.speculate(_guessed_call(guessed, vertices, faces, grid), settle)
+    if was_guessed and guessed == guesses.CLOSED:
+        remember_closed(faces, count, found[1])
+        return found[0][0], None
+    return _unpacked(found)
 
 
-def _guessed(faces: Tensor, count: int, grid: Grid) -> tuple[Hashable, Work]:
-    """What kind of call a map is if the guess about its faces is right, and the work that is recorded for it."""
-    numbers = guess(faces, count)
-    kind = "closed" if numbers is None else "open", count, faces.shape[0], numbers, grid, ops.DENSE_METHOD
-    return kind, _closed_map if numbers is None else partial(_open_map, numbers)
+def index_map(structure: AccelerationStructure, grid: Grid) -> tuple[Tensor, Tensor]:
+    """The map (nx,ny,nz) of a recordable mesh whose structure is built, and how many voxels are ambiguous (1,)."""
+    key = "index", structure.sizes, grid, ops.DENSE_METHOD
+    values, ambiguous = graphs.run(Call(key, partial(_queue_index_map, structure.sizes, grid), structure.memory))
+    return values[0], ambiguous
 
 
 def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
-    if is_replayable(vertices, grid, vertices.shape[0]):
+    meshes = vertices.shape[0]
+    if is_recordable(vertices, meshes * grid.nbytes):
         check_count(vertices, faces)
-        return _maps(vertices.detach().contiguous(), faces.contiguous(), grid, edges)[0]
+        return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
+    if meshes * grid.size <= LARGEST_SLAB:
+        return map_slab(vertices, faces, build(vertices.detach(), faces, edges), grid, 0, grid.shape[0])[0]
     most = max(1, LARGEST_SLAB // _thinnest(grid))
-    if vertices.shape[0] > most:
+    if meshes > most:
         return torch.cat([batch_maps(some, faces, grid, edges) for some in vertices.split(most)])
     structure = build(vertices.detach(), faces, edges)
-    slabs = slabs_of(grid, LARGEST_SLAB // vertices.shape[0])
+    slabs = slabs_of(grid, LARGEST_SLAB // meshes)
     return put_together(
         ((begin, end, map_slab(vertices, faces, structure, grid, begin, end)[0]) for begin, end in slabs),
         grid.shape[0],
     )
 
 
-def _maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> tuple[Tensor, Tensor | None]:
-    """Replayable maps (B,nx,ny,nz), and how many voxels are ambiguous (B,), None for closed meshes."""
+def _unpacked(found: tuple[Tensor, ...]) -> tuple[Tensor, Tensor | None]:
+    return found[0][0], found[1] if len(found) > 1 else None
+
+
+def _known_call(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Call:
+    """The call that makes maps (B,nx,ny,nz) of faces seen before, and of open meshes counts ambiguous voxels (B,)."""
     topology = topology_for(vertices, faces, edges)
-    kind = "known", vertices.shape, faces.shape[0], topology.boundary.shape[0], grid, ops.DENSE_METHOD
-    inputs = vertices, faces, *topology
-    found = cuda_graphs.replayed(kind, inputs)
-    if found is None:
-        work = partial(_known_maps, grid)
-        found = work(cuda_graphs.unheard, *inputs)
-        cuda_graphs.note(kind, work, inputs)
-    return found[0], found[1] if len(found) > 1 else None
+    key = "known", vertices.shape, faces.shape[0], topology.boundary.shape[0], grid, ops.DENSE_METHOD
+    return Call(key, partial(_queue_maps, grid), (vertices, faces, *topology))
 
 
-def _known_maps(
+def _guessed_call(guessed: guesses.Guess, vertices: Tensor, faces: Tensor, grid: Grid) -> Call:
+    """The call that makes a map if the guess about its faces is right."""
+    key = "guessed", vertices.shape[0], faces.shape[0], guessed, grid, ops.DENSE_METHOD
+    return Call(key, partial(_queue_guessed_map, guessed, grid), (vertices, faces))
+
+
+def _queue_maps(
     grid: Grid,
-    say: cuda_graphs.Say,
+    verify: Verify,
     vertices: Tensor,
     faces: Tensor,
-    shared: Tensor,
-    edges: Tensor,
-    around: Tensor,
+    neighbours: Tensor,
+    boundary: Tensor,
+    loops: Tensor,
     *,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    structure = queue_build(vertices, faces, MeshTopology(shared, edges, around), join)
+    structure = queue_build(vertices, faces, MeshTopology(neighbours, boundary, loops), join)
     found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
-    return found if edges.shape[0] else found[:1]
+    return found if boundary.shape[0] else found[:1]
 
 
-def _closed_map(grid: Grid, say: cuda_graphs.Say, vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """The map (1,nx,ny,nz) of a mesh that is closed if the remarks are zero, and its neighbours (F,4)."""
+def _queue_guessed_map(
+    guessed: guesses.Guess, grid: Grid, verify: Verify, vertices: Tensor, faces: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The map (1,nx,ny,nz); of a closed mesh its neighbours (F,4), of an open one its ambiguous voxels (1,)."""
     with beside(faces.device) as join:
-        remarks, _, shared = queue_pairing(faces, vertices.shape[0])
-        say(remarks)
+        topology = guesses.queue_guessed(guessed, vertices, faces, verify)
     # The kernels after this trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, vertices.shape[0] - 1)
-    none = faces.new_empty((0, 2))
-    return _known_maps(grid, say, vertices[None], within, shared, none, none, join=join)[0], shared
+    found = _queue_maps(grid, verify, vertices[None], within, *topology, join=join)
+    return found[0], topology.neighbours if guessed == guesses.CLOSED else found[1]
 
 
-def _open_map(
-    numbers: tuple[int, int], grid: Grid, say: cuda_graphs.Say, vertices: Tensor, faces: Tensor
-) -> tuple[Tensor, Tensor]:
-    """The map (1,nx,ny,nz), and how many voxels are ambiguous (1,), of an open mesh.
-
-    If the remarks are zero: so many edges are left over, and so many bound it, as `numbers` say.
-    """
-    last = vertices.shape[0] - 1
-    with beside(faces.device) as join:
-        found, left_over, shared = queue_pairing(faces, vertices.shape[0])
-        remarks, bounds, around = queue_joining(left_over, found, vertices[None], *numbers)
-        say(remarks)
-        # As above.
-        edges = bounds.clamp(0, last)
-    values, ambiguous = _known_maps(grid, say, vertices[None], faces.clamp(0, last), shared, edges, around, join=join)
-    return values, ambiguous
+def _queue_index_map(sizes: Sizes, grid: Grid, verify: Verify, block: Tensor) -> tuple[Tensor, Tensor]:
+    return structure_slab(AccelerationStructure.over(block, sizes), grid, 0, grid.shape[0])

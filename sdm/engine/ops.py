@@ -23,9 +23,9 @@ from sdm.kernels.dense import query as dense
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.points.query import query_points, query_winding, sort_points
 from sdm.kernels.winding.column_sums import slab_winding
-from sdm.runtime.graph_branches import kernels_beside
+from sdm.runtime.graphs.branches import kernels_beside
+from sdm.runtime.graphs.output_slot import current_slot
 from sdm.runtime.operators import define, differentiate, is_eager
-from sdm.runtime.output_slot import current_place
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
 # How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
@@ -240,7 +240,7 @@ def _query_slices(
 
         def measure(winding: Any, slices: Slices, values: Tensor) -> Tensor:
             ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
-            place = current_place()
+            slot = current_slot()
             dense.query_slab(
                 tree,
                 frames,
@@ -250,7 +250,7 @@ def _query_slices(
                 _slab(origin, slices.spacing, slices.shape, slices.first, direction),
                 as_warp(values, wp.float32),
                 as_warp(ambiguous, wp.int32),
-                None if place is None else as_warp(place.take(values), wp.int64),
+                None if slot is None else as_warp(slot.bind(values), wp.int64),
                 workspace(device),
                 partial(kernels_beside, values),
                 DENSE_METHOD,
@@ -297,14 +297,19 @@ def map_slab(
     vertices: Tensor, faces: Tensor, structure: AccelerationStructure | None, grid: Grid, begin: int, end: int
 ) -> tuple[Tensor, Tensor]:
     """The operator `distance_map` for layers of a grid, in the same way: maps (B,end-begin,ny,nz), ambiguous (B,)."""
-    shape = end - begin, grid.shape[1], grid.shape[2]
-    direction = tuple([x for row in grid.direction for x in row])
     if is_eager(vertices):
-        structure = structure or build(vertices.detach(), faces)
-        return _slab_distances(structure, grid.origin, direction, Slices(grid.spacing, shape, begin))
+        return structure_slab(structure or build(vertices.detach(), faces), grid, begin, end)
+    shape = end - begin, grid.shape[1], grid.shape[2]
+    direction = [x for row in grid.direction for x in row]
     return torch.ops.sdm.distance_map(
         vertices, faces, *_handed_over(structure), grid.origin, grid.spacing, shape, begin, direction
     )
+
+
+def structure_slab(structure: AccelerationStructure, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
+    """`map_slab` of a structure that is there, past torch's dispatcher and without gradients."""
+    slices = Slices(grid.spacing, (end - begin, *grid.shape[1:]), begin)
+    return _slab_distances(structure, grid.origin, (*grid.direction[0], *grid.direction[1], *grid.direction[2]), slices)
 
 
 def _handed_over(structure: AccelerationStructure | None) -> tuple[list[Tensor], int]:

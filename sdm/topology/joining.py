@@ -1,8 +1,8 @@
 """Boundary edges once vertices at equal positions count as one, and the loops they form.
 
-Only the edges that faces leave over by their vertices' indices matter here, and only the ends of those. Every other
+Only the edges that faces leave unmatched by their vertices' indices matter here, and only the ends of those. Any other
 pair of vertices has as many faces' edges in one direction as in the other, and wherever its two ends move, both
-directions move alike: it goes on adding nothing to any edge. So the sums over the edges left over are the sums over
+directions move alike: it goes on adding nothing to any edge. So the sums over the unmatched edges are the sums over
 all edges, and a vertex that ends none of them is of no interest, whatever its position.
 
 An end is replaced by the first of all ends at its position, and edges come sorted by their lower vertex, then their
@@ -20,14 +20,14 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 
-def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Boundary edges (E,2) int32, for few edges left over.
+def join_on_host(unmatched: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Boundary edges (E,2) int32, for few unmatched edges.
 
     Args:
-        left_over: (N,3) int32: two vertices, and how many more edges lead from the first to the second than back.
+        unmatched: (N,3) int32: two vertices, and how many more edges lead from the first to the second than back.
         places: (2 * N, K) float32, the ends' coordinates in all meshes.
     """
-    ends = left_over[:, :2].ravel()
+    ends = unmatched[:, :2].ravel()
     # Adding zero makes -0 and +0 one; then the bytes are equal where the numbers are. They sort in one go, however
     # many meshes there are, and any order will do that puts equal ones together.
     places = (places + np.float32(0.0)).view(np.int32)
@@ -39,7 +39,7 @@ def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
     same[order] = first[np.cumsum(begins) - 1]
 
     start, end = same.reshape(-1, 2).T
-    times = np.sign(end - start) * left_over[:, 2]
+    times = np.sign(end - start) * unmatched[:, 2]
     keys = np.minimum(start, end).astype(np.int64) << 32 | np.maximum(start, end)
     order = np.argsort(keys)
     keys = keys[order]
@@ -49,9 +49,9 @@ def join_on_host(left_over: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.stack([keys >> 32, keys & 0xFFFFFFFF], 1).astype(np.int32)
 
 
-def join_on_device(left_over: Tensor, vertices: Tensor) -> Tensor:
+def join_on_device(unmatched: Tensor, vertices: Tensor) -> Tensor:
     """The same of `vertices` (B,V,3), by torch on their device, which it waits for twice."""
-    ends = left_over[:, :2].long()
+    ends = unmatched[:, :2].long()
     # In an ordinary mesh few of all vertices, and each ends two edges.
     same = torch.zeros(vertices.shape[1], dtype=torch.int64, device=ends.device)
     used = same.index_fill_(0, ends.reshape(-1), 1).nonzero().squeeze(1)
@@ -69,7 +69,7 @@ def join_on_device(left_over: Tensor, vertices: Tensor) -> Tensor:
     same[used] = first[group]
 
     start, end = same[ends].unbind(1)
-    times = (end - start).sign() * left_over[:, 2]
+    times = (end - start).sign() * unmatched[:, 2]
     keys, order = (torch.minimum(start, end) << 32 | torch.maximum(start, end)).sort()
     group = _groups(keys[1:] != keys[:-1])
     balance = torch.zeros_like(keys).scatter_add_(0, group, times[order])

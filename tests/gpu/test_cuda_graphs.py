@@ -10,29 +10,30 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import load_case, sphere, torus
-from sdm.runtime import cuda_graphs
-from sdm.runtime.captured_call import Recording
-from sdm.runtime.graph_cache import MOST_RECORDINGS
+from sdm.runtime import graphs
+from sdm.runtime.graphs import replay
+from sdm.runtime.graphs.captured_call import CapturedCall
+from sdm.runtime.graphs.graph_cache import MOST_RECORDINGS
 
 pytestmark = pytest.mark.gpu
 
 GRID = sdm.Grid([-1.2] * 3, [0.08] * 3, [31] * 3)
-CALLS = cuda_graphs.CALLS
+CALLS = graphs.CALLS
 
 
 @pytest.fixture(autouse=True)
 def afresh():
-    cuda_graphs.clear()
+    graphs.clear()
     yield
-    cuda_graphs.clear()
+    graphs.clear()
 
 
 @pytest.fixture
 def launches(monkeypatch):
     """How often a recording is launched."""
     counted = []
-    plain = Recording.launch
-    monkeypatch.setattr(Recording, "launch", lambda *args: counted.append(1) or plain(*args))
+    plain = CapturedCall.launch
+    monkeypatch.setattr(CapturedCall, "launch", lambda *args: counted.append(1) or plain(*args))
     return counted
 
 
@@ -47,7 +48,8 @@ def _shapes(vertices, count=6):
 
 
 def _eager(mesh, grid=GRID) -> sdm.SDM:
-    return sdm.MeshIndex(mesh).signed_distance_map(grid)
+    with graphs.paused():
+        return sdm.MeshIndex(mesh).signed_distance_map(grid)
 
 
 def _same(found: sdm.SDM, expected: sdm.SDM) -> None:
@@ -92,7 +94,7 @@ def test_batches(launches, shape):
     for step in range(6):
         batch = torch.tensor(np.stack(_shapes(case.vertices, 4)) * (1 - 0.1 * step)).float().cuda()
         found = sdm.signed_distance_maps(batch, faces, grid)
-        with cuda_graphs.paused():
+        with graphs.paused():
             assert torch.equal(found, sdm.signed_distance_maps(batch, faces, grid))
     assert len(launches) == 6 - CALLS
 
@@ -108,7 +110,7 @@ def test_known_faces_by_turns_with_another_recording(launches, triangles):
     def calls(grid):
         return [sdm.signed_distance_map(sdm.TriangleMesh(v, known), grid) for v in moved]
 
-    with cuda_graphs.paused():
+    with graphs.paused():
         expected = [calls(grid) for grid in grids]
     for grid in grids:
         calls(grid)
@@ -166,7 +168,7 @@ def test_different_grids_and_methods(launches, monkeypatch):
     for method in ("cells", "search"):
         monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
         # Recordings that make room for others after a single use would make these wait for longer.
-        cuda_graphs.clear()
+        graphs.clear()
         for _ in range(CALLS + 1):
             for grid in grids:
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
@@ -187,7 +189,7 @@ def test_two_streams(launches):
     case = load_case("torus")
     faces = torch.tensor(case.faces).cuda()
     batches = [torch.tensor(np.stack([v] * 8)).cuda() for v in _shapes(case.vertices, 12)]
-    with cuda_graphs.paused():
+    with graphs.paused():
         expected = [sdm.signed_distance_maps(batch, faces, GRID) for batch in batches]
     for _ in range(CALLS):
         sdm.signed_distance_maps(batches[0], faces, GRID)
@@ -204,6 +206,29 @@ def test_two_streams(launches):
     assert len(launches) == len(batches)
     for one, other in zip(found, expected, strict=True):
         assert torch.equal(one, other)
+
+
+def test_an_index_is_recorded(launches):
+    case = load_case("open hemisphere")
+    indices = [sdm.MeshIndex(_mesh(vertices, case.faces)) for vertices in _shapes(case.vertices)]
+    expected = [_eager(index.mesh) for index in indices]
+    for _ in range(2):
+        for index, wanted in zip(indices, expected, strict=True):
+            # The second time nothing is copied.
+            _same(index.signed_distance_map(GRID), wanted)
+            _same(index.signed_distance_map(GRID), wanted)
+    assert len(launches) == 4 * len(indices) - CALLS
+    indices[0].update(indices[1].mesh.vertices)
+    _same(indices[0].signed_distance_map(GRID), expected[1])
+
+
+def test_a_mesh_that_may_be_turned_is_recorded(launches):
+    vertices, faces = torus(600)
+    for _ in range(CALLS + 2):
+        mesh = _mesh(vertices, faces[:, ::-1].copy())
+        found = sdm.signed_distance_map(mesh, GRID, orient="auto")
+        assert torch.equal(found.values, _eager(_mesh(vertices, faces[:, ::-1].copy()).flipped()).values)
+    assert len(launches) == 2
 
 
 def test_threads():
@@ -237,11 +262,11 @@ def test_recordings_are_evicted(launches):
         for grid in grids:
             for _ in range(CALLS + 1):
                 _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
-        (shelf,) = cuda_graphs._shelves.values()
-        assert len(shelf) == MOST_RECORDINGS
-        assert 0 < shelf._room.nbytes <= shelf._most
+        (cache,) = replay._caches.values()
+        assert len(cache) == MOST_RECORDINGS
+        assert 0 < cache._pool.nbytes <= cache._most
     held = torch.cuda.memory_reserved()
-    cuda_graphs.clear()
+    graphs.clear()
     torch.cuda.synchronize()
     torch.cuda.empty_cache()
     assert torch.cuda.memory_reserved() < held
@@ -250,11 +275,11 @@ def test_recordings_are_evicted(launches):
 def test_too_much_memory(monkeypatch, launches):
     vertices, faces = torus(600)
     sdm.signed_distance_map(_mesh(vertices, faces), GRID)
-    (shelf,) = cuda_graphs._shelves.values()
-    monkeypatch.setattr(shelf, "_most", 1 << 20)
+    (cache,) = replay._caches.values()
+    monkeypatch.setattr(cache, "_most", 1 << 20)
     for _ in range(CALLS + 3):
         _same(sdm.signed_distance_map(_mesh(vertices, faces), GRID), _eager(_mesh(vertices, faces)))
-    assert len(shelf) == 0
+    assert len(cache) == 0
     assert not launches
 
 
@@ -283,12 +308,12 @@ def test_inference_mode():
 
 def test_off(launches):
     vertices, faces = torus(600)
-    cuda_graphs.enable(False)
+    graphs.enable(False)
     try:
         for _ in range(CALLS + 2):
             sdm.signed_distance_map(_mesh(vertices, faces), GRID)
     finally:
-        cuda_graphs.enable(True)
+        graphs.enable(True)
     assert not launches
 
 

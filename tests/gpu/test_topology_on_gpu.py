@@ -11,7 +11,8 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import load_case, sphere
-from sdm.topology.boundary_edges import boundary_edges, loops, neighbours
+from sdm.topology.boundary_edges import boundary_edges, loops
+from sdm.topology.face_pairing import neighbours
 
 pytestmark = pytest.mark.gpu
 

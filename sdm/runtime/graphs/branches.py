@@ -1,4 +1,4 @@
-"""Work queued beside other work, so that a GPU that one kernel does not fill runs two.
+"""Branches of a CUDA graph: work beside other work, so that a GPU that one kernel does not fill runs two.
 
 Only while a CUDA graph is recorded: there a side stream becomes a branch of the graph, and memory stays the graph's
 until it goes. Outside of one all work stays on the current stream, where torch knows when memory is free again.

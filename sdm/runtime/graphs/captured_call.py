@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import weakref
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -11,164 +10,94 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.runtime.graph_branches import side_stream
-from sdm.runtime.output_slot import Place, placing
-from sdm.runtime.torch_warp import on_current_stream, version_of
+from sdm.runtime.graphs.branches import side_stream
+from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
+from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
+from sdm.runtime.torch_warp import on_current_stream
 
-Say: TypeAlias = Callable[[Tensor], None]
-Inputs: TypeAlias = tuple[Tensor, ...]
-# Takes a `Say` and tensors, gives tensors.
-Work: TypeAlias = Callable[..., tuple[Tensor, ...]]
+# Takes flags, zeros if a guess is right.
+Verify: TypeAlias = Callable[[Tensor], None]
+Tensors: TypeAlias = tuple[Tensor, ...]
+# Takes a `Verify` and tensors, gives tensors.
+Work: TypeAlias = Callable[..., Tensors]
 
-MOST_REMARKS = 4
-UNSAID = -1
-
-
-def unheard(remarks: Tensor) -> None:
-    """Remarks that nobody waits for."""
+MOST_FLAGS = 4
+PENDING = -1
 
 
-def _nothing() -> None:
-    """As a reference to a tensor that is gone."""
+def unverified(flags: Tensor) -> None:
+    """The `Verify` of work whose guesses are known to be right, or whose results nobody looks at."""
 
 
-class Room:
-    """Memory that several recordings of one device share: each launch waits for the one before.
+class CapturedCall:
+    """`work(verify, *inputs)`, recorded: for other inputs of the same shapes.
 
     Args:
-        before: The room that this one takes the place of, whose launches it waits for too.
-    """
-
-    def __init__(self, before: Room | None = None) -> None:
-        self.nbytes = 0
-        # Launches of all its recordings so far.
-        self.launches = 0
-        self._pool: Any = None
-        self._stream: torch.cuda.Stream | None = before._stream if before else None
-        self.last: torch.cuda.Event | None = before.last if before else None
-
-    def open(self) -> tuple[torch.cuda.Stream, Any]:
-        """The stream to record on and the pool to take memory from, of the current device."""
-        if self._stream is None:
-            self._stream = torch.cuda.Stream()
-        if self.last is None:
-            self.last = torch.cuda.Event()
-        if self._pool is None:
-            self._pool = torch.cuda.graph_pool_handle()
-        return self._stream, self._pool
-
-
-class Held:
-    """Which tensor's numbers each of a recording's own inputs has: those of the last launch, if they are still there.
-
-    Recordings of one room share its memory, so that another one's scratch may lie where the inputs of this one do.
-
-    Args:
-        room: Whose launches are counted.
-        count: How many inputs there are.
-    """
-
-    def __init__(self, room: Room, count: int) -> None:
-        self._room = room
-        # Of each input which tensor was copied last, and that one's version.
-        self._given: list[tuple[Callable[[], Tensor | None], int | None]] = [(_nothing, None)] * count
-        self._launch = 0
-
-    def begin(self) -> None:
-        """One more launch of the room's begins, which is this recording's."""
-        if self._room.launches != self._launch:
-            # Others came in between.
-            self._given = [(_nothing, None)] * len(self._given)
-        self._room.launches += 1
-        self._launch = self._room.launches
-
-    def has(self, place: int, given: Tensor) -> bool:
-        """Whether an input need not be copied.
-
-        That is asked only of faces and what is known of them, which `sdm.topology.boundary_edges` remembers by the same
-        rule. A stream's are the same in every batch, and to copy them was a seventh of what a call takes the host.
-        """
-        before, version = self._given[place]
-        return version is not None and before() is given and version == _version_of_faces(given)
-
-    def note(self, place: int, given: Tensor) -> None:
-        """An input was copied."""
-        self._given[place] = weakref.ref(given), _version_of_faces(given)
-
-
-def _version_of_faces(given: Tensor) -> int | None:
-    return version_of(given) if given.dtype == torch.int32 else None
-
-
-class Recording:
-    """`work(say, *inputs)`, recorded: for other inputs of the same shapes.
-
-    Args:
-        room: Where to take memory.
+        pool: Where to take memory.
         work: Queues kernels.
         inputs: As those to come; the work is done once with them, without a result.
     """
 
-    def __init__(self, room: Room, work: Work, inputs: Inputs) -> None:
-        self.turn = threading.Lock()
-        self._room = room
+    def __init__(self, pool: MemoryPool, work: Work, inputs: Tensors) -> None:
+        self.lock = threading.Lock()
+        self._pool = pool
         self._device = inputs[0].device
         self._guesses, self._count = False, 0
-        self._held = Held(room, len(inputs))
-        self._heard = torch.cuda.Event(external=True)
+        self._held = InputCache(pool, len(inputs))
+        self._verified = torch.cuda.Event(external=True)
         with (
             torch.cuda.device(self._device),
             torch.inference_mode(False),
             torch.no_grad(),
             torch.autocast("cuda", enabled=False),
         ):
-            self._place = Place(self._device)
-            self._said = torch.zeros(MOST_REMARKS, dtype=torch.int32, pin_memory=True)
+            self._slot = OutputSlot(self._device)
+            self._flags = torch.zeros(MOST_FLAGS, dtype=torch.int32, pin_memory=True)
             # Loads what is loaded on first use, which a capture does not allow.
-            work(unheard, *inputs)
-            stream, pool = room.open()
+            work(unverified, *inputs)
+            stream, handle = pool.open()
             side_stream(stream.device_index)
             before = torch.cuda.memory_reserved()
             with torch.cuda.stream(stream), on_current_stream(inputs[0]) as device:
-                self._capture(work, inputs, device.stream, pool)
-            room.nbytes += max(0, torch.cuda.memory_reserved() - before)
-            self._place_is_made(torch.cuda.current_stream())
+                self._capture(work, inputs, device.stream, handle)
+            pool.nbytes += max(0, torch.cuda.memory_reserved() - before)
+            self._slot_is_made(torch.cuda.current_stream())
 
-    def _place_is_made(self, stream: torch.cuda.Stream) -> None:
-        """A launch on another stream waits until the place's memory is this recording's."""
-        last = self._room.last
+    def _slot_is_made(self, stream: torch.cuda.Stream) -> None:
+        """A launch on another stream waits until the slot's memory is this recording's."""
+        last = self._pool.last
         if last is not None:
             # And, as every launch, for the one before.
             stream.wait_event(last)
             last.record(stream)
 
-    def _capture(self, work: Work, inputs: Inputs, stream: wp.Stream, pool: Any) -> None:
+    def _capture(self, work: Work, inputs: Tensors, stream: wp.Stream, handle: Any) -> None:
         self._graph = torch.cuda.CUDAGraph()
         # Other threads go on with what they do, on other streams.
-        self._graph.capture_begin(pool=pool, capture_error_mode="thread_local")
+        self._graph.capture_begin(pool=handle, capture_error_mode="thread_local")
         try:
             # Warp is told, so that its memory for sorting becomes the graph's, and its kernels stay loaded.
             wp.capture_begin(stream=stream, external=True, force_module_load=False)
             try:
                 self._inputs = tuple(torch.empty_like(given) for given in inputs)
-                with placing(self._place):
-                    self._results = work(self._say, *self._inputs)
+                with capturing_into(self._slot):
+                    self._results = work(self._verify, *self._inputs)
             finally:
                 self._warp = wp.capture_end(stream=stream)
         finally:
             self._graph.capture_end()
 
-    def _say(self, remarks: Tensor) -> None:
+    def _verify(self, flags: Tensor) -> None:
         self._guesses = True
-        self._count = remarks.shape[0]
-        self._said[: self._count].copy_(remarks, non_blocking=True)
-        self._heard.record()
+        self._count = flags.shape[0]
+        self._flags[: self._count].copy_(flags, non_blocking=True)
+        self._verified.record()
 
-    def launch(self, inputs: Inputs) -> tuple[Tensor, ...]:
+    def launch(self, inputs: Tensors) -> Tensors:
         """Queue the work for these inputs on the current stream of their device: new tensors."""
-        last = self._room.last
+        last = self._pool.last
         if last is None:
-            raise RuntimeError("a room without a recording")
+            raise RuntimeError("a pool without a recording")
         with torch.cuda.device(self._device), torch.no_grad():
             stream = torch.cuda.current_stream()
             stream.wait_event(last)
@@ -177,27 +106,27 @@ class Recording:
             finally:
                 last.record(stream)
 
-    def _queue(self, inputs: Inputs, stream: torch.cuda.Stream) -> tuple[Tensor, ...]:
+    def _queue(self, inputs: Tensors, stream: torch.cuda.Stream) -> Tensors:
         self._held.begin()
-        for place, given in enumerate(inputs):
-            if given.numel() and not self._held.has(place, given):
-                self._inputs[place].copy_(given)
+        for index, given in enumerate(inputs):
+            if given.numel() and not self._held.holds(index, given):
+                self._inputs[index].copy_(given)
                 given.record_stream(stream)
-                self._held.note(place, given)
+                self._held.copied(index, given)
         if self._guesses:
-            self._said[: self._count].fill_(UNSAID)
-        # The first result, if it is a map, is written where it is wanted; the others are copied.
-        placed = self._place.put()
+            self._flags[: self._count].fill_(PENDING)
+        # The first result, if it is a map, is written to the slot's new tensor; the others are copied.
+        values = self._slot.new_output()
         self._graph.replay()
-        first = () if placed is None else (placed,)
+        first = () if values is None else (values,)
         return *first, *(result.clone() for result in self._results[len(first) :])
 
     def guessed_right(self) -> bool:
-        """Whether the last launch's guess was right: waits for its remarks, if it makes any, and for nothing else."""
+        """Whether the last launch's guess was right: waits for its flags, if there are any, and for nothing else."""
         if not self._guesses:
             return True
-        self._heard.synchronize()
-        if UNSAID in self._said.tolist() and self._room.last is not None:
+        self._verified.synchronize()
+        if PENDING in self._flags.tolist() and self._pool.last is not None:
             # A driver that does not take launches into account: the results' own event comes last.
-            self._room.last.synchronize()
-        return not any(self._said.tolist())
+            self._pool.last.synchronize()
+        return not any(self._flags.tolist())

@@ -1,4 +1,4 @@
-"""The recordings of one device: which calls are worth one, and which recordings are kept."""
+"""Cache of the recordings of one device: calls are counted, and the recordings used last are kept."""
 
 from __future__ import annotations
 
@@ -6,100 +6,101 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
-from sdm.runtime.captured_call import Inputs, Recording, Room, Work
+from sdm.runtime.graphs.captured_call import CapturedCall, Tensors, Work
+from sdm.runtime.graphs.memory_pool import MemoryPool
 
 # A call is recorded once it has come this often, as a recording takes as long as some calls.
 CALLS = 3
 # One that has to make room before it was used so often was not worth it (a recording takes 12 ms and saves up to 1.5 ms
 # a call): from then on calls have to come twice as often, up to a limit, until one is used much more often than that.
-# Otherwise many kinds by turns, as of a folder of meshes, would be recorded again and again.
+# Otherwise many keys by turns, as of a folder of meshes, would be recorded again and again.
 WORTH = 8
 WELL_WORTH = 4 * WORTH
 MOST_CALLS = 64 * CALLS
 MOST_RECORDINGS = 4
-# Kinds of calls that are counted.
-MOST_KINDS = 64
+# Keys whose calls are counted.
+MOST_KEYS = 64
 _REFUSED = -(1 << 62)
 
 
-class Shelf:
+class GraphCache:
     """The recordings of one device: those used last.
 
     Args:
         most: Bytes that all of them may take.
-        record: Makes a recording of a work and its inputs in some room.
+        capture: Makes a recording of a work and its inputs in some pool.
     """
 
-    def __init__(self, most: int, record: Callable[[Room, Work, Inputs], Recording] = Recording) -> None:
+    def __init__(self, most: int, capture: Callable[[MemoryPool, Work, Tensors], CapturedCall] = CapturedCall) -> None:
         self._most = most
-        self._record = record
-        self._room = Room()
-        self._kept: OrderedDict[Hashable, Recording] = OrderedDict()
+        self._capture = capture
+        self._pool = MemoryPool()
+        self._captured: OrderedDict[Hashable, CapturedCall] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
         self._used: dict[Hashable, int] = {}
         self.needed = CALLS
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._captured)
 
-    def find(self, kind: Hashable) -> Recording | None:
-        """The recording of a kind of call, if there is one."""
-        found = self._kept.get(kind)
+    def find(self, key: Hashable) -> CapturedCall | None:
+        """The recording of the calls with a key, if there is one."""
+        found = self._captured.get(key)
         if found is not None:
-            self._kept.move_to_end(kind)
-            self._used[kind] += 1
-            if self._used[kind] == WELL_WORTH:
+            self._captured.move_to_end(key)
+            self._used[key] += 1
+            if self._used[key] == WELL_WORTH:
                 self.needed = CALLS
         return found
 
-    def note(self, kind: Hashable, work: Work, inputs: Inputs) -> None:
+    def count(self, key: Hashable, work: Work, inputs: Tensors) -> None:
         """Count a call that went without a recording, and record it if it came often enough."""
-        self._calls[kind] = self._calls.pop(kind, 0) + 1
-        while len(self._calls) > MOST_KINDS:
+        self._calls[key] = self._calls.pop(key, 0) + 1
+        while len(self._calls) > MOST_KEYS:
             self._calls.popitem(last=False)
-        if self._calls[kind] < self.needed or kind in self._kept:
+        if self._calls[key] < self.needed or key in self._captured:
             return
-        self._calls[kind] = 0
-        while len(self._kept) >= MOST_RECORDINGS:
-            oldest = next(iter(self._kept))
-            self._regret(self._used[oldest])
+        self._calls[key] = 0
+        while len(self._captured) >= MOST_RECORDINGS:
+            oldest = next(iter(self._captured))
+            self._raise_threshold(self._used[oldest])
             self.drop(oldest)
         try:
-            made = self._record(self._room, work, inputs)
+            made = self._capture(self._pool, work, inputs)
         except RuntimeError as error:
             # The call itself has its result.
-            self._calls[kind] = _REFUSED
+            self._calls[key] = _REFUSED
             warnings.warn(f"a call could not be recorded, and will not be replayed: {error}", stacklevel=2)
             return
-        if self._room.nbytes <= self._most:
-            self._kept[kind], self._used[kind] = made, 0
+        if self._pool.nbytes <= self._most:
+            self._captured[key], self._used[key] = made, 0
             return
-        if not self._kept:
-            self._calls[kind] = _REFUSED
-        # Memory of one room goes back together.
-        self._regret(min(self._used.values(), default=WORTH))
+        if not self._captured:
+            self._calls[key] = _REFUSED
+        # Memory of one pool goes back together.
+        self._raise_threshold(min(self._used.values(), default=WORTH))
         self.clear()
 
-    def _regret(self, used: int) -> None:
-        """Be slower to record if what has to go was used so little."""
+    def _raise_threshold(self, used: int) -> None:
+        """Wait for more calls before the next recording, if one that has to go was used so little."""
         if used < WORTH:
             self.needed = min(2 * self.needed, MOST_CALLS)
 
-    def drop(self, kind: Hashable) -> None:
+    def drop(self, key: Hashable) -> None:
         """Forget a recording."""
-        self._kept.pop(kind, None)
-        self._used.pop(kind, None)
-        if not self._kept:
+        self._captured.pop(key, None)
+        self._used.pop(key, None)
+        if not self._captured:
             self.clear()
 
-    def forget(self) -> None:
-        """Be as new: no recordings, no calls counted."""
+    def reset(self) -> None:
+        """Drop all recordings and counts."""
         self.clear()
         self._calls.clear()
         self.needed = CALLS
 
     def clear(self) -> None:
         """Give up all recordings; those under way go on."""
-        self._kept.clear()
+        self._captured.clear()
         self._used.clear()
-        self._room = Room(self._room)
+        self._pool = MemoryPool(self._pool)

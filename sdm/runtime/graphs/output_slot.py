@@ -15,21 +15,21 @@ import torch
 from torch import Tensor
 
 
-class Place:
-    """Where the map of a recorded call goes."""
+class OutputSlot:
+    """The address that the map of a recorded call is written to."""
 
     def __init__(self, device: torch.device) -> None:
         self.address = torch.zeros(1, dtype=torch.int64, device=device)
         self._shape: torch.Size | None = None
 
-    def take(self, values: Tensor) -> Tensor:
-        """What kernels that would fill `values` take the address from."""
+    def bind(self, values: Tensor) -> Tensor:
+        """The address, in memory, for kernels that would fill `values`."""
         if self._shape is not None:
             raise RuntimeError("a recorded call has one map")
         self._shape = values.shape
         return self.address
 
-    def put(self) -> Tensor | None:
+    def new_output(self) -> Tensor | None:
         """A new map, which the next launch on the current stream will fill; None if the call makes none."""
         if self._shape is None:
             return None
@@ -38,19 +38,23 @@ class Place:
         return values
 
 
-_here = threading.local()
+class _Current(threading.local):
+    slot: OutputSlot | None = None
+
+
+_current = _Current()
 
 
 @contextmanager
-def placing(place: Place) -> Iterator[None]:
-    """Maps that this thread makes meanwhile are written to `place`."""
-    _here.place = place
+def capturing_into(slot: OutputSlot) -> Iterator[None]:
+    """Maps that this thread makes meanwhile are written to `slot`."""
+    _current.slot = slot
     try:
         yield
     finally:
-        _here.place = None
+        _current.slot = None
 
 
-def current_place() -> Place | None:
-    """The place of the call that is being recorded by this thread."""
-    return getattr(_here, "place", None)
+def current_slot() -> OutputSlot | None:
+    """The slot of the call that is being recorded by this thread."""
+    return _current.slot

@@ -1,41 +1,28 @@
-"""Calls that come again and again, recorded once and replayed: one launch instead of dozens.
-
-A map takes about 60 launches, which take the host longer than a GPU needs to run many of them. So the third call of one
-kind (the same grid, numbers of meshes, vertices, faces and boundary edges, on one device) is recorded as a CUDA graph,
-and those that follow copy their tensors into the recording's, launch it and copy the result out. The values are the
-same bits. Calls that want gradients, those inside `torch.compile` or another graph's capture, and results larger than
-512 MiB are not recorded, nor is what a `MeshIndex` does.
-
-A recording that has to go before it was used often makes later ones wait for more calls, so that many kinds by turns
-cost little. Of each device the four recordings used last are kept, with at most a sixteenth of its memory; they share
-their scratch, so the device runs one after the other, whatever streams they are launched on. `enable(False)`, or the
-environment variable `SDM_REPLAY=0`, turns this off, `paused()` for a while; `clear()` gives the memory back.
-"""
+"""The entrance to CUDA graphs: calls are replayed, or made and counted."""
 
 from __future__ import annotations
 
 import atexit
 import os
 import threading
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import _get_current_dispatch_mode
 
-from sdm.runtime.captured_call import Inputs, Say, Work, unheard
-from sdm.runtime.graph_cache import CALLS, Shelf
-
-__all__ = ["CALLS", "Say", "clear", "enable", "note", "paused", "replayed", "serves", "unheard"]
+from sdm.runtime.graphs.captured_call import Tensors, Work, unverified
+from sdm.runtime.graphs.graph_cache import GraphCache
+from sdm.runtime.operators import is_eager
 
 # The part of a device's memory that recordings may keep.
 SHARE = 16
 
-_switch = SimpleNamespace(on=os.environ.get("SDM_REPLAY", "1") != "0", pauses=0)
-_turn = threading.RLock()
-_shelves: dict[torch.device, Shelf] = {}
+_switch = SimpleNamespace(on=os.environ.get("SDM_CUDA_GRAPHS", "1") != "0", pauses=0)
+_lock = threading.RLock()
+_caches: dict[torch.device, GraphCache] = {}
 
 
 def enable(on: bool) -> None:
@@ -48,30 +35,41 @@ def enable(on: bool) -> None:
 @contextmanager
 def paused() -> Iterator[None]:
     """Nothing is recorded or replayed meanwhile, by any thread; what is recorded stays."""
-    with _turn:
+    with _lock:
         _switch.pauses += 1
     try:
         yield
     finally:
-        with _turn:
+        with _lock:
             _switch.pauses -= 1
 
 
 def clear() -> None:
     """Forget all recordings and counts: torch may then use their memory for other tensors, or give it back."""
-    with _turn:
-        for shelf in _shelves.values():
-            shelf.forget()
+    with _lock:
+        for cache in _caches.values():
+            cache.reset()
 
 
-def serves(tensor: Tensor) -> bool:
+@dataclass(frozen=True, eq=False)
+class Call:
+    """A call that can be recorded.
+
+    Args:
+        key: Calls with equal keys do the same with inputs of the same shapes and types.
+        work: `work(verify, *inputs)` gives tensors. It queues kernels and does nothing else: it neither waits, nor
+            remembers its inputs, nor looks at them. What it guesses about them it hands to `verify`, see `speculate`.
+        inputs: Tensors on one GPU. Nobody writes into those of whole numbers but by torch.
+    """
+
+    key: Hashable
+    work: Work
+    inputs: Tensors
+
+
+def supports(tensor: Tensor) -> bool:
     """Whether a call with this tensor may be recorded and replayed."""
-    if torch.compiler.is_compiling() or not (_switch.on and not _switch.pauses and tensor.is_cuda):
-        return False
-    # Tensors that only look like some, and modes that watch what happens to each, want to see every step.
-    if type(tensor) not in (Tensor, torch.nn.Parameter) or _get_current_dispatch_mode() is not None:
-        return False
-    if tensor.requires_grad and torch.is_grad_enabled():
+    if not (is_eager(tensor) and tensor.is_cuda and _switch.on and not _switch.pauses):
         return False
     if tensor.device.index == torch.cuda.current_device():
         return not torch.cuda.is_current_stream_capturing()
@@ -79,36 +77,61 @@ def serves(tensor: Tensor) -> bool:
         return not torch.cuda.is_current_stream_capturing()
 
 
-def replayed(kind: Hashable, inputs: Inputs) -> Inputs | None:
-    """What a call gives, all of it new tensors; None if there is no recording, or a wrong guess was recorded."""
-    shelf = _shelves.get(inputs[0].device)
-    if shelf is None:
+def run(call: Call) -> Tensors:
+    """The results of a call whose work guesses nothing: new tensors."""
+    results = replay(call)
+    if results is None:
+        results = call.work(unverified, *call.inputs)
+        record(call)
+    return results
+
+
+def speculate(guess: Call, settle: Callable[[], tuple[Tensors, Call | None]]) -> tuple[Tensors, bool]:
+    """The results of a call whose work rests on a guess about its inputs, if that was recorded and turns out right.
+
+    Args:
+        guess: Its work hands int32 flags to `verify`, which are zeros if the guess is right. They are read while the
+            rest of the work is under way.
+        settle: Gives the results without a guess, and the call whose guess would have been right, to be recorded.
+
+    Returns:
+        The results, and whether they are the guess's.
+    """
+    results = replay(guess)
+    if results is not None:
+        return results, True
+    results, right = settle()
+    if right is not None:
+        record(right)
+    return results, False
+
+
+def replay(call: Call) -> Tensors | None:
+    """The results of a call's recording; None if there is none, or if it rests on a guess that was wrong."""
+    cache = _caches.get(call.inputs[0].device)
+    if cache is None:
         return None
-    with _turn:
-        found = shelf.find(kind)
-        if found is None:
+    with _lock:
+        captured = cache.find(call.key)
+        if captured is None:
             return None
-    with found.turn:
-        with _turn:
-            results = found.launch(inputs)
-        if found.guessed_right():
+    with captured.lock:
+        with _lock:
+            results = captured.launch(call.inputs)
+        if captured.guessed_right():
             return results
-    with _turn:
-        shelf.drop(kind)
+    with _lock:
+        cache.drop(call.key)
     return None
 
 
-def note(kind: Hashable, work: Work, inputs: Inputs) -> None:
-    """Count a call without a recording: the third of a kind is recorded, as `work(say, *inputs)`.
-
-    `work` queues kernels and does nothing else: it neither waits, nor remembers its inputs, nor looks at them. What it
-    guessed about them it tells by a tensor of int32 given to `say`, in which zeros mean that the guess was right.
-    """
-    device = inputs[0].device
-    with _turn:
-        if device not in _shelves:
-            if not _shelves:
+def record(call: Call) -> None:
+    """Count a call that was made without a recording: the third with its key is recorded."""
+    device = call.inputs[0].device
+    with _lock:
+        if device not in _caches:
+            if not _caches:
                 # Before torch and CUDA are taken apart.
                 atexit.register(clear)
-            _shelves[device] = Shelf(torch.cuda.get_device_properties(device).total_memory // SHARE)
-        _shelves[device].note(kind, work, inputs)
+            _caches[device] = GraphCache(torch.cuda.get_device_properties(device).total_memory // SHARE)
+        _caches[device].count(call.key, call.work, call.inputs)

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 
 import sdm.topology.boundary_edges
+import sdm.topology.face_pairing
 from sdm.bench.common.meshes import cube, load_case, sphere
 from sdm.errors import MeshError
 from sdm.topology.boundary_edges import boundary_edges, loops
@@ -136,8 +137,8 @@ def test_boundaries_of_solids_are_closed(mesh):
 
 def test_the_same_faces_are_sorted_once(monkeypatch):
     calls = []
-    plain = sdm.topology.boundary_edges._pair_up
-    monkeypatch.setattr(sdm.topology.boundary_edges, "_pair_up", lambda *args: calls.append(1) or plain(*args))
+    plain = sdm.topology.face_pairing._pair_up
+    monkeypatch.setattr(sdm.topology.face_pairing, "_pair_up", lambda *args: calls.append(1) or plain(*args))
     vertices, faces = (torch.tensor(array) for array in sphere(6))
     for _ in range(5):
         assert boundary_edges(vertices, faces).shape == (0, 2)
@@ -159,16 +160,17 @@ def test_faces_are_not_kept_alive():
     assert gone() is None
 
 
-def _counted(monkeypatch, name: str) -> list:
+def _counted(monkeypatch, module, name: str) -> list:
     calls = []
-    plain = getattr(sdm.topology.boundary_edges, name)
-    monkeypatch.setattr(sdm.topology.boundary_edges, name, lambda *args: calls.append(name) or plain(*args))
+    plain = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *args: calls.append(name) or plain(*args))
     return calls
 
 
 def test_a_mesh_that_moves_keeps_what_its_faces_say(monkeypatch):
     case = load_case("open hemisphere")
-    paired, looped = _counted(monkeypatch, "_pair_up"), _counted(monkeypatch, "loops_on_host")
+    paired = _counted(monkeypatch, sdm.topology.face_pairing, "_pair_up")
+    looped = _counted(monkeypatch, sdm.topology.boundary_edges, "loops_on_host")
     mesh = sdm.TriangleMesh(torch.tensor(case.vertices), torch.tensor(case.faces))
     index = sdm.MeshIndex(mesh, "cpu")
     index.update(mesh.vertices * 2)
@@ -214,7 +216,7 @@ def test_nothing_large_is_kept_of_a_mesh_with_a_small_hole():
             patch.setattr(sdm.topology.boundary_edges, "MOST_ON_HOST", limit)
             fresh = faces.clone()
             assert boundary_edges(vertices, fresh).shape == (3, 2)
-            kept = sdm.topology.boundary_edges._paired(fresh, len(vertices)).left_over
+            kept = sdm.topology.face_pairing.pairing_of(fresh, len(vertices)).unmatched
             assert kept.shape == (3, 3)
             assert kept.untyped_storage().nbytes() < 1000
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import sdm.topology.boundary_edges
 from sdm.bench.common.meshes import cube, load_case, sphere
+from sdm.topology import face_pairing, guesses
 from sdm.topology.boundary_edges import boundary_edges, loops
 from sdm.topology.joining import join_on_device, join_on_host
 from tests.helpers import strategies
@@ -51,29 +52,29 @@ def _both(vertices: np.ndarray, faces: np.ndarray) -> torch.Tensor:
     """Boundary edges by both ways, which must be one."""
     batch, index = torch.tensor(vertices), torch.tensor(faces)
     found = boundary_edges(batch, index)
-    left_over = sdm.topology.boundary_edges._pair_up(index, batch.shape[-2]).left_over
-    if left_over.shape[0]:
+    unmatched = face_pairing._pair_up(index, batch.shape[-2]).unmatched
+    if unmatched.shape[0]:
         # In any order.
-        left_over = left_over[torch.randperm(len(left_over), generator=torch.Generator().manual_seed(3))]
+        unmatched = unmatched[torch.randperm(len(unmatched), generator=torch.Generator().manual_seed(3))]
         batch = batch.reshape(-1, *batch.shape[-2:])
-        by_torch = join_on_device(left_over, batch)
-        places = batch.numpy()[:, left_over[:, :2].reshape(-1).numpy()].transpose(1, 0, 2)
-        by_numpy = join_on_host(left_over.numpy(), np.ascontiguousarray(places).reshape(len(places), -1))
+        by_torch = join_on_device(unmatched, batch)
+        places = batch.numpy()[:, unmatched[:, :2].reshape(-1).numpy()].transpose(1, 0, 2)
+        by_numpy = join_on_host(unmatched.numpy(), np.ascontiguousarray(places).reshape(len(places), -1))
         for other in (by_torch, torch.from_numpy(by_numpy)):
             assert other.dtype == torch.int32
             assert torch.equal(other, found)
-        _by_kernels(batch, index, len(left_over), found)
+        _by_kernels(batch, index, len(unmatched), found)
     else:
         assert len(found) == 0
     return found
 
 
 def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: torch.Tensor) -> None:
-    """The same by kernels that are told how many there are, and their remarks if that is wrong."""
-    remarks, left_over, _ = sdm.topology.boundary_edges.queue_pairing(index, batch.shape[1])
+    """The same by kernels that are told how many there are, and their flags if that is wrong."""
+    flags, unmatched, _ = face_pairing.queue_pairing(index, batch.shape[1])
 
     def joined(rows: int, edges: int) -> tuple[list[int], torch.Tensor, torch.Tensor]:
-        said, bounds, around = sdm.topology.boundary_edges.queue_joining(left_over, remarks, batch, rows, edges)
+        said, bounds, around = guesses.queue_joining(unmatched, flags, batch, guesses.Guess(rows, edges))
         return said.tolist(), bounds, around
 
     count = len(expected)
@@ -85,7 +86,7 @@ def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: t
         wanted = loops(expected)
         assert torch.equal(around[:, None] == around, wanted[:, None] == wanted)
     for other in ((rows + 1, count), (rows - 1, count), (rows, count + 1), (rows, max(count - 1, 0))):
-        if other != (rows, count) and 0 < other[0] <= len(left_over):
+        if other != (rows, count) and 0 < other[0] <= len(unmatched):
             assert any(joined(*other)[0])
 
 

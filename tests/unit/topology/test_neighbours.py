@@ -7,7 +7,8 @@ import torch
 from hypothesis import given, settings
 
 from sdm.bench.common.meshes import load_case, sphere
-from sdm.topology.boundary_edges import boundary_edges, loops, neighbours
+from sdm.topology.boundary_edges import boundary_edges, loops
+from sdm.topology.face_pairing import neighbours
 from tests.helpers import strategies
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from sdm.bench.common.meshes import sphere
 from sdm.kernels.culling.voronoi_features import end_of_further_edge
-from sdm.topology.boundary_edges import neighbours
+from sdm.topology.face_pairing import neighbours
 from tests.helpers import strategies
 
 wp.set_module_options({"enable_backward": False})

@@ -1,0 +1,149 @@
+"""Faces that meet at an edge, and edges that are left unmatched: what faces say by themselves, found once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
+
+from sdm.errors import MeshError
+from sdm.kernels.topology.edge_pairing import FLAGS, pair_edges
+from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
+
+# Of faces seen before, with the state in which they were seen: a stream asks about the same ones for every batch.
+_known: WeakIdKeyDictionary = WeakIdKeyDictionary()
+
+
+@dataclass
+class Pairing:
+    """What faces say by themselves, wherever their vertices are.
+
+    Args:
+        unmatched: (N,3) int32, edges with more faces in one direction than in the other, as
+            `sdm.kernels.topology.edge_pairing` gives them.
+        neighbours: (F,4) int32, see the function of that name.
+        edges: (E,2) int32, the last boundary found.
+        ready: When `neighbours` is written, if nobody has waited for that yet.
+    """
+
+    unmatched: Tensor
+    neighbours: Tensor
+    edges: Tensor | None = None
+    ready: torch.cuda.Event | None = None
+
+
+def neighbours(faces: Tensor, count: int) -> Tensor:
+    """For each face its neighbours, and which of its edges and corners it lists for them all.
+
+    Args:
+        faces: (F,3) int32.
+        count: Number of vertices.
+
+    Returns:
+        (F,4) int32. Column k < 3: another face at the edge from corner k to the next, as 3 * face + edge, or -1. Column
+        3: bits of what the face owns, 1, 2 and 4 for its corners, 8, 16 and 32 for its edges; the first face at an
+        edge or a corner owns it. Of an edge from a vertex to itself nobody needs to know.
+
+    Raises:
+        MeshError: A face index out of range.
+    """
+    return pairing_of(faces, count).neighbours
+
+
+def pairing_of(faces: Tensor, count: int) -> Pairing:
+    """The pairing of faces (F,3) of so many vertices: found once, as long as torch writes nothing into them.
+
+    Raises:
+        MeshError: A face index out of range.
+    """
+    found: Pairing
+    now, known = state_of(faces, count), _known.get(faces)
+    if known is not None and now is not None and known[0] == now:
+        found = known[1]
+    else:
+        found = _pair_up(faces, count)
+        _known[faces] = now, found
+    ready = found.ready
+    if ready is not None:
+        with torch.cuda.device(found.neighbours.device):
+            # Who captures has called before, so it is long there; an event of before must not be waited for then.
+            if not torch.cuda.is_current_stream_capturing():
+                torch.cuda.current_stream().wait_event(ready)
+                if ready.query():
+                    found.ready = None
+    return found
+
+
+def is_known(faces: Tensor, count: int) -> bool:
+    """Whether these faces were paired before, so that nothing has to wait for what they say by themselves."""
+    now, known = state_of(faces, count), _known.get(faces)
+    return known is not None and now is not None and known[0] == now
+
+
+def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
+    """Remember of faces that none of their edges is unmatched, and their neighbours (F,4).
+
+    The neighbours may still be under way on the current stream of their device: other streams wait when they ask.
+    """
+    ready = None
+    if around.is_cuda:
+        ready = torch.cuda.Event()
+        ready.record(torch.cuda.current_stream(around.device))
+    _known[faces] = state_of(faces, count), Pairing(faces.new_empty((0, 3)), around, ready=ready)
+
+
+def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """What `sdm.kernels.topology.edge_pairing` finds for contiguous faces, once the device gets there.
+
+    Returns:
+        The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
+        `neighbours` returns: all int32. No index out of range does harm here.
+    """
+    total = faces.numel()
+    first, flags = torch.zeros(count + FLAGS, dtype=torch.int32, device=faces.device).split([count, FLAGS])
+    unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
+    around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
+    with on_current_stream(faces, faces):
+        pair_edges(
+            as_warp(faces, wp.int32),
+            as_warp(first, wp.int32),
+            as_warp(flags, wp.int32),
+            as_warp(unmatched, wp.int32),
+            as_warp(around, wp.int32),
+            workspace(faces.device),
+        )
+    return flags, unmatched, around
+
+
+def _pair_up(faces: Tensor, count: int) -> Pairing:
+    """All that faces say, from one sort of all edges; waits for the device once."""
+    flags, unmatched, around = queue_pairing(faces.contiguous(), count)
+    out_of_range, open_edges = flags.tolist()
+    if out_of_range:
+        low, high = (int(bound) for bound in faces.aminmax())
+        bad = low if low < 0 else high
+        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
+    return Pairing(unmatched[:open_edges] if open_edges else unmatched.new_empty((0, 3)), around)
+
+
+def state_of(tensor: Tensor, count: int = 0) -> tuple[int, int] | None:
+    """What was found for a tensor, and `count`, holds as long as this stays; None if torch does not count its writes.
+
+    As of tensors made in inference mode.
+    """
+    return None if tensor.is_inference() else (tensor._version, count)
+
+
+def cached(cache: WeakIdKeyDictionary, about: Tensor, find: Callable[[], Any]) -> Any:
+    """What `find` found for a tensor, as long as torch writes nothing into it."""
+    now = state_of(about)
+    known: tuple[Any, Any] | None = cache.get(about)
+    if known is None or now is None or known[0] != now:
+        known = (now, find())
+        cache[about] = known
+    return known[1]

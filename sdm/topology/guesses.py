@@ -1,0 +1,99 @@
+"""Guesses about the topology of faces never seen before, from those of as many vertices and faces."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.kernels.topology import boundary_loops
+from sdm.runtime.graphs import Verify
+from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
+from sdm.topology.boundary_edges import MeshTopology, on_host
+from sdm.topology.face_pairing import pairing_of, queue_pairing
+
+# More unmatched edges are not compared with each other on the device; numbers of faces and vertices that are kept.
+MOST_GUESSED, MOST_KEPT = 1 << 10, 64
+
+
+class Guess(NamedTuple):
+    """A mesh's topology in numbers: zeros for a closed one."""
+
+    unmatched: int = 0  # edges that faces leave unmatched by their vertices' indices
+    boundary: int = 0  # boundary edges, once vertices at equal positions count as one
+
+
+CLOSED = Guess()
+
+# Of the last open mesh, by numbers of faces and vertices.
+_last_open: OrderedDict[tuple[int, int], Guess] = OrderedDict()
+
+
+def guess(faces: Tensor, count: int) -> Guess:
+    """The numbers of the last open mesh with as many faces and vertices; of a closed one if there was none.
+
+    Nor if the kernels of `queue_guessed` are not made for so many.
+    """
+    return _last_open.get((faces.shape[0], count), CLOSED)
+
+
+def remember(faces: Tensor, count: int, edges: Tensor) -> None:
+    """Remember the boundary `edges` (E,2) that faces turned out to have, for the next guess."""
+    unmatched = pairing_of(faces, count).unmatched.shape[0]
+    key = faces.shape[0], count
+    _last_open.pop(key, None)
+    # Loops that meet are not followed on the device.
+    if 0 < unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0])):
+        _last_open[key] = Guess(unmatched, edges.shape[0])
+        while len(_last_open) > MOST_KEPT:
+            _last_open.popitem(last=False)
+
+
+def is_right(guessed: Guess, faces: Tensor, count: int) -> bool:
+    """Whether `queue_guessed` would find faces that were paired before as they were guessed to be."""
+    return guessed != CLOSED or pairing_of(faces, count).unmatched.shape[0] == 0
+
+
+def queue_guessed(guessed: Guess, vertices: Tensor, faces: Tensor, verify: Verify) -> MeshTopology:
+    """Queue the kernels that find a mesh's topology, if the guess is right: `vertices` (V,3), `faces` contiguous.
+
+    `verify` gets flags that are zeros if it is; else the rest has no meaning, but indices are in range.
+    """
+    found, unmatched, neighbours = queue_pairing(faces, vertices.shape[0])
+    if guessed == CLOSED:
+        verify(found)
+        none = faces.new_empty((0, 2))
+        return MeshTopology(neighbours, none, none)
+    flags, edges, loops = queue_joining(unmatched, found, vertices[None], guessed)
+    verify(flags)
+    return MeshTopology(neighbours, edges.clamp(0, vertices.shape[0] - 1), loops)
+
+
+def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: Guess) -> tuple[Tensor, Tensor, Tensor]:
+    """Queue the boundary loops of `queue_pairing`'s result for `vertices` (B,V,3).
+
+    Returns:
+        Flags, zeros if the guess was right; else nothing is right. The boundary edges (E,2), and their loops' names
+        (E,).
+    """
+    device, edges = vertices.device, guessed.boundary
+    flags, flat = torch.zeros(boundary_loops.FLAGS + 2 * edges, dtype=torch.int32, device=device).split(
+        [boundary_loops.FLAGS, 2 * edges]
+    )
+    around = torch.empty(edges, dtype=torch.int32, device=device)
+    bounds = flat.view(edges, 2)
+    with on_current_stream(vertices, vertices):
+        boundary_loops.join_edges(
+            as_warp(unmatched[: guessed.unmatched], wp.int32),
+            as_warp(found, wp.int32),
+            as_warp(vertices, wp.vec3),
+            as_warp(bounds, wp.int32),
+            as_warp(around, wp.int32),
+            as_warp(flags, wp.int32),
+            workspace(device),
+        )
+    return flags, bounds, around
