@@ -80,14 +80,18 @@ def _fill(command: Any, values: list[Any]) -> None:
     for place, (value, argument) in enumerate(zip(values, command.kernel.adj.args, strict=True)):
         kind, wanted = type(value), argument.type
         if kind is int and wanted is wp.int32:
-            packed = ctypes.c_int32(value)
-        elif kind is wp.array and value.dtype is wanted.dtype and value.ndim == wanted.ndim:
+            # In place: nobody else has this number, and its address stays.
+            params[place + 1].value = value
+            continue
+        if kind is wp.array and value.dtype is wanted.dtype and value.ndim == wanted.ndim:
             packed = value.__ctype__()
         elif kind is getattr(wanted, "instance_type", None):
             packed = value.__ctype__()
         else:
             # Whatever else there is, errors among it, is left to Warp.
             command.set_param_at_index(place, value)
+            continue
+        if params[place + 1] is packed:
             continue
         params[place + 1] = packed
         if addresses:
@@ -109,7 +113,7 @@ def launch(
     """
     if count <= 0:
         return
-    device = wp.get_device(device)
+    device = device if type(device) is wp.Device else wp.get_device(device)
     if device.is_cuda:
         _run(kernel, 0, count, inputs, device, block_dim)
         return

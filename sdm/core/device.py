@@ -91,7 +91,8 @@ def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
     To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence.
     """
     if device.type != "cuda" or torch.compiler.is_compiling():
-        require_memory(needed, device, what)
+        if needed >= SMALL:
+            require_memory(needed, device, what)
         yield
         return
     if needed > total_memory(device) // SHARE_UNASKED:

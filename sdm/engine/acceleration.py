@@ -22,7 +22,7 @@ from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, set_array, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops
-from sdm.topology.face_pairing import neighbours
+from sdm.topology.face_pairing import pairing_of
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
 # number also than visiting them for a whole block of voxels.
@@ -40,15 +40,10 @@ class MeshKind(IntEnum):
     MANY = winding_number.MANY
     SOUP = winding_number.SOUP
 
-    @property
-    def visits_boundary(self) -> bool:
-        """Whether boundary edges are visited one by one."""
-        return self in (MeshKind.OPEN, MeshKind.MANY)
 
-    @property
-    def has_dipoles(self) -> bool:
-        """Whether there is a tree of dipoles."""
-        return self in (MeshKind.MANY, MeshKind.SOUP)
+# Kinds whose boundary edges are visited one by one, and those with a tree of dipoles.
+VISITING = frozenset((MeshKind.OPEN, MeshKind.MANY))
+WITH_DIPOLES = frozenset((MeshKind.MANY, MeshKind.SOUP))
 
 
 def kind_of(edges: int, faces: int) -> MeshKind:
@@ -82,7 +77,12 @@ class Sizes(NamedTuple):
     @property
     def visited_edges(self) -> int:
         """Boundary edges of all meshes, if they are visited."""
-        return self.meshes * self.edges if self.kind.visits_boundary else 0
+        return self.meshes * self.edges if self.kind in VISITING else 0
+
+    @property
+    def dipole_nodes(self) -> int:
+        """Nodes of all trees of dipoles."""
+        return self.nodes if self.kind in WITH_DIPOLES else 0
 
 
 class Array(NamedTuple):
@@ -109,7 +109,7 @@ ARRAYS = (
     Array("boundary", "ends", wp.vec3, lambda n: 2 * n.visited_edges),
     Array("boundary", "lattice", wp.vec2i, lambda n: 2 * n.visited_edges),
     Array("boundary", "apexes", wp.vec3, lambda n: n.visited_edges),
-    Array("winding", "moments", wp.float32, lambda n: n.nodes * dipole_tree.MOMENTS_SIZE if n.kind.has_dipoles else 0),
+    Array("winding", "moments", wp.float32, lambda n: n.dipole_nodes * dipole_tree.MOMENTS_SIZE),
 )
 
 
@@ -150,10 +150,7 @@ class AccelerationStructure:
     @classmethod
     def over(cls, block: Tensor, sizes: Sizes) -> AccelerationStructure:
         """The structure whose arrays are parts of a block of bytes, as those of `empty` are."""
-        _, spans, pieces = _layout(sizes)
-        base = block.data_ptr()
-        view = _view(sizes, [(base + offset, length) for offset, length in spans], block.device)
-        return cls(sizes, (block,), view, pieces)
+        return cls(sizes, (block,), _view_of_block(sizes, block.data_ptr(), block.device), _layout(sizes)[2])
 
     @classmethod
     def from_tensors(cls, tensors: Sequence[Tensor], kind: int, meshes: int) -> AccelerationStructure:
@@ -213,6 +210,12 @@ def _layout(sizes: Sizes) -> tuple[int, tuple[tuple[int, int], ...], tuple[int, 
     return end, tuple(spans), tuple(pieces)
 
 
+@lru_cache(maxsize=64)
+def _view_of_block(sizes: Sizes, base: int, device: torch.device) -> KernelView:
+    # Torch's allocator gives the same few addresses again and again, and views own nothing.
+    return _view(sizes, [(base + offset, length) for offset, length in _layout(sizes)[1]], device)
+
+
 def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) -> KernelView:
     """The kernels' view of arrays, each at an address and of a number of elements."""
     winding = winding_number.Winding()
@@ -232,7 +235,7 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
             set_array(structs[array.struct], array.name, made)
     structs["tree"].count = sizes.faces
     structs["tree"].depth = tree.depth_for(sizes.faces)
-    winding.boundary.count = sizes.edges if sizes.kind.visits_boundary else 0
+    winding.boundary.count = sizes.edges if sizes.kind in VISITING else 0
     winding.kind = int(sizes.kind)
     return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
 
@@ -268,10 +271,12 @@ def check_count(vertices: Tensor, faces: Tensor) -> None:
 
 def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
     """The topology of a batch of meshes, with the loops of its boundary if `queue_build` looks at them."""
+    pairing = pairing_of(faces, vertices.shape[-2])
     if edges is None:
-        edges = boundary_edges(vertices, faces)
-    around = loops(edges) if kind_of(edges.shape[0], faces.shape[0]).visits_boundary else edges
-    return MeshTopology(neighbours(faces, vertices.shape[-2]), edges, around)
+        closed = pairing.unmatched.shape[0] == 0
+        edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
+    around = loops(edges) if kind_of(edges.shape[0], faces.shape[0]) in VISITING else edges
+    return MeshTopology(pairing.neighbours, edges, around)
 
 
 def queue_build(
@@ -308,9 +313,9 @@ def queue_build(
         triangle_frames.make_frames(view.tree, view.frames)
         normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
         join_parts()
-        if kind.visits_boundary:
+        if kind in VISITING:
             boundary, loops = as_warp(topology.boundary, wp.int32), as_warp(topology.loops, wp.int32)
             gather_boundary(view.winding.boundary, view.tree, corners, boundary, loops)
-        if kind.has_dipoles:
+        if kind in WITH_DIPOLES:
             dipole_tree.build_moments(view.tree, view.winding.moments, meshes)
     return structure

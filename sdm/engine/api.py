@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
@@ -243,14 +244,18 @@ def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str |
         `signed_distance_map`.
     """
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
-    batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
+    batch, shared = vertices, faces
+    # A stream's are as they should be, batch after batch.
+    if not (isinstance(batch, Tensor) and batch.dtype == torch.float32 and batch.device == where):
+        batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
+    if not (isinstance(shared, Tensor) and shared.dtype == torch.int32 and shared.device == where):
+        shared = as_tensor(faces, torch.int32, "the faces", device=where)
     _refuse_forward_mode(batch)
-    shared = as_tensor(faces, torch.int32, "the faces", device=where)
     if batch.ndim != 3 or batch.shape[2] != 3 or batch.shape[0] == 0:
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
-    with room_for(batch.shape[0] * grid.nbytes, where, f"{batch.shape[0]} maps"):
+    with room_for(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
         return batch_maps(batch, shared, grid, None)
 
 

@@ -9,6 +9,7 @@ the guess was wrong, the map is thrown away and made anew.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from functools import partial
 
@@ -106,11 +107,11 @@ def index_map(structure: AccelerationStructure, grid: Grid) -> tuple[Tensor, Ten
 
 def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
-    meshes = vertices.shape[0]
-    if is_recordable(vertices, meshes * grid.nbytes):
+    meshes, voxels = vertices.shape[0], math.prod(grid.shape)
+    if is_recordable(vertices, 4 * meshes * voxels):
         check_count(vertices, faces)
         return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
-    if meshes * grid.size <= LARGEST_SLAB:
+    if meshes * voxels <= LARGEST_SLAB:
         return map_slab(vertices, faces, build(vertices.detach(), faces, edges), grid, 0, grid.shape[0])[0]
     most = max(1, LARGEST_SLAB // _thinnest(grid))
     if meshes > most:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -57,6 +58,12 @@ def finer(slices: Slices, scale: float, triangles: int) -> Triple:
         scale: What a mesh's coordinates are multiplied by, so that it is at most 2 wide.
         triangles: Of the mesh.
     """
+    return _finer(slices, scale, triangles, FACTORS)
+
+
+@lru_cache(maxsize=256)
+def _finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...]) -> Triple:
+    # Remembered, as a hundred candidates take the host as long as the rest of a small map.
     # Layers are counted with 32 bits.
     if triangles < FEWEST or slices.first + slices.shape[0] > MOST_LAYERS:
         return AS_IT_IS
@@ -64,7 +71,7 @@ def finer(slices: Slices, scale: float, triangles: int) -> Triple:
         return AS_IT_IS
     length = expected_list(triangles, slices.shape, int(BLOCK))
     usual = _cost(slices, AS_IT_IS, scale, length)
-    found: list[Triple] = [(x, y, z) for x, y, z in product(FACTORS, repeat=3)]
+    found: list[Triple] = [(x, y, z) for x, y, z in product(factors, repeat=3)]
     room = [times for times in found if has_room(slices, times, 1)]
     times = min(room, key=lambda times: _cost(slices, times, scale, length))
     return times if _cost(slices, times, scale, length) <= WORTH_IT * usual else AS_IT_IS

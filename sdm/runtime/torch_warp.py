@@ -72,11 +72,13 @@ def _prototype(dtype: Any, dimensions: int, device: torch.device) -> tuple[dict[
     return vars(array), type(array.__ctype__()), wp.types.type_size_in_bytes(dtype)
 
 
+@lru_cache(maxsize=1024)
 def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.device) -> wp.array:
     """The contiguous Warp array at an address, which owns nothing.
 
     As `wp.array(ptr=address, ...)` makes it, but in a fifth of the time: a call needs dozens. What does not depend on
-    the address and the shape is copied from another array of the type.
+    the address and the shape is copied from another array of the type. And it may be remembered: torch's allocator
+    gives the same few addresses again and again.
     """
     attributes, descriptor_type, step = _prototype(dtype, len(shape), device)
     attributes = attributes.copy()

@@ -34,7 +34,7 @@ def beside(device: torch.device) -> Iterator[Join]:
     Gives a function that makes the current stream wait for the branch: to be called, once, after the block. What the
     branch reads and writes has to live until then. Blocks follow each other and do not lie within each other.
     """
-    if device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
+    if not is_recording(device):
         yield _nothing
         return
     main = torch.cuda.current_stream()
@@ -52,9 +52,17 @@ def beside(device: torch.device) -> Iterator[Join]:
 
 @contextmanager
 def kernels_beside(tensor: Tensor) -> Iterator[Join]:
-    """`beside`, for Warp's kernels on `tensor`'s device."""
+    """`beside`, for Warp's kernels on `tensor`'s device, whose current stream is Warp's already."""
+    if not is_recording(tensor.device):
+        yield _nothing
+        return
     with beside(tensor.device) as join, on_current_stream(tensor):
         yield join
+
+
+def is_recording(device: torch.device) -> bool:
+    """Whether a CUDA graph is being recorded on the device's current stream."""
+    return device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
 
 def _nothing() -> None:
