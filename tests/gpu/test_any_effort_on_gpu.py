@@ -68,7 +68,8 @@ def test_against_the_search(mesh, shape, seed, turned, room):
         entries.append(CHUNK * (lists.given + int(lists.counts.numpy()[NEXT_CHUNK])))
         measure(*inputs)
 
-    with pytest.MonkeyPatch.context() as patch:
+    # A recording would keep the limits that it was made with.
+    with pytest.MonkeyPatch.context() as patch, sdm.cuda_graphs.paused():
         patch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
         expected = index.signed_distance_map(grid).values
         patch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")

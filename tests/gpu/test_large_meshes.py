@@ -71,7 +71,9 @@ def test_slices_that_find_no_room(monkeypatch):
     monkeypatch.setattr(query, "measure_blocks", spy)
     for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
         monkeypatch.setattr(cost_model, "LARGEST_POOL", most)
-        values = index.signed_distance_map(grid).values
+        # A recording would keep the limit that it was made with.
+        with sdm.cuda_graphs.paused():
+            values = index.signed_distance_map(grid).values
         assert (values.abs() - expected.abs()).abs().max() <= 8 * ROUNDING * 2
         assert torch.equal(values < 0, expected < 0)
     # With plenty there is room for all.
