@@ -46,7 +46,7 @@ class _Recorded(threading.local):
     """
 
     def __init__(self) -> None:
-        self.known: dict[tuple[wp.Kernel, str, int], Any] = {}
+        self.known: dict[tuple[wp.Kernel, str, int], tuple[Any, list[tuple[Any, Any]]]] = {}
 
 
 _recorded = _Recorded()
@@ -55,47 +55,50 @@ _recorded = _Recorded()
 def _run(kernel: wp.Kernel, begin: int, count: int, inputs: list[Any], device: Any, block_dim: int) -> None:
     """`wp.launch` of the indices from `begin`."""
     key = kernel, device.alias, block_dim
-    command: Any = _recorded.known.get(key)
+    known = _recorded.known.get(key)
     values = [begin, *inputs]
-    if command is None:
+    if known is None:
         with _loading:
-            command = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
+            command: Any = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
         # Warp's deterministic mode records something else, which is left alone.
         if type(command) is wp.Launch:
             # It would keep the arrays of this first launch alive.
             command.fwd_args = None
-            _recorded.known[key] = command
+            types = [argument.type for argument in kernel.adj.args]
+            _recorded.known[key] = command, [(wanted, getattr(wanted, "instance_type", None)) for wanted in types]
     else:
-        if len(values) != len(kernel.adj.args):
-            raise RuntimeError(f"{kernel.key} takes {len(kernel.adj.args)} arguments, not {len(values)}")
+        command, types = known
+        if len(values) != len(types):
+            raise RuntimeError(f"{kernel.key} takes {len(types)} arguments, not {len(values)}")
         if command.bounds.size != count:
             command.set_dim(count)
-        _fill(command, values)
+        _fill(command, types, values)
     command.launch()
 
 
-def _fill(command: Any, values: list[Any]) -> None:
-    """Put other values into a recorded launch."""
+def _fill(command: Any, types: list[tuple[Any, Any]], values: list[Any]) -> None:
+    """Put other values into a recorded launch, whose parameters have these types, and these types of structs."""
     params, addresses = command.params, command.params_addr
-    for place, (value, argument) in enumerate(zip(values, command.kernel.adj.args, strict=True)):
-        kind, wanted = type(value), argument.type
+    place = 0
+    for value, (wanted, struct) in zip(values, types, strict=True):
+        # The first parameter is the launch's size.
+        place += 1
+        kind = type(value)
         if kind is int and wanted is wp.int32:
             # In place: nobody else has this number, and its address stays.
-            params[place + 1].value = value
+            params[place].value = value
             continue
-        if kind is wp.array and value.dtype is wanted.dtype and value.ndim == wanted.ndim:
-            packed = value.__ctype__()
-        elif kind is getattr(wanted, "instance_type", None):
+        if kind is struct or (kind is wp.array and value.dtype is wanted.dtype and value.ndim == wanted.ndim):
             packed = value.__ctype__()
         else:
             # Whatever else there is, errors among it, is left to Warp.
-            command.set_param_at_index(place, value)
+            command.set_param_at_index(place - 1, value)
             continue
-        if params[place + 1] is packed:
+        if params[place] is packed:
             continue
-        params[place + 1] = packed
+        params[place] = packed
         if addresses:
-            addresses[place + 1] = ctypes.addressof(packed)
+            addresses[place] = ctypes.addressof(packed)
 
 
 def launch(
