@@ -65,17 +65,26 @@ class _FirstLaunch(Exception):
 
 
 @contextmanager
-def without_launches(instead: Callable[..., None] = lambda *_: None) -> Iterator[None]:
+def without_launches(instead: Callable[..., None] | None = None) -> Iterator[None]:
     """Kernels are prepared and not launched: `instead` is called, on one thread."""
     with (
-        mock.patch.dict(os.environ, SDM_NUM_THREADS="1"),
-        mock.patch.object(wp.Launch, "launch", instead),
-        mock.patch.object(wp.utils, "radix_sort_pairs"),
-        mock.patch.object(wp.array, "zero_"),
+        # Nor does a GPU's launch ask for the number of threads.
+        mock.patch.object(launch, "threads", _one),
+        mock.patch.object(wp.Launch, "launch", instead or _nothing),
+        mock.patch.object(wp.utils, "radix_sort_pairs", _nothing),
+        mock.patch.object(wp.array, "zero_", _nothing),
         # No kernel has written the scales, which the host reads on a CPU.
         mock.patch.object(ops, "scales_of", lambda _, meshes: [1.0] * meshes),
     ):
         yield
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    """In place of a launch."""
+
+
+def _one() -> int:
+    return 1
 
 
 def _stop(*_: Any) -> None:
