@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, overload
 
 import torch
+from jaxtyping import Float32, Int32
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
@@ -35,9 +36,9 @@ class Closest:
         barycentric: (N,3) float32, its barycentric coordinates on that face.
     """
 
-    points: Tensor
-    faces: Tensor
-    barycentric: Tensor
+    points: Float32[Tensor, "*n 3"]
+    faces: Int32[Tensor, "*n"]
+    barycentric: Float32[Tensor, "*n 3"]
 
 
 class MeshIndex:
@@ -98,7 +99,7 @@ class MeshIndex:
         """As `sdm.signed_distance`, on this index."""
         return _at_points(self.mesh, points, return_closest, self._structure)
 
-    def distances_in(self, cube: Sequence[float], points: Tensor) -> Tensor:
+    def distances_in(self, cube: Sequence[float], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.
 
         Args:
@@ -109,7 +110,7 @@ class MeshIndex:
         """
         return points_distance(self.mesh.vertices, self.mesh.faces, points, self._structure, cube)
 
-    def winding_number(self, points: Any) -> Tensor:
+    def winding_number(self, points: Any) -> Float32[Tensor, "*n"]:
         """Generalised winding number of the mesh about points (...,3): (...) float32, more than 0.5 inside.
 
         A whole number for closed meshes; exact to float32 for meshes with up to 1024 boundary edges; for others it is
@@ -230,7 +231,9 @@ def signed_distance(
     return _at_points(mesh.to(where), points, return_closest, None)
 
 
-def signed_distance_maps(vertices: Any, faces: Any, grid: Grid, *, device: str | torch.device | None = None) -> Tensor:
+def signed_distance_maps(
+    vertices: Any, faces: Any, grid: Grid, *, device: str | torch.device | None = None
+) -> Float32[Tensor, "b nx ny nz"]:
     """The exact signed distance maps of a batch of meshes that share their faces, in one call.
 
     Args:
