@@ -19,7 +19,7 @@ from sdm.core.grid import Grid
 from sdm.dataset.inverse_transform import transforms_of
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.errors import FormatError
-from sdm.runtime.prefetch import ahead
+from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
 
@@ -109,7 +109,7 @@ class Job:
         def make(several: list[int]) -> list[Batch]:
             return [maker.make(_numbers(first, min(first + size, end))) for first in several]
 
-        return ahead(make, iter(range(begin, end, size)), maker.device, 1)
+        return prefetch(make, iter(range(begin, end, size)), maker.device, 1)
 
 
 def _numbers(begin: int, end: int) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 B = TypeVar("B", bound=tuple[Tensor, ...])
 
 
-def ahead(
+def prefetch(
     make: Callable[[list[int]], Sequence[B]],
     steps: Iterator[int],
     device: torch.device,

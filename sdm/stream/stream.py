@@ -12,7 +12,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from sdm.core.grid import Grid
 from sdm.errors import SDMError
-from sdm.runtime.prefetch import ahead
+from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.ranks import in_process_group, rank_and_size
@@ -143,7 +143,7 @@ class SDMStream(IterableDataset[Batch]):
         begin, end = self._position, self.stop
         steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
         together = max(1, self._maker.at_once // self.batch_size)
-        batches = ahead(self._make, steps, self.device, self._ahead, together)
+        batches = prefetch(self._make, steps, self.device, self._ahead, together)
         return self._count(batches, stride)
 
     def _take_rank(self, rank: int | None, world_size: int | None) -> None:

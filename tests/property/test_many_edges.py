@@ -33,7 +33,7 @@ def many(monkeypatch):
 def test_points(many, mesh, seed):
     at = strategies.points_about(mesh, seed)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
-    assert index._kind in (kinds.CLOSED, kinds.MANY)
+    assert index._structure.kind in (kinds.CLOSED, kinds.MANY)
     assert_exact(mesh.vertices, mesh.faces, at, index.signed_distance(at))
 
 
@@ -55,12 +55,12 @@ def test_signs_are_those_of_the_tree_of_dipoles(monkeypatch):
     mesh = sdm.TriangleMesh(case.vertices, case.faces[keep])
     grid = sdm.Grid.around(mesh, resolution=24)
     index = sdm.MeshIndex(mesh, "cpu")
-    assert index._kind == kinds.MANY
+    assert index._structure.kind == kinds.MANY
     values = index.signed_distance_map(grid)
     at = grid.points().reshape(-1, 3)
     monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_BLOCKS", 0)
     other = sdm.MeshIndex(mesh, "cpu")
-    assert other._kind == kinds.SOUP
+    assert other._structure.kind == kinds.SOUP
     winding = other.winding_number(at).reshape(grid.shape)
     sure = ((winding - 0.5).abs() > 1e-3) & (values.values.abs() > 1e-6)
     assert torch.equal((values.values < 0)[sure], (winding > 0.5)[sure])
@@ -71,4 +71,4 @@ def test_loose_triangles_are_left_to_the_tree():
     rng = np.random.default_rng(0)
     vertices = rng.normal(size=(3 * 500, 3)).astype(np.float32)
     index = sdm.MeshIndex(sdm.TriangleMesh(vertices, np.arange(1500, dtype=np.int32).reshape(-1, 3)), "cpu")
-    assert index._kind == kinds.SOUP
+    assert index._structure.kind == kinds.SOUP

@@ -23,7 +23,7 @@ from sdm.deepsdf.train.checkpoint import CHECKPOINT
 from sdm.deepsdf.train.schedules import code_weight, rate_factor
 from sdm.deepsdf.train.settings import Settings
 from sdm.errors import FormatError, SDMError
-from sdm.runtime.prefetch import ahead
+from sdm.runtime.prefetch import prefetch
 from sdm.runtime.torch_warp import to_device
 from sdm.training.budget import share_done
 
@@ -187,7 +187,7 @@ class Trainer:
     def batches_ahead(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """What `draw` gives for this step and those to come, on a GPU beside the step before, which leaves it room."""
         steps = iter(range(self.step, self.steps))
-        drawn = ahead(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
+        drawn = prefetch(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
         return (batch for _, batch in drawn)
 
     def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:
