@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import importlib
 import io
 import os
@@ -39,6 +40,10 @@ USER_ERROR = 2
 INTERRUPTED = 130
 BROKEN_PIPE = 141
 
+# Importing torch and Warp makes a million objects that stay. Looking through them for garbage as often as Python does
+# takes a quarter of a second of the start.
+GARBAGE_THRESHOLDS = (10_000, 10, 10)
+
 # What tyro draws around its messages.
 FRAME = re.compile(r"\x1b\[[0-9;]*m|^[│|]|[│|]$")
 RULE = re.compile(r"^[─╭╰]")
@@ -59,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     _open_streams()
+    thresholds = gc.get_threshold()
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
     try:
         code = _parse(words)()
         sys.stdout.flush()
@@ -76,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sentence is None:
             raise
         return _complain(sentence)
+    finally:
+        gc.set_threshold(*thresholds)
     return DONE if code is None else code
 
 

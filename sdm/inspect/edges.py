@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from sdm.inspect.positions import runs
 
@@ -96,5 +94,8 @@ def _split_vertices(
 
 def _label(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Connected components of a graph of `count` nodes: the number of each node's component, (count,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     ones = np.ones(len(one), dtype=np.int8)
     return connected_components(coo_matrix((ones, (one, other)), shape=(count, count)), directed=False)[1]

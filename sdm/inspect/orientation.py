@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from sdm.core.mesh import TriangleMesh
-from sdm.topology.boundary_edges import boundary_edges
 
 # Solid angles that the search for inside-out components may cost.
 MOST_SOLID_ANGLES = 20_000_000
@@ -25,6 +24,9 @@ def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
     Args:
         mesh: Any mesh, on any device; nothing is copied to the host but one number.
     """
+    # `sdm inspect` needs nothing of Warp, whose start takes a third of a second.
+    from sdm.topology.boundary_edges import boundary_edges
+
     if boundary_edges(mesh.vertices, mesh.faces).shape[0] > 0:
         return mesh
     corners = mesh.vertices.detach()[mesh.faces.long()].double()

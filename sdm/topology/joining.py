@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 
@@ -93,6 +91,9 @@ def loops_on_host(edges: np.ndarray) -> np.ndarray:
             ahead = ahead[ahead]
         number = np.unique(lowest, return_inverse=True)[1]
     else:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
         graph = coo_matrix((np.ones(len(edges)), (start, end)), shape=(count, count))
         number = connected_components(graph, directed=False)[1]
     return number[start].astype(np.int32)

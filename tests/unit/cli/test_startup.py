@@ -1,0 +1,35 @@
+"""Commands import what they need and nothing else: `python -m sdm.bench.common.startup` measures what that takes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from sdm.core.demo_mesh import demo_mesh
+from sdm.io.meshes.write import write_ply
+
+HEAVY = ("torch._dynamo", "trimesh", "networkx", "skimage", "matplotlib", "nibabel", "nrrd", "zarr", "rich.progress")
+PROGRAM = """
+import sys
+from sdm.cli import main
+assert main({words!r}) == 0
+print("imported:", *(name for name in {heavy!r} if name in sys.modules))
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "others"),
+    [
+        (["--help"], ("torch", "warp", "scipy")),
+        (["inspect", "mesh.ply"], ("warp",)),
+        (["compute", "mesh.ply", "-o", "map.npz", "--resolution", "16", "--device", "cpu"], ("scipy.sparse",)),
+    ],
+    ids=["help", "inspect", "compute"],
+)
+def test_nothing_is_imported_in_vain(words, others, tmp_path):
+    write_ply(demo_mesh(rings=21, segments=8, cap_rings=2), tmp_path / "mesh.ply")
+    code = PROGRAM.format(words=words, heavy=(*HEAVY, *others))
+    out = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert out.stdout.splitlines()[-1] == "imported:", out.stdout.splitlines()[-1]
