@@ -8,6 +8,8 @@ SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13)
 PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell $(name) -c '$(SUPPORTED)' 2>/dev/null && echo $(name))))
 PIP_ARGS ?=
 ARGS ?=
+# Processes that run tests; ARGS="-n 0" is one that a debugger can stop.
+WORKERS ?= 2
 RECORDS ?= bench/results
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
 CODE = $(wildcard sdm kernels tests bench)
@@ -22,10 +24,10 @@ demo: $(VENV)/.installed ## Compute the built-in mesh's map: demo/demo.nii.gz an
 	$(BIN)/sdm demo --out demo $(ARGS)
 
 test: $(VENV)/.installed-dev ## Run the quick tests
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile $(ARGS)
 
 test-all: $(VENV)/.installed-dev ## Run every test
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 lint: $(VENV)/.installed-dev ## Check style, types and import rules
 	$(BIN)/ruff check $(CODE)

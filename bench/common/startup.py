@@ -25,7 +25,7 @@ IMPORTS = 15
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Measure the start-up of the commands.")
     parser.add_argument("--runs", type=int, default=9, help="of each command, in turns; the median counts")
     parser.add_argument("--out", type=Path, help="also write the figures to this JSON file")
     options = parser.parse_args()

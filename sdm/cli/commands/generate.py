@@ -89,7 +89,7 @@ def generate(
     import torch
 
     from sdm import dataset
-    from sdm.cli.common.meter import Meter
+    from sdm.cli.common.progress import CountProgress
     from sdm.errors import SDMError
 
     options = {
@@ -130,9 +130,9 @@ def generate(
     else:
         voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
         grid = family.grid(voxels, margin=0.05 if margin is None else margin)
-    with Meter("maps") as meter:
+    with CountProgress("maps") as progress:
         dataset.generate(
-            family, grid, count, out, device=device, ray=ray, resume=resume, source=known, progress=meter, **asked
+            family, grid, count, out, device=device, ray=ray, resume=resume, source=known, progress=progress, **asked
         )
     written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
     print(
@@ -144,7 +144,7 @@ def generate(
 
 def _verify(source: str | None, options: dict[str, Any], out: Path, device: str, ray: str | None) -> int | None:
     from sdm import dataset
-    from sdm.cli.common.meter import Meter
+    from sdm.cli.common.progress import CountProgress
     from sdm.dataset.layout import part_of, read_manifest, shard_count
     from sdm.dataset.repair import damaged, mend_arrays
 
@@ -153,14 +153,14 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     manifest = read_manifest(out)
     if mended := mend_arrays(out):
         print(f"{out}: the zarr.json of {' and '.join(mended)} was damaged and has been written again")
-    with Meter("maps checked") as meter:
-        found = damaged(out, meter)
+    with CountProgress("maps checked") as progress:
+        found = damaged(out, progress)
     if not found:
         print(f"{out}: all {shard_count(manifest):,} shards are sound")
         return None
     family = _family(manifest["source"] or {} if source is None else _describe(source, options), True)
-    with Meter("maps") as meter:
-        dataset.verify(out, family, device=device, ray=ray, shards=found, progress=meter)
+    with CountProgress("maps") as progress:
+        dataset.verify(out, family, device=device, ray=ray, shards=found, progress=progress)
     numbers = ", ".join(map(str, found[:10])) + (", ..." if len(found) > 10 else "")
     print(f"{out}: {len(found):,} of {shard_count(manifest):,} shards were damaged and have been made again: {numbers}")
     return None

@@ -49,7 +49,7 @@ def segment(
     from collections import Counter
 
     from sdm.cli.common.inputs import refuse_inputs
-    from sdm.cli.common.meter import Meter
+    from sdm.cli.common.progress import CountProgress
     from sdm.core.device import choose_device
     from sdm.errors import FormatError, SDMError
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
@@ -80,9 +80,9 @@ def segment(
     refuse_inputs(targets, [*(case.source for case in cases), *truths, *model])
     out.mkdir(parents=True, exist_ok=True)
     empty = []
-    with Meter("images") as meter:
+    with CountProgress("images") as progress:
         for number, case in enumerate(cases):
-            meter(number, len(cases))
+            progress(number, len(cases))
             found = predict_ensemble(trained, case.image, stride=stride, largest=not all_parts, mirrors=mirrors)
             label, distances = write_prediction(case, found.label, out)
             print(label if distances is None else f"{label} {distances}", flush=True)

@@ -53,7 +53,7 @@ def deepsdf(
     """
     from contextlib import nullcontext
 
-    from sdm.cli.common.meter import Meter
+    from sdm.cli.common.progress import CountProgress
     from sdm.deepsdf import train
     from sdm.deepsdf.samples import ShapeSet
     from sdm.deepsdf.train.checkpoint import MODEL, refuse_unfinished
@@ -77,7 +77,7 @@ def deepsdf(
         out.mkdir(parents=True, exist_ok=True)
         check_file(out / MODEL)
         # Of several ranks the first writes.
-        with alone(out) if is_first() else nullcontext(), Meter("steps") as meter:
+        with alone(out) if is_first() else nullcontext(), CountProgress("steps") as progress:
             path = train(
                 found,
                 settings,
@@ -88,7 +88,7 @@ def deepsdf(
                 device=where,
                 resume=resume,
                 compile_network=compile,
-                progress=lambda step, steps, _: meter(step, steps),
+                progress=lambda step, steps, _: progress(step, steps),
             )
     if is_first():
         print(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")

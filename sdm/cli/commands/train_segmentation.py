@@ -78,7 +78,7 @@ def segmentation(
     """
     import time
 
-    from sdm.cli.common.meter import Meter
+    from sdm.cli.common.progress import CountProgress
     from sdm.core.device import choose_device
     from sdm.errors import FormatError
     from sdm.io.files.lock import alone
@@ -141,7 +141,7 @@ def segmentation(
     with alone(out):
         # Another process may have left one while the cases were read.
         refuse_unfinished()
-        with Meter("steps") as meter:
+        with CountProgress("steps") as progress:
             training = train(
                 patches,
                 settings,
@@ -149,7 +149,7 @@ def segmentation(
                 deadline=deadline,
                 compiled=compile,
                 bfloat16=bfloat16 or None,
-                progress=meter,
+                progress=progress,
             )
         if training.step < steps:
             print(f"{checkpoint}: {training.step:,} of {steps:,} steps are done; go on with --resume")

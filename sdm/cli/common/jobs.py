@@ -12,7 +12,7 @@ import torch
 
 from sdm.cli.common.errors import sentence_of
 from sdm.cli.common.inputs import refuse_inputs
-from sdm.cli.common.progress import Bar
+from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import MeshIndex
@@ -66,17 +66,17 @@ def run(jobs: list[tuple[Path, Path]], settings: Settings) -> int | None:
         raises its error.
     """
     failed: list[tuple[Path, str]] = []
-    with Bar(len(jobs)) as bar:
+    with FileProgress(len(jobs)) as progress:
         for source, target in jobs:
-            bar.begin(source.name)
+            progress.begin(source.name)
             try:
-                _compute(source, target, settings, bar)
+                _compute(source, target, settings, progress)
             except Exception as error:
                 sentence = sentence_of(error)
                 if sentence is None or len(jobs) == 1:
                     raise
                 failed.append((source, sentence))
-            bar.end()
+            progress.end()
     if not failed:
         return None
     for source, sentence in failed:
@@ -87,7 +87,7 @@ def run(jobs: list[tuple[Path, Path]], settings: Settings) -> int | None:
     return 2
 
 
-def _compute(source: Path, target: Path, settings: Settings, bar: Bar) -> None:
+def _compute(source: Path, target: Path, settings: Settings, progress: FileProgress) -> None:
     start = time.perf_counter()
     check_target(target)
     mesh = load_mesh(source)
@@ -98,20 +98,20 @@ def _compute(source: Path, target: Path, settings: Settings, bar: Bar) -> None:
     measured = outward if settings.orient == "auto" else mesh
     digest = digest_of(measured)
     if settings.resume and _finished(target, grid, digest):
-        bar.print(f"{mesh.name}: {target} is there already")
+        progress.print(f"{mesh.name}: {target} is there already")
         return
     refuse_inputs([target], [settings.like_image])
     index = MeshIndex(measured, settings.device)
-    ambiguous = write_streamed(index, grid, target, progress=bar.share, made_from=digest)
+    ambiguous = write_streamed(index, grid, target, progress=progress.share, made_from=digest)
     seconds = time.perf_counter() - start
 
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
-    bar.print(
+    progress.print(
         f"{mesh.name}: {len(mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
         f"{seconds:.2f} s on {settings.device}, written to {target}"
     )
     for warning in _warnings(index.closed, turned, ambiguous, settings.orient, grid):
-        bar.print(f"sdm: warning: {mesh.name} {warning}", warn=True)
+        progress.print(f"sdm: warning: {mesh.name} {warning}", warn=True)
 
 
 def _finished(target: Path, grid: Grid, digest: str) -> bool:

@@ -1,60 +1,129 @@
-"""Progress on stderr, where someone is looking."""
+"""Progress of long work on stderr: a bar on a terminal; of what is counted also a line now and then in a log."""
 
 from __future__ import annotations
 
 import sys
+import time
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+# Seconds between the lines in a log.
+LOG_INTERVAL = 30.0
 
 
-class Bar:
-    """A progress bar over `total` meshes; nothing at all unless stderr is a terminal.
+class _Bar:
+    """rich's bar, drawn on a terminal alone, and imported only there. A context manager.
 
-    Use as a context manager. It disappears when done.
+    Args:
+        elapsed: Show the time since the start.
+        transient: Remove the bar when the work is done.
     """
 
-    def __init__(self, total: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        self._progress = Progress(
-            *columns,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-            # Lines go above the bar where both are on the screen, and into their file where they are not.
-            redirect_stdout=sys.stdout.isatty(),
-        )
-        self._total = total
-        self._done = 0
-        self._task = self._progress.add_task("", total=None)
+    def __init__(self, *, elapsed: bool, transient: bool) -> None:
+        self._elapsed, self._transient = elapsed, transient
+        self._drawn: tuple[Progress, TaskID] | None = None
 
     def __enter__(self) -> Self:
-        self._progress.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
+        if self._drawn is not None:
+            self._drawn[0].stop()
+
+    def draw(self, text: str, done: float, total: float | None) -> None:
+        """Show `done` of `total`; a total that is None draws a bar that only moves."""
+        if not sys.stderr.isatty():
+            return
+        if self._drawn is None:
+            self._drawn = self._start()
+        progress, task = self._drawn
+        progress.update(task, description=text, total=total, completed=done)
+
+    def _start(self) -> tuple[Progress, TaskID]:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            *([TimeElapsedColumn()] if self._elapsed else []),
+            console=Console(stderr=True),
+            transient=self._transient,
+            # Lines go above the bar where both are on the screen, and into their file where they are not.
+            redirect_stdout=sys.stdout.isatty(),
+        )
+        progress.start()
+        return progress, progress.add_task("", total=None)
+
+
+class FileProgress(_Bar):
+    """Progress over `total` files, each with the share of it that is done."""
+
+    def __init__(self, total: int) -> None:
+        super().__init__(elapsed=True, transient=True)
+        self._total = total
+        self._done = 0
+        self._name = ""
 
     def begin(self, name: str) -> None:
-        """The next mesh, by name."""
-        # One map alone has no share to show until a slab is written.
-        total = None if self._total == 1 else self._total
-        self._progress.update(self._task, description=name, total=total, completed=self._done)
+        """The next file, by name."""
+        self._name = name
+        # Of one file alone there is no share to show until a slab is written.
+        self.draw(name, self._done, None if self._total == 1 else self._total)
 
     def share(self, done: float) -> None:
-        """How much of the mesh is done, 0 to 1."""
-        self._progress.update(self._task, total=self._total, completed=self._done + done)
+        """The share of the file that is done, 0 to 1."""
+        self.draw(self._name, self._done + done, self._total)
 
     def end(self) -> None:
-        """The mesh is done."""
+        """The file is done."""
         self._done += 1
-        self._progress.update(self._task, completed=self._done)
+        self.draw(self._name, self._done, self._total)
 
     def print(self, line: str, *, warn: bool = False) -> None:
-        """A line that stays: on stdout, or on stderr if it is a warning."""
+        """Print a line that stays: on stdout, or on stderr if it is a warning."""
         print(line, file=sys.stderr if warn else sys.stdout, flush=True)
+
+
+class CountProgress(_Bar):
+    """Progress of a count, with rate and time left; called with the number done and the number there are.
+
+    Args:
+        unit: What is counted.
+
+    What is done at the first call does not count for the rate.
+    """
+
+    def __init__(self, unit: str) -> None:
+        super().__init__(elapsed=False, transient=False)
+        self._unit = unit
+        self._start_of_rate: tuple[float, int] | None = None
+        self._logged = 0.0
+
+    def __call__(self, done: int, total: int) -> None:
+        """`done` of `total`."""
+        now = time.monotonic()
+        if self._start_of_rate is None:
+            self._start_of_rate, self._logged = (now, done), now
+            return
+        start, first = self._start_of_rate
+        line = f"{done:,} of {total:,} {self._unit}{_pace(done - first, total - done, now - start)}"
+        if sys.stderr.isatty():
+            self.draw(line, done, max(total, 1))
+        elif now - self._logged >= LOG_INTERVAL:
+            print(f"sdm: {line}", file=sys.stderr, flush=True)
+            self._logged = now
+
+
+def _pace(made: int, left: int, seconds: float) -> str:
+    if made <= 0 or seconds <= 0:
+        return ""
+    rate = made / seconds
+    minutes, rest = divmod(int(left / rate), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f", {rate:,.3g} a second, {hours}:{minutes:02}:{rest:02} left"

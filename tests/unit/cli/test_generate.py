@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from sdm.cli import main
-from sdm.cli.common.meter import Meter
+from sdm.cli.common.progress import CountProgress
 from sdm.core.demo_mesh import demo_mesh
 from sdm.dataset import SDMDataset
 from sdm.dataset import shard_job as job_module
@@ -187,10 +187,10 @@ def test_resume_refuses_what_the_dataset_is_not(tmp_path, capsys, family):
 
 def test_progress_in_a_log(monkeypatch, capsys):
     clock = iter([0.0, 10.0, 40.0, 100.0])
-    monkeypatch.setattr("sdm.cli.common.meter.time.monotonic", lambda: next(clock))
-    with Meter("maps") as meter:
+    monkeypatch.setattr("sdm.cli.common.progress.time.monotonic", lambda: next(clock))
+    with CountProgress("maps") as progress:
         for done in (100, 200, 500, 1100):
-            meter(done, 10_100)
+            progress(done, 10_100)
     assert capsys.readouterr().err.splitlines() == [
         "sdm: 500 of 10,100 maps, 10 a second, 0:16:00 left",
         "sdm: 1,100 of 10,100 maps, 10 a second, 0:15:00 left",

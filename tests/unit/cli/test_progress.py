@@ -1,0 +1,61 @@
+"""Progress on a terminal: a bar with what is done, and lines that stay above it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+from sdm.cli.common.progress import CountProgress, FileProgress
+{body}
+"""
+COUNT = """
+with CountProgress("maps") as progress:
+    for done in range(4):
+        progress(done, 3)
+"""
+FILES = """
+with FileProgress(2) as progress:
+    for name in ("[a].ply", "b.ply"):
+        progress.begin(name)
+        progress.share(0.5)
+        progress.print(f"{name} is done")
+        progress.end()
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "texts"), [(COUNT, ["3 of 3 maps"]), (FILES, ["[a].ply is done", "b.ply is done"])], ids=["count", "files"]
+)
+def test_on_a_terminal(body, texts):
+    shown, terminal = pty.openpty()
+    program = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM.format(body=body)],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "120"},
+    )
+    os.close(terminal)
+    said = b""
+    try:
+        while chunk := os.read(shown, 4096):
+            said += chunk
+    except OSError:  # the terminal's other end is closed
+        pass
+    os.close(shown)
+    assert program.wait() == 0
+    assert "━" in said.decode()
+    for text in texts:
+        assert text in said.decode()
+
+
+def test_in_a_pipe_there_is_no_bar():
+    program = [sys.executable, "-c", PROGRAM.format(body=FILES)]
+    done = subprocess.run(program, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["[a].ply is done", "b.ply is done"]
+    assert done.stderr == ""
