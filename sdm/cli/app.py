@@ -151,7 +151,7 @@ def _nothing() -> None:
 
 
 def _sentence(drawn: str) -> str:
-    """What a message of tyro's says, without its frame and what comes after the first part."""
+    """The text of tyro's message, without its frame and without what follows its first part."""
     part: list[str] = []
     for line in drawn.splitlines():
         text = FRAME.sub("", FRAME.sub("", line).strip()).strip()

@@ -1,4 +1,4 @@
-"""Where to compute, and whether there is room."""
+"""Choice of the device, and its free memory."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ class Grid:
 
     @property
     def is_axis_aligned(self) -> bool:
-        """Whether the direction is the identity."""
+        """True if the direction is the identity."""
         return self.direction == IDENTITY
 
     @classmethod

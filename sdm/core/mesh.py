@@ -62,7 +62,7 @@ class TriangleMesh:
 
     @property
     def device(self) -> torch.device:
-        """Where vertices and faces are."""
+        """The device of vertices and faces."""
         return self.vertices.device
 
     @property

@@ -1,4 +1,4 @@
-"""What a mesh is like: closed, oriented, outward, manifold, and what is wrong with it."""
+"""Mesh inspection: closed, oriented, outward, manifold, and the problems found."""
 
 from sdm.inspect.orientation import orient_outward
 from sdm.inspect.report import MeshReport, inspect_mesh

@@ -1,4 +1,4 @@
-"""Which triangles have exactly no area."""
+"""Exact test for zero-area triangles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SPLITTER = 2.0**27 + 1
 
 
 def zero_area(corners: np.ndarray) -> np.ndarray:
-    """Whether triangles (F,3,3) float32 have corners exactly on one line or point: (F,) bool.
+    """Mark triangles (F,3,3) float32 whose corners are exactly on one line or point: (F,) bool.
 
     Exact: float64 decides where its rounding cannot matter, error-free products decide the rest, and rational
     numbers the few whose edges do not even fit into float64. (Dekker 1971; Shewchuk 1997, adaptive predicates.)
@@ -35,7 +35,7 @@ def zero_area(corners: np.ndarray) -> np.ndarray:
 
 
 def _exact_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether a - b (n,3) fits into float64 without rounding, for each row."""
+    """Mark the rows whose a - b (n,3) fits into float64 without rounding: (n,) bool."""
     difference = a - b
     part = a - difference
     error = (a - (difference + part)) + (part - b)
@@ -43,7 +43,7 @@ def _exact_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _same_product(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Whether a*b equals c*d exactly: their roundings and the errors of these do."""
+    """Compare a*b with c*d exactly: their roundings and the errors of these are equal."""
     return (a * b == c * d) & (_product_error(a, b) == _product_error(c, d))
 
 

@@ -1,4 +1,4 @@
-"""How the faces of a mesh meet: along which edges, in which directions, in how many pieces."""
+"""Edges of a mesh: the faces that meet there, their directions, and the connected components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which way a closed mesh faces."""
+"""Orientation of closed meshes: outward or inside out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which vertices are at exactly the same place."""
+"""Vertices at exactly equal positions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def first_and_group(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def runs(ordered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each run of equal values of a sorted array (n,) starts (g,), and the run of each value (n,)."""
+    """Runs of equal values in a sorted array (n,): the start of each (g,), and the run of each value (n,)."""
     new = np.empty(len(ordered), dtype=bool)
     new[:1] = True
     np.not_equal(ordered[1:], ordered[:-1], out=new[1:])

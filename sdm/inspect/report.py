@@ -17,7 +17,7 @@ from sdm.inspect.problems import problems_of
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What a mesh is like. Vertices at exactly equal positions count as one throughout.
+    """Properties of a mesh. Vertices at exactly equal positions count as one throughout.
 
     Args:
         name: The mesh's name.

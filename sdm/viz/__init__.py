@@ -1,1 +1,5 @@
-"""Figures, and a window with a map."""
+"""Pictures of signed distance maps, of fits, and a window with a map: `from sdm.viz import picture`."""
+
+from sdm.viz.figure import picture
+
+__all__ = ["picture"]

@@ -160,7 +160,7 @@ def _draw(polyscope: Any, path: Path) -> None:
 
 
 def _slider(polyscope: Any, field: SDM, cut: Any, level: float) -> Callable[[], None]:
-    """What draws the slider, once a frame."""
+    """A callback that draws the slider, once a frame."""
     gui: Any = import_module("polyscope.imgui")
     values = field.numpy()
     low, high = float(values.min()), float(values.max())

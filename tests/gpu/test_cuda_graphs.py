@@ -30,7 +30,7 @@ def afresh():
 
 @pytest.fixture
 def launches(monkeypatch):
-    """How often a recording is launched."""
+    """Number of launches of recordings."""
     counted = []
     plain = CapturedCall.launch
     monkeypatch.setattr(CapturedCall, "launch", lambda *args: counted.append(1) or plain(*args))

@@ -47,7 +47,7 @@ def test_as_on_the_cpu(monkeypatch, limit, seed):
 
 
 def _waits(call: Callable[[], object]) -> int:
-    """How often torch waits for the device in a call."""
+    """Number of times that torch waits for the device in a call."""
     torch.cuda.synchronize()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -1,4 +1,4 @@
-"""What "exact" means, for every test that compares with the brute force.
+"""The definition of "exact", for every test that compares with the brute force.
 
 The distance may be wrong by four float32 roundings of the largest coordinate of mesh and point. The sign must be
 right wherever the winding number is further than 1e-3 from 0.5 and the distance is above that limit.

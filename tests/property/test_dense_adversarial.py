@@ -140,7 +140,7 @@ def test_strips_of_needles(width, size, seed):
 @few
 @given(fine=st.floats(-4.5, -1.5), seed=strategies.seeds)
 def test_between_a_fine_plate_and_a_far_triangle(fine, seed):
-    """Where both are as near: rounding that turns a small triangle's edges must not lose it (it did)."""
+    """Both as near: rounding that turns a small triangle's edges must not lose it (it did)."""
     rng = np.random.default_rng(seed)
     up = np.ones(3) / 3**0.5
     side = np.cross(up, rng.normal(size=3))
@@ -173,7 +173,7 @@ def test_between_a_fine_plate_and_a_far_triangle_here():
 
 @pytest.mark.parametrize("seed", [7, 35, 529, 547, 3710, 4258, 4699])
 def test_at_the_end_of_a_long_edge(seed):
-    """Where a ridge ends at small triangles, in a small block with a voxel hardly within its ends (lost once).
+    """A ridge that ends at small triangles, in a small block with a voxel hardly within its ends (lost once).
 
     A lid above is about as near, so that there is something wrong to be found.
     """
@@ -240,7 +240,7 @@ def test_voxels_on_the_surface_and_on_planes_of_symmetry(shape, steps, shift, of
     seed=strategies.seeds,
 )
 def test_large_sheets_a_few_roundings_apart(height, apart, size, seed):
-    """Which is dropped for a fine grid above them is decided by roundings: those of their corners, far away."""
+    """Roundings decide which is dropped for a fine grid above them: those of their corners, far away."""
     rng = np.random.default_rng(seed)
     corner = rng.uniform(-1, 1, (12, 3, 3)) * rng.choice([1, 1, 0.1], (12, 1, 1))
     corner[..., 2] = 10.0**apart * rng.normal(size=(12, 3))

@@ -25,7 +25,7 @@ TIE = 1e-6
 
 
 def on_slab(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, begin: int = 0) -> np.ndarray:
-    """What the kernels put down as winding numbers of meshes (B,V,3) from layer `begin` on."""
+    """Winding numbers that the kernels find for meshes (B,V,3) from layer `begin` on."""
     structure = build(torch.from_numpy(np.ascontiguousarray(vertices)), torch.from_numpy(faces))
     tree, winding, *_ = structure.view
     slab = Slab()

@@ -56,7 +56,7 @@ def test_the_version_is_said_once(root):
 
 @pytest.fixture(scope="module")
 def source(root, tmp_path_factory) -> Path:
-    """What a wheel is built from, without what builds leave behind."""
+    """The files that a wheel is built from, without what builds leave behind."""
     folder = tmp_path_factory.mktemp("source")
     for name in ("sdm", "kernels", "bench"):
         shutil.copytree(root / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))

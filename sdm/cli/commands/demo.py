@@ -41,7 +41,7 @@ def demo(
     from sdm.core.grid import Grid
     from sdm.errors import FormatError
     from sdm.io.meshes.write import write_ply
-    from sdm.viz.figure import picture
+    from sdm.viz import picture
 
     mesh = demo_mesh()
     grid = Grid.around(mesh, resolution=resolution)

@@ -167,7 +167,7 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
 
 
 def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
-    """What an unfinished dataset was begun with: options, count, grid and source."""
+    """Options, count, grid and source that an unfinished dataset was begun with."""
     import torch
 
     from sdm.core.grid import Grid

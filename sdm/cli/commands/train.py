@@ -19,7 +19,7 @@ TRAININGS = {
 
 
 def _later(name: str) -> Callable[..., Callable[[], int | None]]:
-    """What prepares the training `name` from its options and does not run it yet."""
+    """A function that prepares the training `name` from its options and does not run it yet."""
     module, function = TRAININGS[name].split(":")
     training = getattr(import_module(module), function)
 

@@ -1,1 +1,1 @@
-"""What several commands share: inputs, targets, jobs, progress, errors."""
+"""Parts that several commands share: inputs, targets, jobs, progress, errors."""

@@ -1,4 +1,4 @@
-"""Which errors are the user's to mend, and how they are said."""
+"""A user's errors, as one sentence each."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def refuse_inputs(targets: Iterable[Path | None], inputs: Iterable[Path | None])
 
 
 def _identity(path: Path | None) -> tuple[int, int] | None:
-    """What links and other spellings of a name share; None where nothing is, which nothing can be lost from."""
+    """Device and inode of a file, the same for all its names and links; None if there is no file to lose."""
     if path is None:
         return None
     try:

@@ -25,7 +25,7 @@ from sdm.io.maps.record import digest_of
 
 @dataclass(frozen=True)
 class Settings:
-    """What is the same for all meshes.
+    """Settings that are the same for all meshes.
 
     Args:
         resolution: Voxels along each axis; None for the default.
@@ -115,7 +115,7 @@ def _compute(source: Path, target: Path, settings: Settings, progress: FileProgr
 
 
 def _finished(target: Path, grid: Grid, digest: str) -> bool:
-    """Whether a file is a map on this grid of the mesh with this digest; no other image is."""
+    """True if a file is a map, on this grid, of the mesh with this digest."""
     try:
         return grid_like(target) == grid and made_from(target) == digest
     except SDMError:

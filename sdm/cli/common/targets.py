@@ -1,4 +1,4 @@
-"""Which map goes into which file."""
+"""Output files of the meshes on a command line."""
 
 from __future__ import annotations
 

@@ -257,7 +257,7 @@ def test_an_older_distance_map_does_not_stay_beside_an_empty_label(trained, tmp_
 
 @pytest.mark.parametrize("codes", [(0, 0), (0, 1), (4, 0), (2, 1)])
 def test_results_lie_in_the_space_of_their_image(codes, tmp_path):
-    """Where the header leaves the place open, so do the results: programs guess it in more than one way."""
+    """A header that leaves the position open gives results that do: programs guess it in more than one way."""
     import torch
 
     from sdm.segmentation import write_prediction

@@ -1,4 +1,4 @@
-"""Where to compute, and whether there is room."""
+"""Choice of the device, and refusal of what does not fit into its memory."""
 
 from __future__ import annotations
 

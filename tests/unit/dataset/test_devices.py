@@ -1,4 +1,4 @@
-"""Which devices of a machine make a dataset."""
+"""Devices of a machine that make a dataset."""
 
 from __future__ import annotations
 

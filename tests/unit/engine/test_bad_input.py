@@ -1,4 +1,4 @@
-"""What cannot be measured is refused with one sentence that says what is wrong."""
+"""Input that cannot be measured is refused with one sentence that says what is wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What 32-bit indices cannot count in one launch is done in several, or refused: with limits lowered for the test."""
+"""Sizes beyond 32-bit indices are split into several launches, or refused: with limits lowered for the test."""
 
 from __future__ import annotations
 

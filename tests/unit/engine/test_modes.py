@@ -52,7 +52,7 @@ def test_made_in_inference_mode_used_outside(expected):
 
 
 def test_faces_changed_in_place():
-    """What is remembered about faces is forgotten when they change."""
+    """Cached facts about faces are forgotten when the faces change."""
     vertices, faces = sphere(4)
     tensor = torch.tensor(faces)
     mesh = sdm.TriangleMesh(vertices, tensor)

@@ -25,7 +25,7 @@ def test_asking_is_an_error():
 
 
 def test_the_factor_in_front_may_be_differentiated():
-    """What comes back from a loss may depend on other things, and the gradient is linear in it."""
+    """The gradient that comes from a loss may depend on other things, and ours is linear in it."""
     points = torch.tensor([[3.0, 2.0, 0.0]], requires_grad=True)
     factor = torch.tensor(5.0, requires_grad=True)
     values = sdm.signed_distance(sdm.TriangleMesh(*cube()), points, device="cpu")

@@ -73,7 +73,7 @@ def grid_of(axis: int, turn: np.ndarray) -> sdm.Grid:
 
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
-    """How many times as many slices were measured, by each call for one slab of one mesh or a batch."""
+    """Factors by which slices were refined, by each call for one slab of one mesh or a batch."""
     calls = []
     finer_one = sdm.engine.ops.measured_finer
 
@@ -146,7 +146,7 @@ def test_a_map_does_not_depend_on_the_rest_of_its_batch(measured):
 
 
 def test_large_sections_are_left_as_they_are():
-    """Where 32 layers of the finer grid would take more than 128 MiB."""
+    """32 layers of the finer grid would take more than 128 MiB."""
     wanted = {100: 4, 200: 2, 300: 1}
     for n, times in wanted.items():
         assert finer(Slices((THIN, THIN, THICK), (40, 2000, n), 0), 1.0, 20_000) == (1, 1, times)

@@ -1,4 +1,4 @@
-"""What every loss must do: right gradients, finite on empty and full masks, no silent broadcasting."""
+"""Requirements of every loss: right gradients, finite on empty and full masks, no silent broadcasting."""
 
 from __future__ import annotations
 

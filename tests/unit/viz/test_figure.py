@@ -9,7 +9,8 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.viz.figure import colour_limit, line_step, picture
+from sdm.viz import picture
+from sdm.viz.figure import colour_limit, line_step
 
 TURN = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 

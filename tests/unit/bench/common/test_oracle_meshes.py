@@ -10,7 +10,7 @@ from tests.helpers.oracle import distance, winding_number
 
 
 def balanced(case):
-    """Whether every edge runs as often one way as the other, vertices at equal positions being one."""
+    """True if every edge runs as often one way as the other, vertices at equal positions being one."""
     _, same = np.unique(case.vertices + 0.0, axis=0, return_inverse=True)
     faces = same.reshape(-1)[case.faces]
     a, b = faces.reshape(-1), np.roll(faces, -1, 1).reshape(-1)

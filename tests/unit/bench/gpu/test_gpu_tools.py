@@ -1,4 +1,4 @@
-"""What the commands for compute-sanitizer and ncu make of those tools' words, without a GPU."""
+"""Output of compute-sanitizer and ncu as the commands read it, without a GPU."""
 
 from __future__ import annotations
 

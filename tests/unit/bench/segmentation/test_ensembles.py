@@ -79,7 +79,7 @@ def test_a_run_with_ensembles(study, data, tmp_path):
 
 
 def test_ensembles_of_networks_that_are_kept(study, tmp_path):
-    """What is done is skipped, and done again with a further seed."""
+    """Finished ensembles are skipped, and computed again with a further seed."""
     study("run", *TWO, "--seeds", "0", "1", "2")
     logs = LogFile(tmp_path / "logs.jsonl")
     assert logs.ensembles() == []

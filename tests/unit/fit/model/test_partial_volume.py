@@ -1,4 +1,4 @@
-"""What a voxel holds of a ball, against the integral over the voxel and the point spread function."""
+"""The share of a voxel inside a ball, against the integral over the voxel and the point spread function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What other software sees in the files, and what is taken from files that other software wrote."""
+"""Exchange with other software: files that it reads, and files that it wrote."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What corners are told apart by: edges of the mesh, those of the triangles next to theirs and one more."""
+"""Edges that bound a corner's Voronoi region: its own, those of the triangles next to it, and one more."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the witness beats: no point that is dropped is nearer to any voxel of the cell, and boxes are tested exactly."""
+"""The witness bound: no point that is dropped is nearer to any voxel of the cell, and boxes are tested exactly."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _test(
 
 
 def dropped(centre: np.ndarray, half: np.ndarray, y: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether each triangle (N,3,3), and its box, is dropped, and the room for rounding: (N,3)."""
+    """Flags of triangles (N,3,3) and boxes that are dropped, and the allowance for rounding: (N,3)."""
     out = wp.zeros((len(centre), 3), dtype=float, device="cpu")
     vectors = [wp.array(np.ascontiguousarray(v, np.float32), dtype=wp.vec3, device="cpu") for v in (centre, half, y)]
     triangles = wp.array(np.ascontiguousarray(corners, np.float32), dtype=wp.vec3, ndim=2, device="cpu")

@@ -55,7 +55,7 @@ def boxes(lattice: np.ndarray, tests: np.ndarray, pairs: np.ndarray) -> tuple[np
 
 
 def kept_boxes(lattice: np.ndarray, tests: np.ndarray, first: np.ndarray, size: int) -> tuple[int, int]:
-    """Which of eight boxes of size^3 voxels pass all tests, and which are not near a limit, as bits.
+    """Bit masks of the eight boxes of size^3 voxels that pass all tests, and of those not near a limit.
 
     A linear function is least at one of a box's corners.
     """

@@ -1,4 +1,4 @@
-"""Which way a map is computed: a choice of speed, which must not depend on how a grid is cut into slabs."""
+"""The choice of method for a map: a question of speed, which must not depend on how a grid is cut into slabs."""
 
 from __future__ import annotations
 

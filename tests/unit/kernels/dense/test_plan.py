@@ -1,4 +1,4 @@
-"""How lists are made by several groups and measured in slices: maps are right however the work is shared out."""
+"""Lists made by several groups and measured in slices: maps are right however the work is shared out."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def decoded(codes: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Seen:
-    """What the passes of a map planned: codes of cells, and for each cell the lengths of its chains."""
+    """Plans of a map's passes: codes of cells, and for each cell the lengths of its chains."""
 
     whole: list[np.ndarray] = field(default_factory=list)
     coarse: list[np.ndarray] = field(default_factory=list)

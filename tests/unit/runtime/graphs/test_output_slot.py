@@ -1,4 +1,4 @@
-"""Where a recorded call's map goes: to a new tensor each time, whose address kernels take from memory."""
+"""Output of a recorded call: a new tensor each time, whose address kernels take from memory."""
 
 from __future__ import annotations
 

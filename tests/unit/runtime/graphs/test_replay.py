@@ -1,4 +1,4 @@
-"""Which calls are recorded, how many recordings are kept, and that a CPU has none of it."""
+"""Recording of calls, the number of recordings kept, and a CPU, which has none of it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_faces_are_copied_again_once_they_changed_or_another_recording_was_launc
     faces, again = torch.zeros(4, 3, dtype=torch.int32), torch.zeros(4, 3, dtype=torch.int32)
 
     def launched(held, *given):
-        """Which inputs were there already."""
+        """Inputs that were there already."""
         held.begin()
         found = [held.holds(index, tensor) for index, tensor in enumerate(given)]
         for index, tensor in enumerate(given):

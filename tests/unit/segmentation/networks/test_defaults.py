@@ -15,7 +15,7 @@ from tests.helpers.segmentation_cases import case
 
 @pytest.fixture(params=["float64", "meta"])
 def same(request):
-    """What is made is the same, with another default."""
+    """The same result with another default."""
 
     def check(make) -> None:
         expected = make()
