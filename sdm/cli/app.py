@@ -14,7 +14,7 @@ from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.common.errors import sentence_of
+from sdm.cli.common.error_sentence import sentence_of
 
 # In the order of the help text.
 COMMANDS = (

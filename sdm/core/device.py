@@ -85,7 +85,7 @@ def total_memory(device: torch.device) -> int:
 
 
 @contextmanager
-def room_for(needed: int, device: torch.device, what: str) -> Iterator[None]:
+def memory_guard(needed: int, device: torch.device, what: str) -> Iterator[None]:
     """Refuse what cannot fit, as `require_memory`, but of a GPU's memory only what is large is asked about beforehand.
 
     To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence.

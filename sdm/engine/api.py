@@ -12,7 +12,7 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from sdm.core.device import choose_device, room_for
+from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
@@ -122,7 +122,7 @@ class MeshIndex:
 
     def signed_distance_map(self, grid: Grid) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
-        with room_for(grid.nbytes, self.device, _described(grid)):
+        with memory_guard(grid.nbytes, self.device, _described(grid)):
             if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
                 values, ambiguous = index_map(self._structure, grid)
                 return SDM(values, grid, 0 if self.closed else int(ambiguous))
@@ -192,7 +192,7 @@ def signed_distance_map(
     mesh = _oriented(mesh, orient).to(where)
     if is_recordable(mesh.vertices, grid.nbytes):
         _refuse_forward_mode(mesh.vertices)
-        with room_for(grid.nbytes, mesh.device, _described(grid)):
+        with memory_guard(grid.nbytes, mesh.device, _described(grid)):
             values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
         return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
     return MeshIndex(mesh, where).signed_distance_map(grid)
@@ -258,7 +258,7 @@ def signed_distance_maps(
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
-    with room_for(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
+    with memory_guard(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
         return batch_maps(batch, shared, grid, None)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
-from sdm.viz.surface import draw_surface
+from sdm.viz.surface_drawing import draw_surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

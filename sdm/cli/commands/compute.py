@@ -54,7 +54,7 @@ def compute(
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.jobs import Settings, run
-    from sdm.cli.common.targets import plan
+    from sdm.cli.common.output_files import plan
     from sdm.core.device import choose_device
     from sdm.errors import GridError
     from sdm.io import grid_like as read_grid

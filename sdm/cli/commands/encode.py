@@ -42,7 +42,7 @@ def encode(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs
-    from sdm.cli.common.targets import targets_in
+    from sdm.cli.common.output_files import targets_in
     from sdm.deepsdf import DeepSDF, encode_meshes, encode_scan, save_code
     from sdm.deepsdf.samples import UnitSphere
     from sdm.errors import FormatError, SDMError

@@ -1,1 +1,1 @@
-"""Parts that several commands share: inputs, targets, jobs, progress, errors."""
+"""Parts that several commands share: inputs, output files, jobs, progress, error sentences."""

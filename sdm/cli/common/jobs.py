@@ -10,7 +10,7 @@ from typing import Literal
 
 import torch
 
-from sdm.cli.common.errors import sentence_of
+from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid

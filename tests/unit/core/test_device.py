@@ -76,22 +76,22 @@ def test_a_gpu_is_asked_before_large_maps_alone(monkeypatch):
     gpu, asked = torch.device("cuda:0"), []
     monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(total_memory=64 << 30))
     monkeypatch.setattr(device, "free_memory", lambda _: asked.append(1) or 3 << 30)
-    with device.room_for(1 << 30, gpu, "a map"):
+    with device.memory_guard(1 << 30, gpu, "a map"):
         assert not asked
-    with device.room_for(2 << 30, gpu, "a map"):
+    with device.memory_guard(2 << 30, gpu, "a map"):
         assert asked
-    with pytest.raises(GridError, match=r"a map needs 4\.5 GiB"), device.room_for(9 << 29, gpu, "a map"):
+    with pytest.raises(GridError, match=r"a map needs 4\.5 GiB"), device.memory_guard(9 << 29, gpu, "a map"):
         raise AssertionError
     # What was not asked about is refused as well, if it was too large; other scratch may be what was.
     for needed, kind in ((1 << 30, GridError), (1 << 29, torch.OutOfMemoryError)):
         monkeypatch.setattr(device, "free_memory", lambda _: 1 << 29)
-        with pytest.raises(kind), device.room_for(needed, gpu, "a map"):
+        with pytest.raises(kind), device.memory_guard(needed, gpu, "a map"):
             raise torch.OutOfMemoryError
 
 
 def test_room_on_a_cpu_is_asked_about(monkeypatch):
     monkeypatch.setattr(device, "free_memory", lambda _: 1 << 20)
-    with pytest.raises(GridError), device.room_for(1 << 27, torch.device("cpu"), "a map"):
+    with pytest.raises(GridError), device.memory_guard(1 << 27, torch.device("cpu"), "a map"):
         raise AssertionError
 
 

@@ -1,0 +1,102 @@
+"""House rules of the source tree: sizes of files and folders, names of modules, first lines of docstrings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+MOST_LINES, MOST_MODULES = 400, 18
+LOOSE_MODULES = {"sdm": 4, "kernels": 3}
+TOPS = ("sdm", "kernels", "bench", "tests")
+# Words that announce a thing without naming it.
+FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
+# Folders whose docstrings do not keep to that yet.
+UNNAMED = (
+    "bench", "kernels", "sdm/dataset", "sdm/deepsdf", "sdm/engine", "sdm/fit", "sdm/io", "sdm/losses", "sdm/metrics",
+    "sdm/runtime", "sdm/segmentation", "sdm/shapes", "sdm/stream", "sdm/surrogate", "sdm/topology", "sdm/training",
+)  # fmt: skip
+# Modules of one name that differ plainly, besides those that `is_plain` knows.
+TWINS = {
+    "api", "atomic", "batch", "grid", "nifti", "ranks", "schedules", "targets", "validation", "predict", "evaluate",
+}  # fmt: skip
+
+
+def modules(root: Path, *tops: str) -> list[Path]:
+    """Python files, by their paths in the checkout; the links sdm/kernels and sdm/bench are not followed."""
+    found = []
+    for top in tops:
+        for path in (root / top).rglob("*.py"):
+            place = path.relative_to(root)
+            if place.parts[:2] not in (("sdm", "kernels"), ("sdm", "bench")):
+                found.append(place)
+    return sorted(found)
+
+
+def test_files_are_short(root):
+    long = {str(path): count for path in modules(root, *TOPS) if (count := lines(root / path)) > MOST_LINES}
+    assert not long
+
+
+def lines(path: Path) -> int:
+    return len(path.read_text().splitlines())
+
+
+def test_folders_hold_few_modules(root):
+    count: dict[Path, int] = defaultdict(int)
+    for path in modules(root, *TOPS):
+        count[path.parent] += path.name != "__init__.py"
+    assert not {str(folder): number for folder, number in count.items() if number > MOST_MODULES}
+
+
+@pytest.mark.parametrize("top", LOOSE_MODULES)
+def test_few_modules_lie_loose(root, top):
+    loose = [path.name for path in (root / top).glob("*.py") if path.name != "__init__.py"]
+    assert len(loose) <= LOOSE_MODULES[top]
+
+
+def test_modules_of_bench_are_not_private(root):
+    assert not [str(path) for path in modules(root, "bench") if re.match(r"_[a-z]", path.name)]
+
+
+def test_names_of_modules_are_told_apart(root):
+    named: dict[str, list[Path]] = defaultdict(list)
+    for path in modules(root, "sdm", "kernels"):
+        if not path.name.startswith("__"):
+            named[path.stem].append(path.parent)
+    twins = {
+        name: [str(folder) for folder in folders]
+        for name, folders in named.items()
+        if name not in TWINS and not all(is_plain(*pair) for pair in combinations(folders, 2))
+    }
+    assert not twins
+
+
+def is_plain(one: Path, other: Path) -> bool:
+    """True if two folders may have modules of one name: commands, kernels of a host module, and parallel packages."""
+    command = Path("sdm/cli/commands") in (one, other)
+    kernel = one.parts[0] != other.parts[0] and one.parts[1:] == other.parts[1:]
+    parallel = one.name == other.name or one.parent == other.parent
+    return command or kernel or parallel
+
+
+def test_unit_tests_mirror_the_tree(root):
+    folders = {path.parent.relative_to("tests/unit") for path in modules(root, "tests/unit")}
+    assert not [str(folder) for folder in folders if not (root / "sdm" / folder).is_dir()]
+
+
+def test_docstrings_name_the_thing(root):
+    found = []
+    for path in modules(root, *TOPS):
+        if str(path).startswith(UNNAMED):
+            continue
+        for node in ast.walk(ast.parse((root / path).read_text())):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                first = (ast.get_docstring(node) or "").split("\n")[0]
+                if FIRST_WORDS.match(first):
+                    found.append(f"{path}: {first}")
+    assert not found
