@@ -1,4 +1,4 @@
-"""Commands import what they need and nothing else: `python -m sdm.bench.common.startup` measures what that takes."""
+"""Commands import what they need and nothing else: `python -m sdm.bench.cli.startup` measures what that takes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Start-up of the commands: seconds that `sdm inspect` and `sdm compute` of a small mesh take beyond `import torch`.
 
-`python -m sdm.bench.common.startup` prints a table, with the dearest imports; `--out FILE.json` keeps the figures.
+`python -m sdm.bench.cli.startup` prints a table, with the dearest imports; `--out FILE.json` keeps the figures.
 """
 
 from __future__ import annotations
