@@ -96,6 +96,6 @@ def test_version_of_python_is_said_alike(root):
     assert wanted is not None
     low, high = int(wanted[1]), int(wanted[2]) - 1
     assert f"Python 3.{low} to 3.{high}" in (root / "README.md").read_text()
-    assert f"(3, {low}) <= sys.version_info[:2] <= (3, {high})" in (root / "tools" / "make_venv.sh").read_text()
+    assert f"(3, {low}) <= sys.version_info[:2] <= (3, {high})" in (root / "Makefile").read_text()
     assert (3, low) <= sys.version_info[:2] <= (3, high)
     assert os.access(root / ".ci" / "run", os.X_OK)
