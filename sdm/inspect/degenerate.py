@@ -5,12 +5,13 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
+from jaxtyping import Bool, Float32
 
 EPSILON = np.finfo(np.float64).eps
 SPLITTER = 2.0**27 + 1
 
 
-def zero_area(corners: np.ndarray) -> np.ndarray:
+def zero_area(corners: Float32[np.ndarray, "F 3 3"]) -> Bool[np.ndarray, " F"]:
     """Mark triangles (F,3,3) float32 whose corners are exactly on one line or point: (F,) bool.
 
     Exact: float64 decides where its rounding cannot matter, error-free products decide the rest, and rational

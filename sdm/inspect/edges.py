@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Int64, Integer
 
 from sdm.inspect.positions import runs
 
@@ -22,15 +23,15 @@ class Edges:
         split_vertices: How many vertices join faces that no chain of edges through that vertex connects.
     """
 
-    uses: np.ndarray
-    chain: np.ndarray
-    component: np.ndarray
+    uses: Integer[np.ndarray, " E"]
+    chain: Integer[np.ndarray, " E"]
+    component: Integer[np.ndarray, " F"]
     components: int
-    component_of_edge: np.ndarray
+    component_of_edge: Integer[np.ndarray, " E"]
     split_vertices: int
 
 
-def edges_of(faces: np.ndarray, vertices: int) -> Edges:
+def edges_of(faces: Int64[np.ndarray, "F 3"], vertices: int) -> Edges:
     """The edges of faces (F,3) int64, whose indices tell positions apart.
 
     Faces that use a position twice are segments or points: their directed edges cancel by themselves, so they count

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float64, Integer
 
 from sdm.core.mesh import TriangleMesh
 
@@ -36,7 +37,12 @@ def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
     return mesh.flipped() if bool(volumes.sum() < -VOLUME_ROUNDING * volumes.abs().sum()) else mesh
 
 
-def inside_out(corners: np.ndarray, component: np.ndarray, volume: np.ndarray, closed: np.ndarray) -> tuple[int, int]:
+def inside_out(
+    corners: Float64[np.ndarray, "F 3 3"],
+    component: Integer[np.ndarray, " F"],
+    volume: Float64[np.ndarray, " C"],
+    closed: Bool[np.ndarray, " C"],
+) -> tuple[int, int]:
     """Count the closed components that face inward without being a cavity of the others.
 
     Args:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float32, Int64, Shaped
 
 
-def first_at_position(vertices: np.ndarray) -> np.ndarray:
+def first_at_position(vertices: Float32[np.ndarray, "V 3"]) -> Int64[np.ndarray, " V"]:
     """For each vertex (V,3) float32 the index of the first one at exactly its position: (V,) int64. -0 equals +0."""
     x, y, z = ((vertices + np.float32(0)).astype(np.float32).view(np.uint32).T).astype(np.uint64)
     _, group = first_and_group((x << np.uint64(32)) | y)
@@ -13,7 +14,7 @@ def first_at_position(vertices: np.ndarray) -> np.ndarray:
     return first[group]
 
 
-def first_and_group(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def first_and_group(keys: Shaped[np.ndarray, " n"]) -> tuple[Int64[np.ndarray, " g"], Int64[np.ndarray, " n"]]:
     """Number equal keys (n,) alike: the first index of each group (g,) and the group of each key (n,), both int64."""
     order = np.argsort(keys)
     starts, group_of_sorted = runs(keys[order])
@@ -22,7 +23,7 @@ def first_and_group(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.minimum.reduceat(order, starts), group
 
 
-def runs(ordered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def runs(ordered: Shaped[np.ndarray, " n"]) -> tuple[Int64[np.ndarray, " g"], Int64[np.ndarray, " n"]]:
     """Runs of equal values in a sorted array (n,): the start of each (g,), and the run of each value (n,)."""
     new = np.empty(len(ordered), dtype=bool)
     new[:1] = True
