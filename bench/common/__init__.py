@@ -1,1 +1,1 @@
-"""What benchmarks share: meshes, the float64 oracle, timing, records, tables."""
+"""Shared by the benchmarks: meshes, the float64 oracle, timing, records, tables."""

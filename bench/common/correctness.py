@@ -1,4 +1,4 @@
-"""What counts as right: one place for the limit, the rounding and which signs are compared."""
+"""Limits of a right answer: the error allowed, its unit (a float32 rounding), and the signs that are compared."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rounding(case: Case, points: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Tally:
-    """How one set of values compares with the truth.
+    """Errors of one set of values against the truth.
 
     `max_error` is in roundings; values that are not finite count as infinitely wrong. A sign is compared where the
     winding number is clear and the distance above the limit (... and not on the surface); `unclear` and `on_surface`
@@ -60,7 +60,7 @@ class Tally:
 
     @property
     def fine(self) -> bool:
-        """Whether no limit is broken."""
+        """True if no limit is broken."""
         return self.over_limit == 0 and self.wrong_signs == 0
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How the benchmark's figures look: one style, one colour for each library, axes whose ticks can be read aloud."""
+"""Style of the benchmarks' figures: one style, one colour for each library, axes whose ticks can be read aloud."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ OURS = "sdm"
 COLOURS = {
     OURS: "#c2341d",
     "Warp winding number": "#1f5a96",
+    "Warp winding number, SAH": "#3f4f9e",
     "Warp swept volume": "#6fa8d6",
     "libigl winding number": "#3b7d4f",
     "libigl pseudonormal": "#8cc39a",

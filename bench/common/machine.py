@@ -1,4 +1,4 @@
-"""What a result was made on: a figure without it means little."""
+"""Record of the machine, the versions and the commit of a result: a figure without it means little."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class OwnMesh(ABC):
 
 @dataclass
 class Own:
-    """What the user's files hold."""
+    """Meshes and peers of the user's files."""
 
     cases: dict[str, Case] = field(default_factory=dict)
     makers: list[Callable[..., Peer]] = field(default_factory=list)

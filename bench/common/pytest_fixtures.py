@@ -1,4 +1,4 @@
-"""What the pytest-benchmark files share: peers on meshes, checked before they are timed."""
+"""Fixtures of the pytest-benchmark files: peers on meshes, checked before they are timed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a comparison's results go: one JSON file, or a folder with tables and plots too."""
+"""Output of a comparison: one JSON file, or a folder with tables and plots too."""
 
 from __future__ import annotations
 

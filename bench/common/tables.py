@@ -55,7 +55,7 @@ def _filled(rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
 
 
 def _notes(report: dict[str, Any]) -> list[str]:
-    """How each peer was asked, the machine, and what is missing."""
+    """Notes below a table: each peer's settings, the machine, and what is missing."""
     rows = [row for result in report["results"] for row in result["rows"]]
     peers = {row["peer"]: f"{row['peer']}: {row['version']}, {row['note']}" for row in rows}
     return [*peers.values(), machine_line(report), *report["missing"], *report["left_out"]]

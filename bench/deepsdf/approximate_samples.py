@@ -33,7 +33,7 @@ HIDDEN, ASKED = 0.01, 20_000
 
 @dataclass(frozen=True)
 class Quality:
-    """How good the recipe's samples of a shape are: against exact values, where those are below `NEAR`.
+    """Errors of the recipe's samples of a shape against exact values, where those are below `NEAR`.
 
     Args:
         seen_points: Points that the cameras see.

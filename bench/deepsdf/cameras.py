@@ -1,4 +1,4 @@
-"""What virtual cameras around a shape see of it: DeepSDF's dense oriented points, without a display."""
+"""Points and normals that virtual cameras around a shape see: DeepSDF's dense oriented points, without a display."""
 # Warp's own compiler checks the types inside kernels, by rules that are not Python's.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportIndexIssue=false
 # pyright: reportOperatorIssue=false

@@ -1,4 +1,4 @@
-"""What a trained DeepSDF can do: known shapes, unseen shapes, completion, time."""
+"""Scores of a trained DeepSDF: known shapes, unseen shapes, completion, time."""
 
 from __future__ import annotations
 

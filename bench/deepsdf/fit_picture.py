@@ -15,7 +15,7 @@ PUBLISHED = {"deepsdf": 28.1, "sdmnn": 0.2, "mesh": 10.7}
 
 
 def is_fit(found: dict[str, Any]) -> bool:
-    """Whether a run has fits in all ways."""
+    """True if a run has fits in all ways."""
     return set(WAYS) <= set(found.get("fits", {})) and "maps" in found
 
 

@@ -27,7 +27,7 @@ QUALITY = {
 
 
 def is_study(found: dict[str, Any]) -> bool:
-    """Whether a run's figures are those of a study."""
+    """True if a run's figures are those of a study."""
     return "recipe" in found
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from sdm.bench.common.json_file import put, write
 from sdm.bench.deepsdf import fit_picture
 from sdm.bench.deepsdf import recipe_study as study
-from sdm.bench.deepsdf.tables import pairs, rows_table, text
+from sdm.bench.deepsdf.tables import pairs, rows_table
 
 COLUMNS = {
     "chamfer": "Chamfer, unit sphere",
@@ -29,9 +29,6 @@ PARTS = {
     "other_half_95_mm": "other half, 95 % [mm]",
 }
 FIT = {key: key for key in ("seconds", "mean_mm", "percentile95_mm", "dice", "failed", "why")}
-# At most this: which shapes, which figure of them.
-AIMS = (("known", "mean", 0.05), ("unseen", "mean", 0.20), ("unseen", "median", 0.10))
-SCALES = {"chamfer_paper": "paper's scale", "chamfer": "unit sphere"}
 ABOUT = """\
 Made by `python -m sdm.bench.deepsdf report`. Chamfer distances are 1000 times the sum of both mean squared
 distances between 30,000 points of each surface; a floor is what a perfect answer scores. Paper's scale: the true
@@ -67,7 +64,7 @@ def report(runs: list[Path], to: Path) -> None:
 
 
 def _machines(found: dict[str, Any]) -> list[str]:
-    """Where each part was measured."""
+    """The machine and commit of each part."""
     machine, parts = found["machine"], {}
     for part, where in found.get("measured_on", {}).items():
         parts.setdefault(where, []).append(part)
@@ -80,9 +77,6 @@ def _tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
     if study.is_study(found):
         return study.tables(found)
     made = [(f"{n} shapes, {found[n]['shapes']}", _table(found[n], COLUMNS)) for n in ("known", "unseen") if n in found]
-    aims = [_aim(found, *aim) for aim in AIMS if aim[0] in found]
-    if aims:
-        made.append(("aims, Chamfer distance", rows_table(aims, {"": "", **SCALES})))
     made += [(f"completion, {n}", _table(found[n], PARTS)) for n in ("half", "noisy") if n in found]
     made += [(n, pairs(found[n])) for n in ("training", "search", "speed", "maps") if n in found]
     made += [
@@ -94,14 +88,3 @@ def _tables(found: dict[str, Any]) -> list[tuple[str, list[str]]]:
 def _table(part: dict[str, Any], columns: dict[str, str]) -> list[str]:
     rows = [{"": kind, **part[kind]} for kind in ("mean", "median") if kind in part]
     return rows_table(rows, {"": "", **columns})
-
-
-def _aim(found: dict[str, Any], part: str, kind: str, most: float) -> dict[str, str]:
-    """What is aimed at, and in each scale whether it is reached."""
-    values = found[part].get(kind, {})
-    said = {
-        scale: f"{'met' if values[scale] <= most else 'not met'}: {text(values[scale])}"
-        for scale in SCALES
-        if scale in values
-    }
-    return {"": f"{part} shapes, {kind} at most {most:g}", **said}

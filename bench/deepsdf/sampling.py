@@ -1,4 +1,4 @@
-"""How fast DeepSDF's samples are made, and what they cost a training step.
+"""Rate of DeepSDF's exact samples, and their cost in a training step.
 
     python -m sdm.bench.deepsdf.sampling [--device cuda] [--budget-s 60] [--out bench/results/sampling.json]
 

@@ -1,4 +1,4 @@
-"""How fast dense maps are, and how that grows.
+"""Speed of dense maps, and its growth with triangles and voxels.
 
     python -m sdm.bench.dense --device cuda --out bench/results/dense-cuda.json
 
@@ -48,7 +48,7 @@ PACKAGES = ("warp-lang", "torch", "numpy", "libigl", "open3d")
 
 def run_part(part: str, job: Job, out: Path | None, report: dict[str, Any], **choices: Any) -> dict[str, Any]:
     """Run one part, print its table, and put it into `report` and the file, after every row."""
-    module = importlib.import_module(f"sdm.bench.dense.{part}")
+    module = importlib.import_module(f"sdm.bench.dense.parts.{part}")
     found: list[dict[str, Any]] = []
     result: dict[str, Any] = {"complete": False, "quick": job.quick, "rows": found}
     for row in module.rows(job, **choices):

@@ -45,7 +45,7 @@ MOST_PART_POINTS = 1 << 25
 
 @dataclass
 class Options:
-    """What to compare.
+    """Options of a comparison: meshes, grids, peers, budget.
 
     Args:
         device: "cpu" or "cuda"; None for a GPU if there is one.
@@ -284,7 +284,7 @@ def _measure(peer: Peer, question: Question, options: Options) -> dict[str, Any]
 
 
 def _whole_map_fits(peer: Peer, question: Question, budget: float) -> bool:
-    """Whether a peer with a way of its own to make maps has time for this one, going by one a quarter as fine."""
+    """True if a peer with its own way to make maps has time for this one, judged by one a quarter as fine."""
     if question.grid is None or type(peer).signed_distance_map is Peer.signed_distance_map:
         return False
     shape = [-(-n // COARSER) for n in question.grid.shape]
@@ -297,7 +297,7 @@ def _whole_map_fits(peer: Peer, question: Question, budget: float) -> bool:
 
 
 def _affordable(peer: Peer, question: Question, budget: float) -> tuple[int, float]:
-    """How many points a peer can be asked within the budget, and the milliseconds of its first call."""
+    """Number of points that a peer can answer within the budget, and the milliseconds of its first call."""
     trial = torch.from_numpy(question.points(question.order[:LARGER_TRIAL])).to(peer.device)
     warm_up, _ = once(lambda: peer.signed_distance(trial[:TRIAL]), peer.device)
     small, _ = once(lambda: peer.signed_distance(trial[:TRIAL]), peer.device)

@@ -1,4 +1,4 @@
-"""What the parts of `sdm.bench.dense` share: the job, fair clocks, checks, memory, and a peer on a part of a grid."""
+"""Tools of the parts of `sdm.bench.dense`: the job, fair clocks, checks, memory, and a peer on a part of a grid."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SLABS = 8
 
 @dataclass
 class Job:
-    """What one part is to do, and within which time.
+    """Job of one part: device, sizes, and the time it has.
 
     Args:
         device: "cpu" or "cuda".
@@ -48,7 +48,7 @@ class Job:
 
     @property
     def gpu(self) -> bool:
-        """Whether it runs on a GPU."""
+        """True if it runs on a GPU."""
         return self.device.startswith("cuda")
 
     @property
@@ -57,7 +57,7 @@ class Job:
         return self.budget_s - (time.monotonic() - self.started)
 
     def has_time(self, what: str) -> bool:
-        """Whether `what` may begin; noted if not."""
+        """True if there is time to begin `what`; noted if not."""
         if self.left_s > 0:
             return True
         self.notes.append(f"{what} was left out: the part's {self.budget_s:g} s were over")

@@ -36,8 +36,7 @@ def draw(report: dict[str, Any], folder: Path, name: str) -> list[Path]:
     parts = report.get("parts", {})
     if "table" in parts:
         table = parts["table"]
-        gpu = "cuda" in name or not all(row["peak_mib"] is None for row in table["rows"])
-        keep(dense.ratios(table, to("ratios"), gpu), to("ratios"))
+        keep(dense.ratios(table, to("ratios")), to("ratios"))
         caption = "sdm with its build, peers without. " + dense.machine(table)
         keep(peers.speeds(peers.of_dense(table), to("speed"), caption), to("speed"))
     for part, function in (

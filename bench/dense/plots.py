@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sdm.bench.common.figure import MARKERS, OURS, colour_of, drawing, guide, log_axes, plain_ticks, short
-from sdm.bench.dense.table import AIMS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,18 +21,20 @@ def machine(part: dict[str, Any]) -> str:
     return f"{about['device']}, {about['cores']} CPU cores, Warp {warp}, commit {about['commit']}"
 
 
-def ratios(part: dict[str, Any], path: Path, gpu: bool) -> bool:
-    """Bars: how many times the fastest peer, for each mesh and resolution, and the geometric means."""
+def ratios(part: dict[str, Any], path: Path) -> bool:
+    """Bars: times as fast as the fastest peer, for each mesh and resolution, and the geometric means."""
     rows = [row for row in part["rows"] if row["ratio"]]
     if not rows:
         return False
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
     resolutions = sorted({row["resolution"] for row in rows})
     means = part["summary"]["geometric_means"]
-    aims = AIMS["cuda" if gpu else "cpu"]
-    caption = "sdm: topology + build + query of a new mesh; peers: query alone, the fastest of them. " + machine(part)
+    caption = (
+        "sdm: repeated calls (a CUDA graph on a GPU), topology + build + query of a mesh as large as one before; "
+        "peers: query alone, the fastest of them. " + machine(part)
+    )
     with drawing(path, caption) as (_, axes):
-        axes.set_title("Exact signed distance maps: times faster than the fastest peer")
+        axes.set_title("Exact signed distance maps, repeated: times as fast as the fastest peer")
         wide = 0.8 / len(resolutions)
         names = [*meshes, "geometric mean"]
         for number, resolution in enumerate(resolutions):
@@ -44,17 +45,9 @@ def ratios(part: dict[str, Any], path: Path, gpu: bool) -> bool:
             shown = [here.get(name, 0.0) for name in names]
             shade = GRID_SHADES[number % 3]
             axes.bar(places, shown, width=0.92 * wide, color=shade, label=f"{resolution}³")
-            aim = aims.get(resolution, 0) if not part.get("quick") else 0
             for x, value in zip(places, shown, strict=True):
                 if value:
-                    # Above the mark of the aim where there is one just there.
-                    top = max(value, aim) if x == places[-1] and value < aim < 1.3 * value else value
-                    axes.text(x, top * 1.04, f"{value:.3g}", ha="center", va="bottom", fontsize=11, color="0.25")
-            if aim:
-                x, half = places[-1], 0.46 * wide
-                axes.plot([x - half, x + half], [aim, aim], color="black", linewidth=1.6)
-        if not part.get("quick"):
-            axes.plot([], [], color="black", linewidth=1.6, label="aim")
+                    axes.text(x, value * 1.04, f"{value:.3g}", ha="center", va="bottom", fontsize=11, color="0.25")
         log_axes(axes, x=False)
         plain_ticks(axes.yaxis)
         low = min(row["ratio"] for row in rows)
@@ -68,6 +61,10 @@ def ratios(part: dict[str, Any], path: Path, gpu: bool) -> bool:
         axes.tick_params(axis="x", length=0)
         axes.legend(loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.02))
     return True
+
+
+def _caption(title: str, part: dict[str, Any]) -> str:
+    return f"{title}. sdm: repeated calls (a CUDA graph on a GPU); peers: query alone. {machine(part)}"
 
 
 def _curves(axes: Axes, rows: Rows, x: str, build: bool) -> None:
@@ -97,7 +94,7 @@ def triangles(part: dict[str, Any], path: Path) -> bool:
     rows = part["rows"]
     if len(rows) < 2:
         return False
-    with drawing(path, "Torus. Peers: query alone. " + machine(part)) as (_, axes):
+    with drawing(path, _caption("Torus", part)) as (_, axes):
         log_axes(axes)
         _curves(axes, rows, "triangles", build=True)
         first, last = rows[0], rows[-1]
@@ -108,8 +105,9 @@ def triangles(part: dict[str, Any], path: Path) -> bool:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: short(value)))
         axes.set_xlabel("triangles")
         axes.set_ylabel("milliseconds")
-        slope = part["summary"]["new_mesh_exponent"]
-        axes.set_title(f"Time of a {rows[0]['resolution']}³ map grows as triangles to the power {slope:.2f}")
+        slopes = [part["summary"][f"new_mesh_exponent{end}"] for end in ("", "_at_the_end")]
+        powers = "{:.2f}, at the end {:.2f}".format(*slopes)
+        axes.set_title(f"Time of a {rows[0]['resolution']}³ map grows as triangles to the power {powers}")
         axes.legend(loc="upper left")
         axes.margins(x=0.07)
     return True
@@ -123,7 +121,7 @@ def resolutions(part: dict[str, Any], path: Path) -> bool:
     from matplotlib.ticker import FixedLocator, NullLocator
 
     title = f"{rows[0]['mesh']}, {rows[0]['triangles']:,} triangles"
-    with drawing(path, title + ". Peers: query alone. " + machine(part)) as (_, axes):
+    with drawing(path, _caption(title, part)) as (_, axes):
         log_axes(axes)
         _curves(axes, rows, "resolution", build=True)
         last, top = rows[-1], rows[-1]["new_mesh"]["ms"]

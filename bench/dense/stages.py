@@ -49,7 +49,7 @@ def too_far(box: Box, y: np.ndarray, segments: np.ndarray) -> np.ndarray:
 
 
 def leads(box: Box, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """How much further each of the points x (S,2) is than y, squared, from the place in the box where it is least. (S,)
+    """Least of |p - x|^2 - |p - y|^2 over the places p of a box, for points x (S,2). (S,)
 
     |p - x|^2 - |p - y|^2 is linear in p, and least at a corner of the box.
     """
@@ -84,7 +84,7 @@ def pixel_distances(box: Box, step: float, edge: int, segments: np.ndarray) -> n
 
 
 def is_inside(p: np.ndarray, segments: np.ndarray) -> np.ndarray:
-    """Whether points (N,2) are inside closed curves, by crossings to the right."""
+    """True for points (N,2) inside closed curves, by crossings to the right. (N,)"""
     inside = np.zeros(len(p), bool)
     for a, b in segments:
         spans = (a[1] <= p[:, 1]) != (b[1] <= p[:, 1])

@@ -94,7 +94,7 @@ def draw(path: Path) -> None:
 
 
 def _passed(box: stages.Box, segments: np.ndarray, among: np.ndarray) -> int:
-    """How many of the segments `among` distance alone would keep."""
+    """Number of the segments `among` that distance alone would keep."""
     some = segments[among]
     return int((~stages.too_far(box, stages.witness(box, some), some)).sum())
 

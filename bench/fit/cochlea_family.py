@@ -1,4 +1,4 @@
-"""How close the cochlea family comes to the real mean human scala tympani, and whether every shape of it is sound.
+"""Distance of the cochlea family from the real mean human scala tympani, and a check that every shape of it is sound.
 
     python -m sdm.bench.fit.cochlea_family [--data FOLDER] [--samples 1000] [--out bench/results/cochlea_fit.json]
 

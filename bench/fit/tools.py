@@ -1,4 +1,4 @@
-"""What the studies of the fit share: simulated cases, backends by name, and files that are whole or not there."""
+"""Tools of the studies of the fit: simulated cases, backends by name, and files that are whole or not there."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ COUNT = 3
 
 
 def _places(node: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Where the values of a JSON document are."""
+    """Paths of the values of a JSON document."""
     inner = list(node.items()) if isinstance(node, dict) else list(enumerate(node)) if isinstance(node, list) else []
     return [at, *(place for key, value in inner for place in _places(value, (*at, key)))]
 

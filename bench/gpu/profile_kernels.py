@@ -1,4 +1,4 @@
-"""Where a map's time goes on a GPU: `python -m sdm.bench.gpu.profile_kernels --out bench/results/profile.json`.
+"""Time of a map on a GPU, kernel by kernel: `python -m sdm.bench.gpu.profile_kernels --out bench/results/profile.json`.
 
 For each mesh and grid: the time of every kernel of one warm map by CUPTI, through torch's profiler, whose sum beside
 the call's own time shows the gaps; and where ncu is installed and may read the counters, what limits each of the
@@ -82,7 +82,7 @@ def kernel_times(name: str, resolution: int) -> dict[str, Any]:
 
 
 def counters(name: str, resolution: int, timeout_s: float) -> dict[str, Any]:
-    """What ncu says of the kernels of one warm map, longest first; `why_not` if it says nothing."""
+    """Counters by ncu of the kernels of one warm map, longest first; `why_not` if it says nothing."""
     try:
         command = [find_tool("ncu"), "--csv", "--page", "raw", "--profile-from-start", "off", "--print-units", "base"]
         command += ["--metrics", ",".join(METRICS.values())]

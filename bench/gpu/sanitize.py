@@ -67,7 +67,7 @@ def check(tool: str, program: str, resolution: int, timeout_s: float) -> dict[st
 
 
 def judge(code: int, said: str) -> dict[str, Any]:
-    """What a run's exit code and words mean: `clean` is None where the tool or the work itself failed."""
+    """Verdict on a run by its exit code and output: `clean` is None where the tool or the work itself failed."""
     found = SUMMARY.findall(said)
     summary = found[-1].strip() if found else None
     clean = code == 0 and summary is not None and all(int(n) == 0 for n in ERRORS.findall(f"SUMMARY: {summary}"))

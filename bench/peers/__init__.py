@@ -9,9 +9,9 @@ from sdm.bench.peers.point_cloud_utils import PointCloudUtils
 from sdm.bench.peers.sdm import Sdm
 from sdm.bench.peers.swept_volume import SweptVolume
 from sdm.bench.peers.trimesh import Trimesh
-from sdm.bench.peers.warp import StockWarp
+from sdm.bench.peers.warp import StockWarp, StockWarpSah
 
-__all__ = ["LibiglWinding", "Open3D", "Peer", "StockWarp", "SweptVolume", "all_peers"]
+__all__ = ["LibiglWinding", "Open3D", "Peer", "StockWarp", "StockWarpSah", "SweptVolume", "all_peers"]
 
 CPU_ONLY = (Open3D, LibiglWinding, LibiglPseudonormal, PointCloudUtils, Trimesh)
 
@@ -19,4 +19,6 @@ CPU_ONLY = (Open3D, LibiglWinding, LibiglPseudonormal, PointCloudUtils, Trimesh)
 def all_peers(device: str) -> list[Peer]:
     """Every peer that could run on `device`, installed or not; the CPU's libraries only for `"cpu"`."""
     peers: list[Peer] = [Sdm(device), StockWarp(device), SweptVolume(device)]
-    return peers if device.startswith("cuda") else [*peers, *(make() for make in CPU_ONLY)]
+    if device.startswith("cuda"):
+        return [*peers, StockWarpSah(device)]
+    return [*peers, *(make() for make in CPU_ONLY)]

@@ -1,4 +1,4 @@
-"""What a peer has to offer."""
+"""Interface of a peer: a library that is compared with."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Peer(ABC):
         return importlib.import_module(self.module)
 
     def available(self) -> bool:
-        """Whether it can run here."""
+        """True if it can run here."""
         return self.missing() is None
 
     @abstractmethod
@@ -67,7 +67,7 @@ class Peer(ABC):
         raise NotImplementedError
 
     def inside(self, points: Tensor) -> Tensor:
-        """Whether points are inside, alone, where `parts` has it."""
+        """True for points inside, without distances, where `parts` has it."""
         raise NotImplementedError
 
     def prepare(self, grid: Grid) -> None:

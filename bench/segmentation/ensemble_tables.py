@@ -1,4 +1,4 @@
-"""What ensembles of Ma's rows score, beside the trainings of their networks; of one protocol, and of several."""
+"""Scores of ensembles of Ma's rows, beside the trainings of their networks; of one protocol, and of several."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def ensembles_tables(files: Mapping[str, LogFile], moved: str | None = None) -> 
 
 
 def mixtures_tables(files: Mapping[str, LogFile], main: Logs, moved: str | None = None) -> str:
-    """What the protocols are that ensembles mix, less those of `main`; then as `ensembles_tables`, of these ensembles.
+    """The protocols that ensembles mix, less those of `main`; then as `ensembles_tables`, of these ensembles.
 
     The log of a training may be in any of the files: it is known by its settings and seed. Of one that was done
     more than once it is the first.

@@ -22,7 +22,7 @@ ENSEMBLE_S = 15.0
 
 
 def kept_file(keep: Path, job: Job) -> Path:
-    """Where a training keeps its network."""
+    """Path of the network that a training keeps."""
     return keep / f"{job['name']}.pt"
 
 

@@ -125,7 +125,7 @@ def _worker(
 
 
 def claimed(unfinished: Path, job: Job) -> bool:
-    """Whether a job that follows others is for this process to do: of several that ask, the first."""
+    """True if this process is to do a job that follows others: the first of several that ask is."""
     try:
         (unfinished / f"{job['name']}{CLAIM}").touch(exist_ok=False)
     except FileExistsError:

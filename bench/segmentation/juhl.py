@@ -5,13 +5,13 @@
 
 K. Juhl et al., "Guiding 3D U-nets with signed distance fields for creating 3D models from images", MIDL 2019: cuboids,
 rhomboids, ellipsoids and cylinders in 512^3 voxels, 19 of each to train on and 6 to test on; networks of 64^3. Labels
-of PWC are enlarged by the nearest voxel, PWR's distances linearly and then cut at zero. Beside that, what was not
-asked: PWC with linearly enlarged probabilities, so that both are enlarged alike; and PWR on the exact map of the mesh
-and on the transform of the coarse label, beside that of the fine label.
+of PWC are enlarged by the nearest voxel, PWR's distances linearly and then cut at zero. Controls: PWC with linearly
+enlarged probabilities, so that both are enlarged alike; and PWR on the exact map of the mesh and on the transform of
+the coarse label, beside that of the fine label.
 
-How the paper's images were made and what PWC minimised is not known here. An image's voxel is the share of it that is
-inside, with Gaussian noise of 0.1. PWC minimises (cross-entropy + Dice) / 2: in trainings as short as these, small
-shapes are lost by cross-entropy alone.
+How the paper's images were made is not known here: an image's voxel is the share of it that is inside, with Gaussian
+noise of 0.1. The paper trains PWC with a cross-entropy loss; PWC here minimises (cross-entropy + Dice) / 2, as in
+trainings as short as these small shapes are lost by cross-entropy alone.
 Distances are in voxels of 512^3. Overlap near the contour: 5^3 band.
 """
 
@@ -39,7 +39,7 @@ COLUMNS = ("dice", "contour_dice", "average_surface_distance_mm", "rms_surface_d
 # Network -> its target; None: the label.
 NETWORKS: dict[str, str | None] = {"pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
 ROWS = {
-    "pwc nearest": "PWC, nearest (as published)",
+    "pwc nearest": "PWC (CE + Dice; published: CE), nearest",
     "pwc linear": "PWC, linear probabilities",
     "pwr-voxels nearest": "PWR on the labels' transform, nearest",
     "pwr-voxels linear": "PWR on the labels' transform, linear (as published)",
@@ -174,7 +174,7 @@ def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline
 
 
 def enlarged(values: Tensor, fine: int, way: str) -> Tensor:
-    """Where (1,1,n,n,n) values are negative once they are enlarged: (fine,fine,fine) bool."""
+    """Mask of (1,1,n,n,n) values that are negative once they are enlarged: (fine,fine,fine) bool."""
     if way == "linear":
         return functional.interpolate(values, size=(fine,) * 3, mode="trilinear", align_corners=False)[0, 0] < 0
     label = (values[0, 0] < 0).to(torch.uint8)

@@ -110,7 +110,7 @@ def log_file(text: str) -> LogFile:
 
 
 def groups_of(job: Job) -> list[Job]:
-    """What an ensemble averages: its own networks, then those of other protocols beside them; each `settings`, `seeds`.
+    """Groups of networks that an ensemble averages: its own, then those of other protocols; each `settings`, `seeds`.
 
     A training is one such group.
     """
@@ -118,7 +118,7 @@ def groups_of(job: Job) -> list[Job]:
 
 
 def is_mixed(log: Log) -> bool:
-    """Whether a log is of an ensemble over networks of more than one protocol."""
+    """True if a log is of an ensemble over networks of more than one protocol."""
     return len(groups_of(log["job"])) > 1
 
 

@@ -224,7 +224,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
 
 
 def job_of(options: argparse.Namespace) -> Job:
-    """What all jobs have in common beside their settings."""
+    """Fields that all jobs have in common beside their settings."""
     return {
         "data": str(options.data),
         "cases": options.cases,

@@ -68,7 +68,7 @@ def differences(numbers: np.ndarray) -> np.ndarray:
 
 
 def sums(values: np.ndarray) -> np.ndarray:
-    """What `differences` was given."""
+    """The inverse of `differences`."""
     for axis in (0, 1):
         values = np.cumsum(values, axis=axis, dtype=np.uint8)
     return values

@@ -27,8 +27,6 @@ FAMILIES = {
     "a branch": tuple(name for name in METHODS if name.startswith("branch-")),
     "regression": ("pwr",),
 }
-# Voxels of the 95 % Hausdorff distance that were asked for.
-AIM = 8.0
 HUES = ("#777777", COLOURS["Warp winding number"], COLOURS["libigl winding number"], COLOURS[OURS])
 
 
@@ -75,7 +73,7 @@ def draw_shapes(logs: Logs, target: Path) -> None:
 
 
 def draw_atrium(logs: Logs, target: Path, title: str) -> None:
-    """How much each row's Dice differs from the baseline's, case by case, and its 95HD with and without one case.
+    """Each row's Dice less the baseline's, case by case, and its 95HD with and without one case.
 
     By the seeds that all rows have.
     """
@@ -106,9 +104,6 @@ def draw_atrium(logs: Logs, target: Path, title: str) -> None:
         axes.set_yticks([-at for at in range(len(names))], names)
         axes.set_xlabel("Dice less the baseline's [%]")
         far = figure.add_axes((0.655, 0.145, 0.325, 0.70), sharey=axes)
-        far.axvline(AIM, color="0.35", linewidth=1.4, linestyle=(0, (4, 3)))
-        far.annotate(f"asked for: {AIM:g}", (AIM, 0.8), xytext=(6, 0), textcoords="offset points", fontsize=9.5,
-                     color="0.35", va="center")  # fmt: skip
         for at, name in enumerate(names):
             hue = hues.get(name, "black")
             for values, style, fill in ((rows[name], "o", "full"), (rest[name], "D", "none")):
@@ -126,7 +121,7 @@ def draw_atrium(logs: Logs, target: Path, title: str) -> None:
 
 
 def _explain(axes: Axes, far: Axes, moved: str) -> None:
-    """What dots and diamonds are, above the axes."""
+    """Legend of dots and diamonds, above the axes."""
     for one, lines in (
         (axes, (("o", "mean, 95 % interval"), (".", "a case"), ("D", f"case {moved}"))),
         (far, (("o", "all cases"), ("D", f"without {moved}"), (".", "a seed"))),

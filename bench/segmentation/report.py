@@ -143,7 +143,7 @@ def ensembles(main: LogFile, logs: Logs, further: Mapping[str, LogFile], trials:
 
 
 def protocol(logs: Logs) -> str:
-    """What all logs have in common, in a sentence."""
+    """Settings that all logs have in common, in a sentence."""
     settings = logs[0]["job"]["settings"]
     machines = sorted({log["machine"]["device"] for log in logs})
     seconds = statistics.median(log["training_s"] for log in logs)

@@ -1,4 +1,4 @@
-"""What the seed does to Ma's rows: each beside the baseline seed by seed, and how far a training repeats itself."""
+"""Effect of the seed on Ma's rows: each beside the baseline seed by seed, and how far a training repeats itself."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Alike = Sequence[tuple[str, dict[str, Any]]]
 
 @dataclass(frozen=True)
 class Spread:
-    """What chance does to a table of rows and seeds, in the values' unit.
+    """Spread by chance of a table of rows and seeds, in the values' unit.
 
     Attributes:
         deviation: Standard deviation of what is left of a value without its row's mean and its seed's.
@@ -113,7 +113,7 @@ def _by_seed(rows: Rows, rest: Rows, name: str, kind: int) -> tuple[str, str, st
 
 
 def _told(found: tuple[Spread, Spread], left: tuple[Spread, Spread], short: str, rows: int, seeds: int) -> str:
-    """What chance does, in sentences."""
+    """The spread by chance, in sentences."""
 
     def cell(key: str) -> str:
         (dice, distance), (rest, near) = ([getattr(one, key) for one in both] for both in (found, left))
@@ -152,7 +152,7 @@ def repeats_table(folders: Mapping[str, Logs], case: str) -> str:
 
 
 def _apart(groups: Sequence[Alike], case: str) -> str:
-    """How far trainings of a group are from each other, of all and by the size of their voxels, in sentences."""
+    """Distance of a group's trainings from each other, of all and by the size of their voxels, in sentences."""
 
     def told(some: Sequence[Alike]) -> str:
         (dice, distance), (rest, near) = (

@@ -1,4 +1,4 @@
-"""How many steps each of many trainings may have, so that all of them fit into a time."""
+"""Steps of each of many trainings, so that all of them fit into a time."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class Results:
             self._all = before
 
     def leave_out(self, name: str, why: str) -> None:
-        """What an earlier run has found stays."""
+        """Parts that an earlier run has measured are kept."""
         self.add(name, self._all.get(name, {"left_out": why}))
 
     def add(self, name: str, found: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What the benchmark of the stream measures, and how large: small on a CPU, where it only shows that it runs."""
+"""Sizes of the stream's benchmark: small on a CPU, where it only shows that it runs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Bench:
         return size * self.speed(lambda: next(batches))
 
     def calls(self, call: Callable[[], object], *, shared: bool = False) -> int:
-        """How many calls one measurement takes; `shared`: rank 0 decides, or ranks would wait for each other."""
+        """Number of calls of one measurement; `shared`: rank 0 decides, or ranks would wait for each other."""
         for _ in range(WARM):
             call()
         count = FEWEST

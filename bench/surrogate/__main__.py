@@ -1,4 +1,4 @@
-"""How good the surrogates of the cochlea are, and how quick.
+"""Errors and times of the cochlea's surrogates.
 
     python -m sdm.bench.surrogate --parts accuracy --weights RUN/*.safetensors [--count 1000] [--pod 4096]
     python -m sdm.bench.surrogate --parts timing [--threads 2]

@@ -1,4 +1,4 @@
-"""How fast the family's maps are approximated by modes: error on shapes that the modes have not seen.
+"""Error of the family's maps by their first modes, on shapes that the modes have not seen.
 
     python -m sdm.bench.surrogate.spectrum [--maps 300] [--spacing 0.4] [--budget-s 50]
 

@@ -33,7 +33,7 @@ FEWEST_FACES_AN_EDGE = 16
 
 
 class MeshKind(IntEnum):
-    """How winding numbers of a mesh are found; the numbers are the kernels'."""
+    """Method by which a mesh's winding numbers are found; the numbers are the kernels'."""
 
     CLOSED = winding_number.CLOSED
     OPEN = winding_number.OPEN
@@ -57,7 +57,7 @@ def kind_of(edges: int, faces: int) -> MeshKind:
 
 
 class Sizes(NamedTuple):
-    """What the sizes of all arrays follow from."""
+    """Sizes that all arrays' shapes follow from."""
 
     meshes: int
     faces: int  # of each mesh
@@ -174,7 +174,7 @@ class AccelerationStructure:
 
     @property
     def kind(self) -> MeshKind:
-        """How winding numbers are found."""
+        """Method by which winding numbers are found."""
         return self.sizes.kind
 
     @property
@@ -184,7 +184,7 @@ class AccelerationStructure:
 
     @property
     def device(self) -> torch.device:
-        """Where the arrays are."""
+        """Device of the arrays."""
         return self.memory[0].device
 
     def of_mesh(self, mesh: int) -> AccelerationStructure:

@@ -28,7 +28,7 @@ Orient = Literal["keep", "auto"]
 
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """Where the closest points are.
+    """Closest points of a query: their places, faces and barycentric coordinates.
 
     Args:
         points: (N,3) float32, in the mesh's unit.
@@ -71,7 +71,7 @@ class MeshIndex:
 
     @property
     def closed(self) -> bool:
-        """Whether the mesh has no boundary, so that its winding number is a whole number everywhere."""
+        """True if the mesh has no boundary, so that its winding number is a whole number everywhere."""
         return self._edges.shape[0] == 0
 
     def update(self, vertices: Any) -> None:

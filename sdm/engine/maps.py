@@ -71,7 +71,7 @@ def put_together(slabs: Iterable[tuple[int, int, Tensor]], layers: int) -> Tenso
 
 
 def is_recordable(vertices: Tensor, nbytes: int) -> bool:
-    """Whether a call of so many bytes about meshes with these vertices may be recorded and replayed."""
+    """True if a call of so many bytes about meshes with these vertices may be recorded and replayed."""
     return vertices.is_cuda and nbytes <= LARGEST_RECORDED and graphs.supports(vertices)
 
 

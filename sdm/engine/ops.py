@@ -232,7 +232,7 @@ def _query_slices(
     slices: Slices,
     times: Triple,
 ) -> tuple[Tensor, Tensor]:
-    """What `distance_map` returns, measured on a grid with `times` as many slices."""
+    """As `distance_map`, measured on a grid with `times` as many slices."""
     meshes, device = structure.sizes.meshes, structure.device
     values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
     with on_current_stream(values, structure.memory[0]):

@@ -51,7 +51,7 @@ class Slices:
 
 
 def finer(slices: Slices, scale: float, triangles: int) -> Triple:
-    """How many times as many slices along each axis the grid should have that is measured, or `AS_IT_IS`.
+    """Factors along each axis by which the measured grid has more slices, or `AS_IT_IS`.
 
     Args:
         slices: Of slabs of one grid their number along the first axis does not matter, so that all are treated alike.
@@ -78,7 +78,7 @@ def _finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...
 
 
 def scales_of(tree: Any, meshes: int) -> list[float]:
-    """What each mesh of a `Tree` is multiplied by; waits for the device."""
+    """Scale that each mesh of a `Tree` is multiplied by; waits for the device."""
     return tree.frame.numpy().reshape(meshes, FRAME_SIZE)[:, SCALE].tolist()
 
 
@@ -97,7 +97,7 @@ def _cost(slices: Slices, times: Triple, scale: float, length: float) -> float:
 
 
 def _fits(size: int, slices: Slices, times: Triple, scale: float) -> bool:
-    """Whether boxes of up to so many voxels along their edges are narrow enough to be measured."""
+    """True if boxes of up to so many voxels along their edges are narrow enough to be measured."""
     # The first slab is the whole grid if it has less layers than one.
     count = (slices.shape[0] if slices.first == 0 else size), *slices.shape[1:]
     # A little less, as the kernels round.
@@ -108,7 +108,7 @@ def _fits(size: int, slices: Slices, times: Triple, scale: float) -> bool:
 
 
 def has_room(slices: Slices, times: Triple, meshes: int) -> bool:
-    """Whether the thinnest slab of so many meshes' finer grids is not too large."""
+    """True if the thinnest slab of so many meshes' finer grids is not too large."""
     return times == AS_IT_IS or meshes * THINNEST_SLAB * math.prod(_across(slices, times)) <= LARGEST
 
 

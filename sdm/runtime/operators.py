@@ -51,7 +51,7 @@ def differentiate(name: str, backward: Callable[..., Any], setup_context: Callab
 
 
 def is_eager(*tensors: Tensor) -> bool:
-    """Whether nobody watches what happens to these tensors: no gradients, no compiler, no transform, no mode.
+    """True if nobody watches what happens to these tensors: no gradients, no compiler, no transform, no mode.
 
     Then an operator's implementation may be called directly.
     """

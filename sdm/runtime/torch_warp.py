@@ -106,7 +106,7 @@ def set_array(struct: Any, name: str, array: wp.array) -> None:
 
 
 def version_of(tensor: Tensor) -> int | None:
-    """How often torch has seen a tensor written into; None if it keeps no count, as of those made in inference mode."""
+    """Number of writes into a tensor that torch has counted; None if it counts none, as in inference mode."""
     return None if tensor.is_inference() else tensor._version
 
 

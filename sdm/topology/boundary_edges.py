@@ -25,7 +25,7 @@ _known_host: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 
 class MeshTopology(NamedTuple):
-    """What a mesh's faces say about how they meet, all int32.
+    """Neighbours and boundary edges of a mesh's faces, all int32.
 
     Args:
         neighbours: (F,4), see `neighbours`.

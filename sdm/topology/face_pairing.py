@@ -21,7 +21,7 @@ _known: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 @dataclass
 class Pairing:
-    """What faces say by themselves, wherever their vertices are.
+    """Pairing of faces along their edges: what depends on faces alone, wherever their vertices are.
 
     Args:
         unmatched: (N,3) int32, edges with more faces in one direction than in the other, as
@@ -80,7 +80,7 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
 
 
 def is_known(faces: Tensor, count: int) -> bool:
-    """Whether these faces were paired before, so that nothing has to wait for what they say by themselves."""
+    """True if these faces were paired before, so that nothing has to wait for their pairing."""
     now, known = state_of(faces, count), _known.get(faces)
     return known is not None and now is not None and known[0] == now
 
@@ -98,7 +98,7 @@ def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
 
 
 def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """What `sdm.kernels.topology.edge_pairing` finds for contiguous faces, once the device gets there.
+    """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
     Returns:
         The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
@@ -132,15 +132,15 @@ def _pair_up(faces: Tensor, count: int) -> Pairing:
 
 
 def state_of(tensor: Tensor, count: int = 0) -> tuple[int, int] | None:
-    """What was found for a tensor, and `count`, holds as long as this stays; None if torch does not count its writes.
+    """State of a tensor and `count`: what was found for them holds as long as this stays.
 
-    As of tensors made in inference mode.
+    None if torch does not count writes into the tensor, as of those made in inference mode.
     """
     return None if tensor.is_inference() else (tensor._version, count)
 
 
 def cached(cache: WeakIdKeyDictionary, about: Tensor, find: Callable[[], Any]) -> Any:
-    """What `find` found for a tensor, as long as torch writes nothing into it."""
+    """The result of `find` for a tensor, kept as long as torch writes nothing into it."""
     now = state_of(about)
     known: tuple[Any, Any] | None = cache.get(about)
     if known is None or now is None or known[0] != now:

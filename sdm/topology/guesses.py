@@ -54,7 +54,7 @@ def remember(faces: Tensor, count: int, edges: Tensor) -> None:
 
 
 def is_right(guessed: Guess, faces: Tensor, count: int) -> bool:
-    """Whether `queue_guessed` would find faces that were paired before as they were guessed to be."""
+    """True if `queue_guessed` would find faces that were paired before as they were guessed to be."""
     return guessed != CLOSED or pairing_of(faces, count).unmatched.shape[0] == 0
 
 

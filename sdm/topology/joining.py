@@ -104,7 +104,7 @@ def _turned(keys: Any) -> Any:
 
 
 def _begins(changes: np.ndarray) -> np.ndarray:
-    """Where groups begin, given between which neighbours something changes."""
+    """Starts of groups, given the neighbours between which something changes."""
     return np.concatenate([[True], changes])
 
 

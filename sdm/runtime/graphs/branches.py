@@ -61,7 +61,7 @@ def kernels_beside(tensor: Tensor) -> Iterator[Join]:
 
 
 def is_recording(device: torch.device) -> bool:
-    """Whether a CUDA graph is being recorded on the device's current stream."""
+    """True if a CUDA graph is being recorded on the device's current stream."""
     return device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
 

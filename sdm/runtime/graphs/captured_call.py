@@ -122,7 +122,7 @@ class CapturedCall:
         return *first, *(result.clone() for result in self._results[len(first) :])
 
     def guessed_right(self) -> bool:
-        """Whether the last launch's guess was right: waits for its flags, if there are any, and for nothing else."""
+        """True if the last launch's guess was right: waits for its flags, if there are any, and for nothing else."""
         if not self._guesses:
             return True
         self._verified.synchronize()

@@ -67,7 +67,7 @@ class InputCache:
         self._launch = self._pool.launches
 
     def holds(self, index: int, given: Tensor) -> bool:
-        """Whether an input need not be copied.
+        """True if an input need not be copied.
 
         That is asked only of whole numbers: faces and what is known of them, which `sdm.topology` remembers by the same
         rule, and acceleration structures, which nobody writes into once they are built. A stream's faces are the same

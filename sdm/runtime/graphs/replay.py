@@ -26,7 +26,7 @@ _caches: dict[torch.device, GraphCache] = {}
 
 
 def enable(on: bool) -> None:
-    """Whether calls are recorded and replayed; turning it off also does what `clear` does."""
+    """Turn the recording and replaying of calls on or off; turning it off also does what `clear` does."""
     _switch.on = on
     if not on:
         clear()
@@ -68,7 +68,7 @@ class Call:
 
 
 def supports(tensor: Tensor) -> bool:
-    """Whether a call with this tensor may be recorded and replayed."""
+    """True if a call with this tensor may be recorded and replayed."""
     if not (is_eager(tensor) and tensor.is_cuda and _switch.on and not _switch.pauses):
         return False
     if tensor.device.index == torch.cuda.current_device():

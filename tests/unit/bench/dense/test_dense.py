@@ -14,9 +14,7 @@ from sdm.bench.common.meshes import load_case
 from sdm.bench.dense import __main__ as dense
 from sdm.bench.dense import job as common
 from sdm.bench.dense import plot_results
-from sdm.bench.dense import signs as signs
-from sdm.bench.dense import table as table
-from sdm.bench.dense import worst as worst
+from sdm.bench.dense.parts import signs, table, worst
 from sdm.bench.peers import Peer
 from sdm.engine import thick_slices
 
@@ -173,7 +171,7 @@ def test_every_part_has_its_functions():
     import importlib
 
     for part in dense.BUDGETS_S:
-        module = importlib.import_module(f"sdm.bench.dense.{part}")
+        module = importlib.import_module(f"sdm.bench.dense.parts.{part}")
         assert callable(module.rows)
         assert callable(module.summary)
         assert callable(module.lines)

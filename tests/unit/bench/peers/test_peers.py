@@ -72,3 +72,10 @@ def test_what_is_not_installed_is_named(monkeypatch):
     assert not peer.available()
     if not torch.cuda.is_available():
         assert "no CUDA device" in (all_peers("cuda")[0].missing() or "")
+
+
+def test_both_trees_of_warp_are_peers_on_a_gpu():
+    notes = {peer.name: peer.note for peer in all_peers("cuda")}
+    assert notes["Warp winding number"] == "LBVH, leaf 4"
+    assert notes["Warp winding number, SAH"] == "SAH, leaf 4"
+    assert "Warp winding number, SAH" not in NAMES

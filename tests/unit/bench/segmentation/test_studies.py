@@ -223,7 +223,7 @@ def test_the_table_of_shapes(tmp_path):
     logs = LogFile(tmp_path / "logs.jsonl")
     logs.put({"job": {"name": "a", "network": "pwc"}, "nearest": [case], "linear": [case]})
     lines = juhl.table_of(logs).splitlines()
-    assert lines[2] == "| PWC, nearest (as published) (1) | 90.00 | 80.00 | 1.00 | 2.00 |"
+    assert lines[2] == "| PWC (CE + Dice; published: CE), nearest (1) | 90.00 | 80.00 | 1.00 | 2.00 |"
 
 
 def test_packed_cases_come_back(tmp_path):

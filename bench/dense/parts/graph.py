@@ -9,8 +9,8 @@ import torch
 
 import sdm
 from sdm.bench.common.timing import median
-from sdm.bench.dense.batch import BATCHES, GRID, RESOLUTION, family
 from sdm.bench.dense.job import Job, as_dict, recorded
+from sdm.bench.dense.parts.batch import BATCHES, GRID, RESOLUTION, family
 from sdm.runtime import graphs
 
 
@@ -53,7 +53,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """Whether every capture worked and its replay gave the plain call's maps to 4 roundings."""
+    """True if every capture worked and its replay gave the plain call's maps to 4 roundings."""
     return {"captured": bool(found) and all(r["captured"] and r["largest_difference"] < 5e-7 for r in found)}
 
 

@@ -12,7 +12,7 @@ from unittest import mock
 from sdm.bench.common.grids import sliced_around
 from sdm.bench.common.timing import median
 from sdm.bench.dense.job import Job, Ours, as_dict, check_map, error_cell, time_ours, wrong_in
-from sdm.bench.dense.signs import pierced
+from sdm.bench.dense.parts.signs import pierced
 from sdm.engine import thick_slices
 
 MESHES = ("rocker-arm", "nefertiti", "torus-20000")
@@ -49,7 +49,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """What was wrong, and what finer grids are worth at most and at least."""
+    """Wrong values, and the gain by finer grids at most and at least."""
     ratios = [row["ratio"] for row in found]
     return {
         "largest_ratio": max(ratios, default=None),

@@ -54,7 +54,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """How the time grows with the number of voxels: exponents, 1 being linear, 2/3 with the surface."""
+    """Growth of the time with the number of voxels: exponents, 1 being linear, 2/3 with the surface."""
     sizes = [float(row["resolution"]) ** 3 for row in found]
     times = [row["new_mesh"]["ms"] for row in found]
     if len(times) < 2:

@@ -37,7 +37,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """How the time grows with the number of triangles: exponents, 1 being linear; over all, and over the last third."""
+    """Growth of the time with the number of triangles: exponents, 1 being linear; over all, and over the last third."""
     sizes = [float(row["triangles"]) for row in found]
     result = {}
     for name in ("new_mesh", "query", "build_new"):

@@ -1,4 +1,4 @@
-"""Part `table`: sdm's map of a mesh never seen before, against the others' queries alone, on four meshes."""
+"""Part `table`: sdm's map, repeated for a mesh of the same size and called first, against the others' queries alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from sdm.bench.common.grids import cube_around
 from sdm.bench.dense.job import Job, Ours, check_map, error_cell, geometric_mean, time_ours, time_peer, wrong_in
-from sdm.bench.peers import LibiglWinding, Open3D, Peer, StockWarp, SweptVolume
+from sdm.bench.peers import LibiglWinding, Open3D, Peer, StockWarp, StockWarpSah, SweptVolume
 
 MESHES = {
     "cuda": ("rocker-arm", "stanford-bunny", "nefertiti", "torus-1000000"),
@@ -15,14 +15,13 @@ MESHES = {
 }
 RESOLUTIONS = {"cuda": (128, 256, 512), "cpu": (64, 128)}
 SMALL = {"meshes": ("torus-2000", "sphere"), "resolutions": (16, 32)}
-# Geometric means of ratios that the project wants to reach.
-AIMS = {"cuda": {128: 20, 256: 100, 512: 200}, "cpu": {64: 5, 128: 5}}
 CHECKED = 2_000
 
 
 def rivals(job: Job) -> list[Peer]:
     """Whom the table is against, of those that are here; of the others it is noted why they are not."""
-    made = [StockWarp(job.device), SweptVolume(job.device)] if job.gpu else [LibiglWinding(), Open3D()]
+    on_gpu = (StockWarp, StockWarpSah, SweptVolume)
+    made = [peer(job.device) for peer in on_gpu] if job.gpu else [LibiglWinding(), Open3D()]
     reasons = {peer.name: peer.missing() for peer in made}
     job.notes += [f"{reason}: the table is without it" for reason in reasons.values() if reason is not None]
     return [peer for peer in made if reasons[peer.name] is None]
