@@ -1,18 +1,17 @@
 """Warp kernels for exact signed distances to triangle meshes.
 
 Nothing here knows torch or `sdm`: the functions take and fill `wp.array`s that the caller owns, and launch on Warp's
-current stream. Read in this order: `lanes`, `atomics`, `wide` and `records` (what CPU and GPU do differently),
-`launch` (launches), `grid` (a slab of voxels), `geometry` (one triangle), `curve`, `tree` and `build` (the hierarchy
-of boxes), `edges` (which faces meet), `seams` (which edges bound a mesh), `closest` (the nearest triangle),
-`crossings` (integer winding numbers), `boundary`, `caps` and `holes` (what open meshes add), `solid_angle` (any
-soup), `winding` (the choice), `columns`, `scan` and `search` (the plain dense query), `frames`, `rough`, `cull`,
-`cones` and `parts` (what can be dropped), `lists`, `places`, `stacks`, `witness`, `regions`, `cells`, `plan`,
-`queues`, `leaves`, `selection`, `rows`, `octants`, `features`, `mix`, `boxes`, `least`, `voxels`, `blocks` and
-`sliced` (the fast one), `effort` and `dense` (the choice between them), `descent`, `together`, `gather`, `board`,
-`shortlist`, `groups`, `nearest_points`, `point_signs` and `points` (scattered points, both ways), `samples` (where
-DeepSDF has its), `edt_near`, `edt_rows`, `edt_lines`, `edt_along` and `edt` (the distance transform of volumes),
-`volume` (NanoVDB), and `shapes_random`, `shapes_rotation`, `shapes_solids`, `shapes_warped` and `shapes_cochlea`
-(parameters and vertices of families).
+current stream. Folders know only those below them, so read them from the bottom up:
+
+- `primitives` and `launch`: lanes, atomics, vector loads and stores, shared memory, queues; launches.
+- `geometry`, `topology`: one triangle, a slab of voxels, boxes of voxels; pairs of faces, boundary loops.
+- `bvh`: the hierarchy of boxes, and the plain search for the nearest triangle.
+- `winding`: winding numbers, by crossings of rays, scan conversion, and the boundary of open meshes.
+- `culling`: what can be dropped, by witnesses, cones of normals, and features of triangles.
+- `dense`: distances at every voxel. First `voxel_search`, the plain path; then `plan`, which decides, and `query`,
+  which runs the stages `stage1_witnesses` to `stage7_merge`.
+- `points`: distances at scattered points. First `query`, the plain path and the fast one.
+- `edt`: the distance transform of volumes. `shapes`: parameters, vertices and samples of families. `nanovdb`: volumes.
 """
 
 import os

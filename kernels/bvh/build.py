@@ -1,4 +1,4 @@
-"""How a bounding volume hierarchy is made: a sort, and boxes level by level.
+"""Build of the bounding volume hierarchy: a sort, and boxes level by level.
 
 Triangles are sorted along a Hilbert curve about their mesh's box, the numbers of meshes above the curve's codes in the
 keys. So the whole build is that sort and a few short launches, is the same every time, and needs no memory but the

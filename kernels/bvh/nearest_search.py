@@ -60,7 +60,7 @@ def moved_square(d2: float, by: float):
 
 @wp.func
 def room_at(p: wp.vec3):
-    """How far float32's distances from p (scaled) may be off."""
+    """Error bound of float32's distances from p (scaled)."""
     return CLOSE * wp.max(1.0, wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
 
 

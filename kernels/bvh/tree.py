@@ -96,7 +96,7 @@ def load_corners(tree: Tree, slot: int):
 
 @wp.func
 def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
-    """What `load_corners` reads."""
+    """Write the rows that `load_corners` reads."""
     corners = vectors_at(tree.corners)
     record = begin_record(corners, _CORNERS_SIZE, slot)
     put4(record, 0, a[0], a[1], a[2], b[0])
@@ -107,7 +107,7 @@ def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: 
 
 @wp.func
 def nodes_of(tree: Tree, mesh: int):
-    """Where the nodes of a mesh begin, which count from there: its root is one further."""
+    """Offset of a mesh's nodes, which count from there: its root is one further."""
     return mesh * (2 << (tree.depth + tree.below))
 
 

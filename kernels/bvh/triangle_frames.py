@@ -72,7 +72,7 @@ def load_frame(frames: wp.array(dtype=wp.float32), slot: int):
 
 @wp.func
 def is_inside(f: Frame, x: float, y: float):
-    """Whether (x,y) projects into the triangle."""
+    """True if (x,y) projects into the triangle."""
     left_of_bc = (f.tip_x - f.base) * y >= f.tip_y * (x - f.base)
     left_of_ca = f.tip_y * x >= f.tip_x * y
     return y >= 0.0 and left_of_bc and left_of_ca and f.solid > 0.5

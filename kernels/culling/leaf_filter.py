@@ -32,7 +32,7 @@ _LEAF = TRIANGLES_PER_LEAF
 
 @wp.func
 def full_of_leaves(lanes: int):
-    """How many leaves have triangles for all lanes."""
+    """Number of leaves that have triangles for all lanes."""
     return wp.max(lanes / _LEAF, 1)
 
 
@@ -47,7 +47,7 @@ def push(stacks: wp.array(dtype=wp.int32), at: int, keep: bool, entry: int, lane
 
 @wp.func_native(snippet=one_for_each_bit("wp::int32* queue = stacks.data;", "8 * slot + bit"))
 def push_features(stacks: wp.array(dtype=wp.int32), top: int, slot: int, which: int, lane: int) -> int:
-    """Push the features `which` (bits, see `features`) of the lanes' triangles onto a stack; returns the new top."""
+    """Push the features `which` (bits) of the lanes' triangles onto a stack; returns the new top."""
     ...
 
 
@@ -90,7 +90,7 @@ def box_matters(
 
 @wp.func
 def node_matters(box: VoxelBox, radius: float, known: Witness, tree: Tree, cones: Cones, base: int, node: int):
-    """Whether something in a node's box can be nearest to a voxel of the box of this radius."""
+    """True if something in a node's box can be nearest to a voxel of the box of this radius."""
     low, high = node_box(tree, base + node)
     return box_matters(box, radius, known, tree, cones, base, node, low, high)
 
@@ -105,7 +105,7 @@ def triangle_matters(
     cones: Cones,
     slot: int,
 ):
-    """Whether a triangle can be nearest to a voxel of the box of `radius`, from its corners and its cone alone."""
+    """True if a triangle can be nearest to a voxel of the box of `radius`, by its corners and its cone alone."""
     ball = load4(balls, slot)
     # All loads before the tests, or the second waits for the first.
     cone = load4(cones.triangles, slot)

@@ -1,4 +1,4 @@
-"""Which way the surface faces: a cone of normals for each triangle and for each small node of the tree.
+"""Normal cones: bounds on the way that the surface faces, for each triangle and each small node of the tree.
 
 Let x be the point of the surface that is nearest to p. Then p - x makes no angle of less than a right one with any way
 along the surface from x, and that bounds it by the normals of the faces around x:
@@ -12,8 +12,8 @@ along the surface from x, and that bounds it by the normals of the faces around 
   the faces' normals times positive numbers, so d or -d is in the cone that they span. (A = 0 would make the sum zero,
   which it is not if all normals are on one side of a plane.)
 
-So if all those normals are within an angle of T of one unit vector n, up to their common sign, then so is p - x: a
-cone with axis n and half-angle T, to both sides, for the features that a triangle owns (see `features`). A boundary
+So if all those normals are within an angle of T of one unit vector n, up to their common sign, then so is p - x: a cone
+with axis n and half-angle T, to both sides, for the features that a triangle owns (see `voronoi_features`). A boundary
 edge, a ring that does not close and a triangle without a normal give T = 90 degrees: all directions. Nothing is asked
 of the mesh: other faces at the same edge or corner only narrow the directions down.
 
@@ -58,7 +58,7 @@ class Cones:
 
 @wp.func
 def cone_misses(box: VoxelBox, radius: float, middle: wp.vec3, extent: float, cone: wp.vec4):
-    """Whether nothing in the ball (`middle`, `extent`) with this cone is nearest to a point of the box of `radius`."""
+    """True if nothing in the ball (`middle`, `extent`) with this cone is nearest to a point of the box of `radius`."""
     if cone[3] >= 1.0:
         return False
     axis = wp.vec3(cone[0], cone[1], cone[2])

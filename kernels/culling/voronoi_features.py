@@ -1,4 +1,4 @@
-"""Which features of a triangle can be nearest to some voxel of a box: its face, its edges, its corners.
+"""Voronoi features: the face, edges and corners of a triangle that can be nearest to some voxel of a box.
 
 Let x be the point of the surface that is nearest to p. Then x lies inside a face, inside an edge, or on a corner, and
 no way along the surface leads closer:
@@ -15,7 +15,8 @@ six that are spread evenly the first four leave half a plane behind them, and on
 without a normal gives no inequality.
 
 Triangles share edges and corners, but only one of them, the owner, lists each. That loses nothing: if x lies on a
-shared feature then all its triangles are equally near, and no test here or in `cull` drops a triangle that is nearest.
+shared feature then all its triangles are equally near, and no test here or in `witness_bound` drops a triangle that is
+nearest.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ SMALL_SQUARE, ENLARGED = 2.0**-100, 2.0**66
 
 @wp.struct
 class Features:
-    """What is known of the triangles' features and neighbours."""
+    """Features of the triangles and of their neighbours."""
 
     rows: wp.array(dtype=wp.float32)  # (slots * FEATURE_FLOATS)
     inverses: wp.array(dtype=wp.float64)  # (slots * INVERSES)
@@ -80,7 +81,7 @@ def one_of(i: int, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
 
 @wp.func
 def may_be_below(half: wp.vec3, q: wp.vec3, u: wp.vec3, room: float):
-    """Whether (p - x).u <= 0 for some p of a box, x being at q from its centre."""
+    """True if (p - x).u <= 0 for some p of a box, x being at q from its centre."""
     return -wp.dot(q, u) - reach(half, u) <= room * sum_abs(u)
 
 
@@ -128,7 +129,7 @@ def features_that_matter(box: VoxelBox, known: Witness, tree: Tree, features: Fe
     ca = corner_a - corner_c
     result = int(0)
 
-    # Which of the corners, edges and the face the witness leaves, see `cull`.
+    # Which of the corners, edges and the face the witness leaves, see `witness_bound`.
     lead_a = least_lead(box, known, a)
     lead_b = least_lead(box, known, b)
     lead_c = least_lead(box, known, c)

@@ -72,7 +72,7 @@ def reach(half: wp.vec3, u: wp.vec3):
 
 @wp.func
 def doubt(box: VoxelBox, known: Witness):
-    """What rounding can add to D over the box; infinite without a witness, or where squares may overflow."""
+    """Error bound of D over the box; infinite without a witness, or where squares may overflow."""
     squares = known.distance2 + box.half2
     away = sum_abs(known.to_surface) + box.half[0] + box.half[1] + box.half[2]
     return wp.where(squares < LARGEST_SQUARE, SLACK * squares + OFF_SURFACE * box.diagonal * away, float(wp.inf))
@@ -94,7 +94,7 @@ def lead_along(low: float, high: float, y: float, half: float):
 
 @wp.func
 def box_is_farther(box: VoxelBox, known: Witness, low: wp.vec3, high: wp.vec3):
-    """Whether no point of a node's box is nearer to any voxel of the box than the witness."""
+    """True if no point of a node's box is nearer to any voxel of the box than the witness."""
     if low[0] > high[0]:
         return True
     a = low - box.centre
@@ -108,7 +108,7 @@ def box_is_farther(box: VoxelBox, known: Witness, low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def triangle_is_farther(box: VoxelBox, known: Witness, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Whether no point of a triangle is nearer to any voxel of the box than the witness."""
+    """True if no point of a triangle is nearer to any voxel of the box than the witness."""
     lead = wp.min(
         least_lead(box, known, a - box.centre),
         wp.min(least_lead(box, known, b - box.centre), least_lead(box, known, c - box.centre)),
@@ -118,13 +118,13 @@ def triangle_is_farther(box: VoxelBox, known: Witness, a: wp.vec3, b: wp.vec3, c
 
 @wp.func
 def bulge_of_edge(ab: wp.vec3):
-    """How much less D may be inside of an edge than at its ends."""
+    """Bound on how much less D is inside of an edge than at its ends."""
     return 0.250001 * wp.dot(ab, ab)
 
 
 @wp.func
 def bulge_of_triangle(ab: wp.vec3, bc: wp.vec3, ca: wp.vec3):
-    """How much less D may be inside of a triangle than at its corners."""
+    """Bound on how much less D is inside of a triangle than at its corners."""
     return 0.333334 * wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
 
 

@@ -1,4 +1,4 @@
-"""Where cells and their bricks are: worked out once, noted, and read by all that works on them.
+"""Cell cache: boxes of cells and their bricks, worked out once and read by all stages that need them.
 
 Each stage needs a cell's box, which takes hundreds of instructions: whole numbers divided, and places in float64. One
 lane notes it as the cell gets its first witness; then it is three reads.
@@ -64,7 +64,7 @@ def noted_half2(lists: Lists, number: int):
 
 @wp.func
 def noted_place(lists: Lists, number: int):
-    """What was noted of cell or brick `number` by an earlier kernel."""
+    """Place of cell or brick `number`, as an earlier kernel noted it."""
     r0 = load4(lists.places, _ROWS * number)
     r1 = load4(lists.places, _ROWS * number + 1)
     mesh, start = noted_start(lists, number)

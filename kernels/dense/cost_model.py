@@ -1,4 +1,4 @@
-"""What a map is expected to take, and what follows: how it is computed, by whom, in how much memory.
+"""Cost model: expected work and memory of a map, and what follows for how it is computed.
 
 All of it from numbers of triangles and voxels, so that every slab of a grid, and every map of a batch, is treated in
 the same way.
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sdm.kernels.bvh.tree import LARGEST_LEAF
-from sdm.kernels.dense.stage4_plan import CELL_BITS
+from sdm.kernels.dense.stage4_blocks import CELL_BITS
 from sdm.kernels.dense.workspace import BLOCK, CHUNK
 from sdm.kernels.primitives.lanes import GPU_LANES
 
@@ -71,13 +71,13 @@ def expected_entries(triangles: int, shape: Sequence[int], cell: int, of_region:
 
 
 def uneven_room(spacing: Sequence[float], turned: bool) -> float:
-    """How many times as many entries of the pool cells of a grid like this take."""
+    """Factor by which cells of a grid like this take more entries of the pool."""
     shortest, longest = float(min(spacing)), float(max(spacing))
     return UNEVEN_ROOM if turned or longest >= UNEVEN * shortest else 1.0
 
 
 def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
-    """Whether the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
+    """True if the plain path is expected to be the faster one; the same for any batch, so that its maps are too."""
     return expected_list(triangles, shape, int(BLOCK)) > LONGEST_LIST["cuda" if gpu else "cpu"]
 
 
@@ -143,6 +143,6 @@ def pool_for(expected: float, regions: int, device: Any) -> int:
 
 
 def passes_for(expected: float, regions: int, room: int) -> int:
-    """How many passes over so many regions have room. Each waits for its longest lists."""
+    """Number of passes over so many regions for which there is room. Each waits for its longest lists."""
     fit = regions if expected * regions <= room else max(16, int(room / expected))
     return -(-regions // min(regions, MOST_REGIONS, fit))

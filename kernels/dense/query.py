@@ -28,7 +28,7 @@ from sdm.kernels.dense.cost_model import (
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS, list_regions
 from sdm.kernels.dense.stage3_cells import CELL_BLOCKS, list_cells
-from sdm.kernels.dense.stage4_plan import PLAN_BLOCKS, plan_blocks
+from sdm.kernels.dense.stage4_blocks import SCHEDULE_BLOCKS, schedule_blocks
 from sdm.kernels.dense.stage5_select import SELECT_BLOCKS, select_features
 from sdm.kernels.dense.stage6_measure import measure_blocks
 from sdm.kernels.dense.stage7_merge import SLICED_BLOCKS, begin_sliced, end_sliced
@@ -148,10 +148,10 @@ def query_slab(
         lists.count = -(-(total - first) // passes)
         lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
         lists.counts.zero_()
-        find_witnesses(tree, frames, slab, lists, workers(PLAN_BLOCKS), lanes)
+        find_witnesses(tree, frames, slab, lists, workers(SCHEDULE_BLOCKS), lanes)
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes)
         list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes)
-        plan_blocks(tree, frames, features, slab, lists, slice_length, workers(PLAN_BLOCKS), lanes)
+        schedule_blocks(tree, frames, features, slab, lists, slice_length, workers(SCHEDULE_BLOCKS), lanes)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
             begin_sliced(slab, lists, out, sliced)

@@ -1,4 +1,5 @@
-"""A surface point near the centre of every region and cell: what all else is compared with (see `cull`).
+"""Stage 1 of the dense query: witnesses, surface points near the centres of regions and cells, which all else is
+compared with (see `witness_bound`).
 
 The lanes of a group look on all sides of a region: from the centre, then from places as far from it as the surface is,
 each goes down the tree, always to the nearer child, and measures the triangles that it comes to. A cell takes what its
@@ -57,7 +58,7 @@ def seen_from(frames: wp.array(dtype=wp.float32), slot: int, centre: wp.vec3):
 
 @wp.func
 def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp.vec3, centre: wp.vec3, known: Witness):
-    """What was known of a centre, or a nearer triangle from a leaf near p."""
+    """Witness of a centre: the one known, or a nearer triangle from a leaf near p."""
     leaf = greedy_leaf(tree, mesh, p)
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
         known = remember(known, seen_from(frames, mesh * tree.count + t, centre))
@@ -76,7 +77,7 @@ def nearer_of_leaves(
     known: Witness,
     lane: int,
 ):
-    """What was known of a centre, or a nearer triangle of the lanes' leaves (-1 for none) with these boxes.
+    """Witness of a centre: the one known, or a nearer triangle of the lanes' leaves (-1 for none) with these boxes.
 
     Only the first triangle of a leaf is looked at, and only if its box is nearer than what is known: few are.
     """

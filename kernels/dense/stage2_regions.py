@@ -1,4 +1,4 @@
-"""First stage of the dense query: for each region of voxels, the leaves of the tree that matter to it.
+"""Stage 2 of the dense query: candidate lists of regions, the leaves of the tree that matter to each.
 
 One group of lanes descends the tree for one region, or one share of the tree, a batch of nodes at a time.
 """
@@ -126,5 +126,5 @@ def list_regions(
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch, see `stacks`."""
+    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch."""
     launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)

@@ -1,4 +1,4 @@
-"""Second stage of the dense query: for each cell of voxels, the leaves of the tree that matter to it.
+"""Stage 3 of the dense query: candidate lists of cells, the leaves of the tree that matter to each.
 
 One group of lanes takes one cell, or one share of its region's list. Triangles are not looked at here: where they are
 many, each would be tested for every cell, and a leaf's box and cone tell nearly as much about its four.

@@ -1,10 +1,10 @@
-"""Fourth stage of the dense query: for each block, the features of triangles that matter to it.
+"""Stage 5 of the dense query: candidate lists of blocks, the features of triangles that matter to each.
 
 A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice
 of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the features of
 them that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
 
-This is apart from `blocks` because a GPU's caches hold either's instructions, but not both at once.
+This is apart from stage 6 because a GPU's caches hold either's instructions, but not both at once.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from sdm.kernels.culling.voronoi_features import Features, features_that_matter
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
 from sdm.kernels.dense.block.voxels import Block
 from sdm.kernels.dense.cell_cache import brick_number, noted_half2, noted_place
-from sdm.kernels.dense.stage4_plan import cell_of, nearest_in_list, slice_of, slices_of, whole_block, whole_blocks
+from sdm.kernels.dense.stage4_blocks import cell_of, nearest_in_list, slice_of, slices_of, whole_block, whole_blocks
 from sdm.kernels.dense.workspace import (
     COARSE,
     NEXT_CHUNK,
-    NEXT_SELECT,
+    NEXT_LIST,
     Chain,
     Lists,
     append,
@@ -123,7 +123,7 @@ def find_brick_witness(
     lane: int,
     lanes: int,
 ):
-    """The surface point nearest to a brick's centre, which is noted for `blocks`: distances are taken from it.
+    """The surface point nearest to a brick's centre, which is noted for stage 6: distances are taken from it.
 
     Of several slices each finds the same.
     """
@@ -222,7 +222,7 @@ def _select_features(
     bricks = 8 * lists.counts[COARSE]
     total = bricks + whole_blocks(lists)
     stack = stack_of(stacks, thread / lanes)
-    item = fetch_add_once(lists.counts, NEXT_SELECT, 1, lane)
+    item = fetch_add_once(lists.counts, NEXT_LIST, 1, lane)
     while item < total:
         block, number = block_of(tree, slab, lists, item, bricks, -1)
         head = int(-1)
@@ -253,7 +253,7 @@ def _select_features(
                 lists.lacking[number] = 1
             lists.feature_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
             lists.feature_lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, NEXT_SELECT, 1, lane)
+        item = fetch_add_once(lists.counts, NEXT_LIST, 1, lane)
 
 
 def select_features(
@@ -269,7 +269,7 @@ def select_features(
 ) -> None:
     """Fill the blocks' lists of features of one pass, `workers` groups of lanes at work.
 
-    `stacks` is scratch, see `stacks`.
+    `stacks` is scratch, see `shared_stacks`.
     """
     inputs = [lanes, tree, frames, features, cones, slab, lists, stacks]
     launch(_select_features, workers * lanes, inputs, lists.pool.device, smallest=1)

@@ -1,4 +1,4 @@
-"""Fifth stage of the dense query: the distances themselves, block by block.
+"""Stage 6 of the dense query: the distances themselves, block by block.
 
 One group of lanes takes one block, or a slice of its list of features. It works the features out for the block's
 centre, one a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths
@@ -27,7 +27,7 @@ from sdm.kernels.dense.block.min_values import clear_values, measure_item
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of, octants_there
 from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, rows_of
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
-from sdm.kernels.dense.stage4_plan import whole_blocks
+from sdm.kernels.dense.stage4_blocks import whole_blocks
 from sdm.kernels.dense.stage5_select import block_of
 from sdm.kernels.dense.workspace import BLOCK, COARSE, NEXT_BLOCK, Lists, Reader, read_entry, read_on, start_reading
 from sdm.kernels.geometry.voxel_box import is_within

@@ -1,5 +1,5 @@
-"""Voxels of cells whose list of features is cut into slices: several blocks measure them, and each lessens what is
-there.
+"""Stage 7 of the dense query: voxels of cells whose list is cut into slices. Several blocks measure them, and each
+lessens what is there.
 
 So before the blocks they are infinite, and only after the last is it known what they came to. If one of the slices
 found no room, that is nothing: the least of the others may not be the least.
@@ -24,7 +24,7 @@ SLICED_BLOCKS = 16
 
 @wp.func
 def sliced_voxels(lists: Lists):
-    """How many voxels there are in cells whose lists are cut into several slices."""
+    """Number of voxels in cells whose lists are cut into several slices."""
     return lists.cell * lists.cell * lists.cell * lists.counts[SLICED]
 
 
@@ -42,7 +42,7 @@ def sliced_voxel(slab: Slab, lists: Lists, number: int):
 
 @wp.kernel
 def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
-    """Where there are several slices they need a distance to lessen: an infinite one, with its sign."""
+    """Begin with a distance for several slices to lessen: an infinite one, with its sign."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
         mesh, _cell, index = sliced_voxel(slab, lists, number)
@@ -56,7 +56,7 @@ def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Outpu
 
 @wp.kernel
 def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
-    """What voxels that several slices measure come to nobody knows before the last is done."""
+    """End with the distances that the slices came to, which are known after the last of them."""
     number = begin + wp.tid()
     while number < sliced_voxels(lists):
         _mesh, cell, index = sliced_voxel(slab, lists, number)
@@ -71,10 +71,10 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
 
 
 def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
-    """What `blocks` needs of the winding numbers where a block's list is cut into several slices."""
+    """Before `measure_blocks`: infinite distances with their signs in cells whose lists are cut into several slices."""
     launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
 
 
 def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
-    """After `blocks`: write what several slices came to where distances go, and count what was missed there."""
+    """After `measure_blocks`: write what several slices came to where distances go, and count what was missed there."""
     launch(_end_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)

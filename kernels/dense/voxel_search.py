@@ -1,4 +1,4 @@
-"""The plain dense query: one search of the tree for every voxel. What `cells` and `blocks` do faster is this."""
+"""The plain dense query: one search of the tree for every voxel. The seven stages do the same faster."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ COARSEST = 0.125
 CHUNK = 64
 ROOM = 63  # entries of a chunk; the last place names the next chunk
 # Places of the shared counts.
-NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_PLAN, NEXT_SELECT, NEXT_BLOCK = range(6)
+NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_CELL_TO_SCHEDULE, NEXT_LIST, NEXT_BLOCK = range(6)
 NEXT_CHUNK, COARSE, SLICED, WHOLE = range(6, 10)
 # Blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of slices.
 LENGTHS = 10
@@ -52,10 +52,11 @@ class Lists:
     lengths: wp.array(dtype=wp.int32)
     # Surface points seen from centres: the vector from there, and its square.
     witnesses: wp.array(dtype=wp.float32)  # (73 * count * 4) of regions, then cells, then bricks
-    # Where cells are and, of cells of more than a block, their bricks, see `places`.
+    # Where cells are and, of cells of more than a block, their bricks, see `cell_cache`.
     places: wp.array(dtype=wp.float32)  # (72 or 8 * count * PLACE_FLOATS)
     nearest: wp.array(dtype=wp.float32)  # (8 * count * shares * 4) the nearest of each share's to each cell
-    # Cells and which slice of their lists, see `plan`: those that are measured whole, and those brick by brick.
+    # Cells and which slice of their lists, see `stage4_blocks`: those that are measured whole, and those brick by
+    # brick.
     whole: wp.array(dtype=wp.int32)  # (LENGTHS * slices)
     slices: wp.int32  # room for so many blocks of each length
     coarse: wp.array(dtype=wp.int32)
@@ -80,7 +81,7 @@ def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
 
 @wp.func
 def is_coarse(cell: VoxelBox):
-    """Whether a box is so wide that float32 rounds a place in it too much."""
+    """True if a box is so wide that float32 rounds a place in it too much."""
     return wp.max(cell.half) > COARSEST
 
 

@@ -21,7 +21,7 @@ Tile = wp.types.vector(length=TILE, dtype=wp.float32)
 
 @wp.func
 def is_on(value: float, side: float):
-    """Whether a voxel of this value is on a side. Zero is what is inside of a transform without signs."""
+    """True if a voxel of this value is on a side. Zero is what is inside of a transform without signs."""
     return value * side > 0.0 or (value == 0.0 and side > 0.0)
 
 

@@ -24,7 +24,7 @@ def cost(x: int, site: int, height: float, weight: float, half: float):
 
 @wp.struct
 class Marks:
-    """Which lines have a voxel that is far from the other class: one for each line of a pass, not zero where it has."""
+    """Marks of the lines that have a voxel far from the other class: one for each line of a pass, not zero where so."""
 
     outside: wp.array(dtype=wp.int32)
     inside: wp.array(dtype=wp.int32)  # of a signed transform
@@ -65,7 +65,7 @@ def from_neighbours(
 
 @wp.func
 def finished(squared: float, scale: float, missing: float):
-    """What is written for a squared distance: itself, or with a `scale` above zero the distance."""
+    """Output for a squared distance: itself, or with a `scale` above zero the distance."""
     if scale > 0.0:
         return wp.where(squared < wp.inf, scale * wp.sqrt(squared), missing)
     return squared
@@ -73,7 +73,7 @@ def finished(squared: float, scale: float, missing: float):
 
 @wp.func
 def first_voxel(line: int, length: int, stride: int):
-    """Where a line begins: lines side by side fill a stride, and then a whole length of strides."""
+    """Index of a line's first voxel: lines side by side fill a stride, and then a whole length of strides."""
     outer = line / stride
     return outer * stride * length + (line - outer * stride)
 

@@ -29,7 +29,7 @@ PIECES = {"cuda": 8, "cpu": 1}
 
 
 def room_for(shape: tuple[int, int, int, int], signed: bool) -> dict[str, int]:
-    """How many numbers of each kind of scratch `transform` needs for volumes (B,nx,ny,nz)."""
+    """Length of each kind of scratch that `transform` needs for volumes (B,nx,ny,nz)."""
     meshes, nx, ny, nz = shape
     voxels = meshes * nx * ny * nz
     marks = (2 if signed else 1) * meshes * nz * (nx + ny)

@@ -89,7 +89,7 @@ class Hit:
 
 @wp.func
 def segment_parameter(q: wp.vec3d, e: wp.vec3d):
-    """Where on the segment 0..e the point closest to q lies, from 0 to 1."""
+    """Parameter, from 0 to 1, of the point of the segment 0..e that is closest to q."""
     length2 = wp.dot(e, e)
     if length2 > wp.float64(0.0):
         return wp.clamp(wp.dot(q, e) / length2, wp.float64(0.0), wp.float64(1.0))

@@ -62,7 +62,7 @@ def box_of_voxels(slab: Slab, start: wp.vec3i, size: int, scale: float):
 
 @wp.func
 def octant_at(item: int):
-    """Which of eight parts: 0 or 1 along each axis."""
+    """Position of one of eight parts: 0 or 1 along each axis."""
     return wp.vec3i((item >> 2) & 1, (item >> 1) & 1, item & 1)
 
 

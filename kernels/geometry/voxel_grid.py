@@ -51,7 +51,7 @@ def along_turned(slab: Slab, axis: int, i: wp.vec3d):
 
 @wp.func
 def way(slab: Slab, steps: wp.vec3d):
-    """How far so many steps along each axis lead."""
+    """Displacement of so many steps along each axis."""
     if slab.turned != 0:
         return slab.axes * steps
     return wp.cw_mul(slab.spacing, steps)
@@ -68,7 +68,7 @@ def voxel(slab: Slab, i: int, j: int, k: int):
 
 @wp.func
 def count_below(slab: Slab, axis: int, x: wp.float64, scale: wp.float64):
-    """How many of the slab's voxels along an axis have a (scaled) coordinate below x; the grid is not turned."""
+    """Number of the slab's voxels along an axis with a (scaled) coordinate below x; the grid is not turned."""
     count = slab.shape[axis]
     first = 0
     if axis == 0:
@@ -101,7 +101,7 @@ def index_of(slab: Slab, mesh: int, at: wp.vec3i):
 
 @wp.struct
 class Output:
-    """Where distances go, voxel by voxel as `index_of` counts them: the values hold winding numbers before."""
+    """Output of a dense query, voxel by voxel as `index_of` counts them: the values hold winding numbers before."""
 
     values: wp.array(dtype=wp.float32)
     elsewhere: wp.int32  # 1 if distances do not take the winding numbers' place, but go to an address

@@ -1,4 +1,4 @@
-"""Which triangles matter to a group of points: those that may be nearest, and those that rays from them may meet.
+"""Candidate triangles of a group of points: those that may be nearest, and those that rays from them may meet.
 
 Found slots are left in the worker's scratch. A list too long for it is given up: its points are then searched one by
 one, which is slower, never wrong.
@@ -71,7 +71,7 @@ def gather_near(
 
 @wp.func
 def triangle_meets(tree: Tree, slot: int, ray: Ray, low: wp.vec2i, high: wp.vec2i):
-    """Whether a triangle may be met by a ray along x from a box whose (y,z) on the lattice are from `low` to `high`."""
+    """True if a triangle may be met by a ray along x from a box whose (y,z) on the lattice are from `low` to `high`."""
     least, most = lattice_box(tree, slot)
     if least[0] > high[0] or most[0] < low[0] or least[1] > high[1] or most[1] < low[1]:
         return False

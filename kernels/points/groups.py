@@ -2,7 +2,7 @@
 
 Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a group. Of a
 group this file keeps the box around its points (`VoxelBox`); the triangle nearest to its centre;
-and what can be said about the signs of all its points at once (see `caps` for open meshes).
+and what can be said about the signs of all its points at once (see `hole_caps` for open meshes).
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ ROOM = 1.0e-5
 
 @wp.struct
 class Groups:
-    """What is known of each of `count` groups."""
+    """Boxes, witnesses and hints of `count` groups of points."""
 
     boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `VoxelBox`: centre (3), half2, half (3), diagonal
-    witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `cull.Witness`
+    witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `Witness`
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
     count: wp.int32
@@ -56,7 +56,7 @@ def is_finite(p: wp.vec3):
 
 @wp.func
 def numbered(order: wp.array(dtype=wp.int32), at: int):
-    """Which point is the one at a place in the order, which may be empty: as they come."""
+    """Number of the point at a place in the order, which may be empty: as they come."""
     if order.shape[0] > 0:
         return order[at]
     return at

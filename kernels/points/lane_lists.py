@@ -31,7 +31,7 @@ _TO_SQUARE = SQUARES - TIES
 
 @wp.func
 def own(at: int, k: int, lane: int, lanes: int):
-    """Where in the scratch the place of the lane's own triangle number k in its group's list is."""
+    """Offset in the scratch of the place that the lane's own triangle number k has in its group's list."""
     return at + OWN + k * lanes + lane
 
 

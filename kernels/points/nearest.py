@@ -1,7 +1,7 @@
 """The triangles nearest to scattered points: each group's list, and of it the nearest to each of its points.
 
-Which of a list's triangles is the nearest is decided as by `closest.nearest_slot`: in float32, and in float64 among
-those that float32 cannot tell apart.
+Which of a list's triangles is the nearest is decided as by `nearest_search.nearest_slot`: in float32, and in float64
+among those that float32 cannot tell apart.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Queries at scattered points.
 
-The plain way (`_query`) is a search of the tree and a winding number for each point. Points are sorted along a curve
+The plain path (`_query`) is a search of the tree and a winding number for each point. Points are sorted along a curve
 first and taken in groups of neighbours (`groups`), each of which begins with the triangle nearest to its middle.
 
-The fast way finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
-triangles that may be nearest to any of a group's points (`nearest_points`), and one of those that rays from them may
-meet (`point_signs`), gathered from the tree by all lanes together (`gather`). The plain way is then left with groups so
-wide that their lists are too long, and with those near an open mesh's holes.
+The fast path finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
+triangles that may be nearest to any of a group's points (`nearest`), and one of those that rays from them may meet
+(`signs`), gathered from the tree by all lanes together (`candidates`). The plain path is then left with groups so wide
+that their lists are too long, and with those near an open mesh's holes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ CPU_RUN = 8
 
 @wp.struct
 class Hits:
-    """Where the closest points are, if `wanted`."""
+    """Closest points, if `wanted`."""
 
     points: wp.array(dtype=wp.vec3)
     faces: wp.array(dtype=wp.int32)  # -1 for a point that is not finite

@@ -53,7 +53,7 @@ def pairs_at(data: wp.array(dtype=wp.vec2i)) -> wp.uint64:
 """
 )
 def begin_record(records: wp.uint64, size: int, number: int) -> wp.uint64:
-    """Where a thread puts its record of `size` bytes, a multiple of 8: the number-th of those at an address.
+    """Address for a thread's record of `size` bytes, a multiple of 8: the number-th of those at an address.
 
     Records of different arrays follow each other: each is ended before the next is begun.
     """

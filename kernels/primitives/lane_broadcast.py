@@ -1,4 +1,4 @@
-"""What each lane of a group shows to all the others: four numbers each, in shared memory.
+"""Broadcast among the lanes of a group: four numbers of each, in shared memory.
 
 An exchange between lanes brings one number and takes four cycles; a read of shared memory brings all lanes the same
 four numbers, and many such reads may be under way at a time.

@@ -1,6 +1,6 @@
 """A group of lanes that works on one item: the 32 threads of a warp on a GPU, one thread on a CPU.
 
-Kernels written with these few functions, and those of `atomics` and `wide`, run the same algorithm on both.
+Kernels written with these few functions, and those of `atomics` and `vector_loads`, run the same algorithm on both.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def gpu_workers(device: wp.Device, blocks: int) -> int:
 """
 )
 def on_cpu() -> bool:
-    """Whether this is a CPU. Known when a kernel is compiled, so that what is not for the device costs it nothing."""
+    """True on a CPU. Known when a kernel is compiled, so that what is not for the device costs it nothing."""
     ...
 
 
@@ -75,7 +75,7 @@ def ballot(keep: bool) -> wp.uint32:
 """
 )
 def rank(mask: wp.uint32, lane: int) -> int:
-    """How many lanes before this one are in the mask."""
+    """Number of lanes before this one that are in the mask."""
     ...
 
 
@@ -89,7 +89,7 @@ def rank(mask: wp.uint32, lane: int) -> int:
 """
 )
 def members(mask: wp.uint32) -> int:
-    """How many lanes are in the mask."""
+    """Number of lanes in the mask."""
     ...
 
 
@@ -232,5 +232,5 @@ def int_from_lane(value: int, source: int) -> int:
 """
 )
 def wait_for_lanes():
-    """What the group's lanes wrote before is there for all of them afterwards."""
+    """Barrier of the group's lanes: what they wrote before is there for all of them afterwards."""
     ...

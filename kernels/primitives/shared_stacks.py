@@ -1,4 +1,4 @@
-"""What a group of lanes puts aside for later: nodes, leaves, triangles, features, as whole numbers."""
+"""Stacks of a group of lanes in shared memory: nodes, leaves, triangles, features, as whole numbers."""
 
 from __future__ import annotations
 

@@ -61,5 +61,5 @@ def put_in_line(rows: wp.uint64, begin: int, top: int, tag: int, bits: int, whic
 
 @wp.func_native(snippet="return reinterpret_cast<const unsigned short*>(rows)[begin / 2 + at];")
 def in_line(rows: wp.uint64, begin: int, at: int) -> int:
-    """What is at a place of a line."""
+    """Entry at a place of a queue."""
     ...

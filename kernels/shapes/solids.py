@@ -25,7 +25,7 @@ def slot(
     kind: int,
     which: int,
 ):
-    """What a solid's slot holds: a column of theta, or a constant where the kind has no column for it."""
+    """Value of a solid's slot: a column of theta, or a constant where the kind has no column for it."""
     c = column[kind, which]
     value = fallback[which]
     if c >= 0:

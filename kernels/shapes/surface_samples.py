@@ -29,7 +29,7 @@ class Scene:
 
 @wp.struct
 class Law:
-    """Where samples are; see `sdm.deepsdf.samples.SampleDistribution`."""
+    """Distribution of the samples; see `sdm.deepsdf.samples.SampleDistribution`."""
 
     near: wp.int32  # of a shape's samples, the first
     wide: float  # deviation of samples 0, 2, 4 ...

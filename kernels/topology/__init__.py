@@ -1,1 +1,1 @@
-"""Which faces share an edge, and the boundary loops of what they leave open."""
+"""Pairs of faces that share an edge, and the boundary loops of what they leave open."""

@@ -78,7 +78,7 @@ def _add_up(
     same: wp.array(dtype=wp.int32),
     balances: wp.array(dtype=wp.int32),
 ):
-    """What is left of all edges between the same two vertices, noted at the first of them; zero at the others."""
+    """Net count of all edges between the same two vertices, noted at the first of them; zero at the others."""
     thread = begin + wp.tid()
     lane = thread % lanes
     row = thread / lanes

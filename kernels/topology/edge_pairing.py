@@ -1,4 +1,4 @@
-"""Which faces of a mesh meet at an edge, and which edges are unmatched: one sort of all edges.
+"""Pairing of a mesh's faces at their edges, and unmatched edges: one sort of all edges.
 
 Edge k of face f has the number 3 f + k. It leads from the face's corner k to the next.
 """
@@ -131,7 +131,7 @@ def pair_edges(
     neighbours: wp.array,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
-    """What `sdm.topology.boundary_edges` wants to know about faces, on their device.
+    """Pair the faces' edges for `sdm.topology.boundary_edges`, on their device.
 
     Args:
         faces: (F,3) int32.

@@ -1,4 +1,4 @@
-"""What an open mesh's boundary adds to the count of crossings, exactly.
+"""Boundary term: what an open mesh's boundary adds to the count of crossings, exactly.
 
 Sweep each boundary edge to infinity along -x. Surface and swept strips together are closed, and the ray along +x
 never meets a strip, so the crossings count the winding number of both; the surface's own is that count less the
@@ -31,7 +31,7 @@ class Boundary:
 
     ends: wp.array(dtype=wp.vec3)  # (2 * meshes * count) first and last point, scaled
     lattice: wp.array(dtype=wp.vec2i)  # (2 * meshes * count) their (y,z) on the lattice
-    apexes: wp.array(dtype=wp.vec3)  # (meshes * count) the middle of the edge's loop, for `caps`
+    apexes: wp.array(dtype=wp.vec3)  # (meshes * count) the middle of the edge's loop, for `hole_caps`
     count: wp.int32  # edges of each mesh
 
 

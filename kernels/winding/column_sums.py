@@ -1,7 +1,7 @@
 """Winding numbers at every voxel of a slab.
 
 Closed and nearly closed meshes are scan converted: every triangle marks where it crosses the columns of voxels along
-x (see `columns`), and a sum along each column turns crossings into winding numbers, exactly (see `crossings`).
+x (see `scan_convert`), and a sum along each column turns crossings into winding numbers, exactly (see `ray_crossings`).
 """
 
 from __future__ import annotations

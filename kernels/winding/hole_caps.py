@@ -1,4 +1,4 @@
-"""Where an open mesh's boundary matters: only near its holes.
+"""Hole caps: an open mesh's boundary matters only near its holes.
 
 Every loop of boundary edges gets a cap: a fan of triangles from its middle. Surface and caps together are closed, so
 their crossings count a whole number, and the surface's own winding number is that number less the caps' share, which
@@ -15,7 +15,7 @@ The first is the sharper one from afar, the second near a cap, where it tells ap
 may tell the side even where the share is large.
 
 Where neither will do, the share is worked out voxel by voxel in float32, with a bound of its error (`Sight`); float64
-(see `boundary`) is asked only where that leaves the side in doubt.
+(see `boundary_term`) is asked only where that leaves the side in doubt.
 """
 
 from __future__ import annotations
@@ -179,13 +179,13 @@ def view_caps(boundary: Boundary, mesh: int, box: VoxelBox, lane: int, lanes: in
 
 @wp.func
 def is_far(view: View):
-    """Whether the caps' share of the winding number is less than a quarter at every voxel of a box."""
+    """True if the caps' share of the winding number is less than a quarter at every voxel of a box."""
     return view.filled < LARGEST_SHARE or wp.abs(view.share) + view.error < LARGEST_SHARE
 
 
 @wp.func
 def is_sure(winding: float, error: float):
-    """Whether a winding number is on a known side of the values that decide about sign and clearness."""
+    """True if a winding number is on a known side of the values that decide about sign and clearness."""
     off = wp.min(wp.abs(winding - 0.25), wp.min(wp.abs(winding - 0.5), wp.abs(winding - 0.75)))
     return off > error + LAST_ROUNDINGS
 
@@ -200,7 +200,7 @@ def cap_lattice(boundary: Boundary, tree: Tree, edge: int, mesh: int):
 
 @wp.func
 def may_cover(boundary: Boundary, mesh: int, box: VoxelBox, lane: int, lanes: int):
-    """Whether a line along x through a box may meet a cap: whether their shadows along x overlap, with some room."""
+    """True if a line along x through a box may meet a cap: their shadows along x overlap, with some room."""
     meets = bool(False)
     e = lane
     while e < boundary.count:

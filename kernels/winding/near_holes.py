@@ -1,8 +1,8 @@
 """Opens the caps again: winding numbers near an open mesh's holes, from crossings that count its caps as closed.
 
-Blocks of 32^3 voxels are tested first, in those the cells of 8^3, in those the bricks of 4^3 (see `caps`). The bricks
-that may see a hole are listed; a group of lanes takes a piece of 2^3 at a time, tests it as well, and works it out
-voxel by voxel: on a GPU eight side by side, four lanes to the caps of each.
+Blocks of 32^3 voxels are tested first, in those the cells of 8^3, in those the bricks of 4^3 (see `hole_caps`). The
+bricks that may see a hole are listed; a group of lanes takes a piece of 2^3 at a time, tests it as well, and works it
+out voxel by voxel: on a GPU eight side by side, four lanes to the caps of each.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MOST_GROUPS = 1 << 20
 
 @wp.struct
 class Near:
-    """What may see a hole."""
+    """Blocks and bricks of voxels that may see a hole."""
 
     cells: wp.vec3i  # cells of 8^3 along each axis
     blocks: wp.vec3i  # blocks of 32^3 along each axis

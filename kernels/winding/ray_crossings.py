@@ -29,7 +29,7 @@ def cross2(a: wp.vec2i, b: wp.vec2i, p: wp.vec2i):
 
 @wp.func
 def is_left(a: wp.vec2i, b: wp.vec2i, p: wp.vec2i):
-    """Whether the ray at p passes to the left of the edge a -> b; always the opposite for b -> a."""
+    """True if the ray at p passes to the left of the edge a -> b; always the opposite for b -> a."""
     zero = wp.int64(0)
     if a[0] < b[0] or (a[0] == b[0] and a[1] < b[1]):
         return cross2(a, b, p) >= zero
@@ -50,7 +50,7 @@ def covers(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, p: wp.vec2i):
 
 @wp.func
 def crossing_of(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, ax: float, bx: float, cx: float, p: wp.vec2i):
-    """Where on the ray at p a triangle is met (scaled x); ax, bx and cx are its corners'."""
+    """Crossing of the ray at p with a triangle (scaled x); ax, bx and cx are its corners'."""
     weight_a = wp.float64(cross2(b, c, p))
     weight_b = wp.float64(cross2(c, a, p))
     weight_c = wp.float64(cross2(a, b, p))
@@ -64,7 +64,7 @@ def crossing_of(a: wp.vec2i, b: wp.vec2i, c: wp.vec2i, ax: float, bx: float, cx:
 
 @wp.func
 def crossing_x(tree: Tree, slot: int, p: wp.vec2i):
-    """Where on the ray at p the triangle in a slot is met (scaled x)."""
+    """Crossing of the ray at p with the triangle in a slot (scaled x)."""
     return crossing_of(
         tree.lattice[3 * slot],
         tree.lattice[3 * slot + 1],
@@ -126,7 +126,7 @@ def ray_from(p: wp.vec3d, back: bool):
 
 @wp.func
 def meets_ray(tree: Tree, node: int, ray: Ray):
-    """Whether a ray can meet something in a node's box."""
+    """True if a ray can meet something in a node's box."""
     low, high = node_box(tree, node)
     ahead = wp.where(ray.back != 0, low[0] <= ray.x, high[0] > ray.x)
     return ahead and low[1] <= ray.high_y and high[1] >= ray.low_y and low[2] <= ray.high_z and high[2] >= ray.low_z

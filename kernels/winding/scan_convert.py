@@ -1,4 +1,4 @@
-"""Where triangles cross the columns of voxels along x: what a sum along each column turns into winding numbers.
+"""Scan conversion: triangles mark where they cross the columns of voxels along x, for a sum along each column.
 
 A triangle marks the last voxel before it, in every column that it covers. Most lie under few columns, and are the work
 of one thread or a few; those that lie under many are put aside and shared out, as the others would wait for them.

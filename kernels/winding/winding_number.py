@@ -1,4 +1,4 @@
-"""How the winding number at a point is found: the kind of mesh decides."""
+"""Winding number at a point, found in a way that the kind of mesh decides."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Winding:
-    """How the winding number is found: the kind of mesh decides."""
+    """Data to find winding numbers by; the kind of mesh decides how."""
 
     boundary: Boundary  # used if kind is OPEN or MANY
     moments: wp.array(dtype=wp.float32)  # used if kind is MANY or SOUP
@@ -39,7 +39,7 @@ def winding_at(tree: Tree, winding: Winding, mesh: int, p: wp.vec3d):
 
 @wp.func
 def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool, covered: bool):
-    """Whether the winding number at p (scaled) is more than 0.5.
+    """True if the winding number at p (scaled) is more than 0.5.
 
     Args:
         tree: One mesh's hierarchy.

@@ -17,7 +17,7 @@ TOPS = ("sdm", "kernels", "bench", "tests")
 FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
 # Folders whose docstrings do not keep to that yet.
 UNNAMED = (
-    "kernels", "sdm/dataset", "sdm/deepsdf", "sdm/fit", "sdm/io", "sdm/losses", "sdm/metrics",
+    "sdm/dataset", "sdm/deepsdf", "sdm/fit", "sdm/io", "sdm/losses", "sdm/metrics",
     "sdm/segmentation", "sdm/shapes", "sdm/stream", "sdm/surrogate", "sdm/training",
 )  # fmt: skip
 # Modules of one name that differ plainly, besides those that `is_plain` knows.

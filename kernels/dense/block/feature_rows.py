@@ -19,8 +19,8 @@ Only w comes from long distances. Both are sums of (t - a s) (t - b s) and w, wi
 surface, and a = 0, b = 2 far away: the same few instructions. For lines, |u|^2 is |p|^2 - (p.e)^2 far away.
 
 A line counts where p is between its ends, with room for rounding: next to them the corner is in the list too, if it can
-be nearest (see `features`). A plane counts where p projects into the face by more than rounding: next to its edges
-those are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
+be nearest (see `voronoi_features`). A plane counts where p projects into the face by more than rounding: next to its
+edges those are in the list, and nearly as near. With room instead, a needle would reach far beyond its tip.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ WITHIN = 4.0e-7
 
 @wp.func
 def tests_of(kind: int):
-    """How many tests a part of a kind has: directions, and the witness."""
+    """Number of tests of a kind of feature: directions, and the witness."""
     return 6 - kind
 
 
 @wp.func
 def above_floor(square: wp.float64, floor: float):
-    """How much more a squared length is than that of the floor, and 0 near the surface, where that is 0."""
+    """Excess of a squared length over that of the floor; 0 near the surface, where the floor is 0."""
     if floor == 0.0:
         return 0.0
     return float(square - wp.float64(floor) * wp.float64(floor))

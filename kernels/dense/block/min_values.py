@@ -1,4 +1,4 @@
-"""The least value of each voxel over the features that matter to its eighth: see `features`.
+"""The least value of each voxel over the features that matter to its eighth: see `feature_rows`.
 
 Each lane measures one feature at the eight voxels of one eighth, which share most of the products. What it finds is
 less than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which
@@ -148,7 +148,7 @@ def _kinds(places: str) -> str:
 """
 )
 def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
-    """Lessen the values of an eighth's voxels to those of a part, see `queues` for what an item is."""
+    """Lessen the values of an eighth's voxels to those of a part, see `work_queues` for what an item is."""
     ...
 
 

@@ -1,9 +1,9 @@
-"""Which octants of a block can a part be nearest to, and which eighths of those?
+"""Octant tests: the octants of a block that a feature can be nearest to, and the eighths of those.
 
 A block of 8^3 voxels has eight octants of 4^3, each of which has eight eighths of 2^3. Features that matter to the
-block are worked out once, for its centre, and measured where they matter. That is asked as for the block in `features`:
-x being the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of each feature, and no
-feature matters to a box of which no point fulfils one of these inequalities.
+block are worked out once, for its centre, and measured where they matter. That is asked as for the block in
+`voronoi_features`: x being the point of the surface that is nearest to p, (p - x).u <= 0 for certain directions u of
+each feature, and no feature matters to a box of which no point fulfils one of these inequalities.
 
 For a box with half-widths h around o, both from the block's centre, and x at q from there, the least (p - x).u is
 o.u - q.u - sum_i h_i |u_i|, so that o.u is compared with q.u and what u and the box's size add to it.
@@ -192,5 +192,5 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
 """
 )
 def eighths_of(rows: wp.uint64, pair: int, tests: int) -> int:
-    """The eighths of the octant of a pair (see `queues`), as bits, that pass all the tests of its feature."""
+    """The eighths of the octant of a pair (see `work_queues`), as bits, that pass all the tests of its feature."""
     ...

@@ -1,11 +1,11 @@
-"""What a worker notes while it measures a block: on a GPU in shared memory, ten times nearer.
+"""Layout of a worker's memory while it measures a block: on a GPU shared memory, ten times nearer.
 
 Up to 32 features of one kind are worked out at a time, one a lane. Of each there are up to four rows of four floats
-that measure it, see `features`: corner (-m, w); edge (-m, w) (e, where it begins along it); face (n, -m.n) and three
-planes (inward, height); and up to six that tell where it can matter (u, limit), see `octants`. Every feature's first
-rows lie side by side, then their second ones, so that lanes do not wait for each other. Then come the block's lattice
-and its witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the least value of
-each of 512 voxels and its winding number; and the queues of `queues`.
+that measure it, see `feature_rows`: corner (-m, w); edge (-m, w) (e, where it begins along it); face (n, -m.n) and
+three planes (inward, height); and up to six that tell where it can matter (u, limit), see `octant_tests`. Every
+feature's first rows lie side by side, then their second ones, so that lanes do not wait for each other. Then come the
+block's lattice and its witness; single numbers: where each edge ends, or w of each face, 24 coordinates of voxels, the
+least value of each of 512 voxels and its winding number; and the queues of `work_queues`.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class Block:
     unscale: float  # from scaled distances to the mesh's unit
     box: VoxelBox
     known: Witness  # the surface point nearest to its centre
-    floor: float  # less than any distance of its voxels; 0 near the surface, see `features`
+    floor: float  # less than any distance of its voxels; 0 near the surface, see `feature_rows`
 
 
 @wp.func
@@ -55,7 +55,7 @@ def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int
 
 @wp.func
 def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
-    """Where the voxel `at` from a block's first is written, see `index_of`; -1 if it is beyond the slab."""
+    """Index of the voxel `at` from a block's first, see `index_of`; -1 if it is beyond the slab."""
     if not is_within(slab, block.start + at):
         return -1
     return block.index + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
@@ -97,7 +97,7 @@ def begin_reading(
 """
 )
 def end_reading():
-    """What this lane began to read is there."""
+    """Wait until what this lane began to read is there."""
     ...
 
 
@@ -115,7 +115,7 @@ def end_reading():
 """
 )
 def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
-    """What `begin_reading` had read of the voxels `number`, see `two_at`."""
+    """Winding numbers of the voxels `number`, see `two_at`, that `begin_reading` had read."""
     ...
 
 
@@ -139,7 +139,7 @@ def write_two(address: wp.uint64, index: int, first: float, second: float, count
 
 @wp.func
 def twos_of(block: Block):
-    """How many times two voxels, next to each other along z, a block has."""
+    """Number of pairs of voxels, next to each other along z, in a block."""
     return 1 << (3 * block.bits - 1)
 
 

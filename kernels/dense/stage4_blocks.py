@@ -1,4 +1,4 @@
-"""Third stage of the dense query: what is one block, and which surface point its distances are taken from.
+"""Stage 4 of the dense query: the schedule of blocks, and the surface point that the distances of each are taken from.
 
 A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
 there are several, each with a slice of it: then none is waited for. Of a cell that is too coarse for float32 the eight
@@ -19,7 +19,7 @@ from sdm.kernels.dense.workspace import (
     BLOCK,
     COARSE,
     LENGTHS,
-    NEXT_PLAN,
+    NEXT_CELL_TO_SCHEDULE,
     SLICED,
     WHOLE,
     Lists,
@@ -40,7 +40,7 @@ from sdm.kernels.primitives.vector_loads import load4
 wp.set_module_options({"enable_backward": False})
 
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
-PLAN_BLOCKS = 8
+SCHEDULE_BLOCKS = 8
 
 # A cell's number, which of its slices, how many there are less one, in one integer.
 CELL_BITS, SLICE_BITS = 18, 6
@@ -64,7 +64,7 @@ def slices_of(code: int):
 
 @wp.func
 def whole_blocks(lists: Lists):
-    """How many blocks are whole cells, or slices of their lists."""
+    """Number of blocks that are whole cells, or slices of their lists."""
     total = int(0)
     for length in range(LENGTHS):
         total = total + lists.counts[WHOLE + length]
@@ -91,7 +91,7 @@ def whole_block(lists: Lists, item: int):
 
 @wp.func
 def length_class(length: int):
-    """Which of the lengths a list has: the power of two that is in it."""
+    """Length class of a list: the power of two that is in its length."""
     power = int(0)
     while power < LENGTHS - 1 and (length >> (power + 1)) > 0:
         power = power + 1
@@ -100,7 +100,7 @@ def length_class(length: int):
 
 @wp.func
 def may_be_nearer(ball: wp.vec4, centre: wp.vec3, known: Witness):
-    """Whether a ball reaches nearer to a centre than what is known."""
+    """True if a ball reaches nearer to a centre than what is known."""
     reach = wp.length(centre - wp.vec3(ball[0], ball[1], ball[2])) - ball[3]
     return reach <= 0.0 or reach * reach < known.distance2
 
@@ -181,8 +181,8 @@ def share_out(lists: Lists, whole: bool, number: int, length: int, slice_length:
             lists.coarse[first + i] = code | (i << CELL_BITS)
 
 
-@wp.kernel(launch_bounds=(128, PLAN_BLOCKS))
-def _plan_blocks(
+@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS))
+def _schedule_blocks(
     begin: int,
     lanes: int,
     slice_length: int,
@@ -193,7 +193,7 @@ def _plan_blocks(
     lists: Lists,
 ):
     lane = (begin + wp.tid()) % lanes
-    number = fetch_add_once(lists.counts, NEXT_PLAN, 1, lane)
+    number = fetch_add_once(lists.counts, NEXT_CELL_TO_SCHEDULE, 1, lane)
     while number < 8 * lists.count:
         place = noted_place(lists, number)
         mesh = place.mesh
@@ -216,10 +216,10 @@ def _plan_blocks(
                     note_bricks(tree, slab, lists, number, place, known, lane, lanes)
             if lane == 0:
                 share_out(lists, not is_coarse(cell), number, length, slice_length)
-        number = fetch_add_once(lists.counts, NEXT_PLAN, 1, lane)
+        number = fetch_add_once(lists.counts, NEXT_CELL_TO_SCHEDULE, 1, lane)
 
 
-def plan_blocks(
+def schedule_blocks(
     tree: Tree,
     frames: wp.array,
     features: Features,
@@ -234,4 +234,4 @@ def plan_blocks(
     One group of lanes takes up to `slice_length` leaves of a cell's list.
     """
     inputs = [lanes, slice_length, tree, frames, features, slab, lists]
-    launch(_plan_blocks, workers * lanes, inputs, frames.device, smallest=1)
+    launch(_schedule_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -15,7 +15,7 @@ import sdm
 import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.kernels.dense import cost_model, query
-from sdm.kernels.dense.stage4_plan import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
+from sdm.kernels.dense.stage4_blocks import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
 from sdm.kernels.dense.workspace import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import shrink
@@ -46,7 +46,7 @@ def decoded(codes: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Seen:
-    """Plans of a map's passes: codes of cells, and for each cell the lengths of its chains."""
+    """Schedules of a map's passes: codes of cells, and for each cell the lengths of its chains."""
 
     whole: list[np.ndarray] = field(default_factory=list)
     coarse: list[np.ndarray] = field(default_factory=list)
@@ -66,7 +66,7 @@ class Seen:
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
-    """Only the fast path, and a look at its plans."""
+    """Only the fast path, and a look at its schedules."""
     found = Seen()
     measure = query.measure_blocks
 
@@ -135,7 +135,7 @@ def test_codes_hold_the_largest_numbers():
 
 
 @pytest.mark.parametrize("slice_length", [20, 300, 10**6])
-def test_each_cell_is_planned_once(monkeypatch, seen, slice_length):
+def test_each_cell_is_scheduled_once(monkeypatch, seen, slice_length):
     slice_lists(monkeypatch, slice_length)
     mesh = mesh_of("all alike")
     grid = sdm.Grid([-0.3] * 3, [0.03] * 3, [16, 16, 32])
