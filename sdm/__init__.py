@@ -6,10 +6,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm import dataset as dataset
+    from sdm import deepsdf as deepsdf
     from sdm import fit as fit
+    from sdm import inspect as inspect
+    from sdm import io as io
     from sdm import losses as losses
     from sdm import metrics as metrics
+    from sdm import segmentation as segmentation
     from sdm import shapes as shapes
+    from sdm import stream as stream
+    from sdm import surrogate as surrogate
+    from sdm import viz as viz
     from sdm.core.grid import Grid
     from sdm.core.mesh import TriangleMesh
     from sdm.core.signed_distance_map import SDM
@@ -18,19 +26,27 @@ if TYPE_CHECKING:
     from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
     from sdm.inspect import MeshReport, inspect_mesh
-    from sdm.io import load, load_mesh, save
+    from sdm.io import load, load_mesh, save, save_mesh
     from sdm.runtime import graphs as cuda_graphs  # noqa: F401
     from sdm.stream import SDMStream
 
 __version__ = "0.1.0"
 
-# Packages that are part of the library's face.
+# Packages that are part of the library's face, imported when they are first used.
 _PACKAGES = {
+    "cuda_graphs": "runtime.graphs",
+    "dataset": "dataset",
+    "deepsdf": "deepsdf",
     "fit": "fit",
+    "inspect": "inspect",
+    "io": "io",
     "losses": "losses",
     "metrics": "metrics",
-    "cuda_graphs": "runtime.graphs",
+    "segmentation": "segmentation",
     "shapes": "shapes",
+    "stream": "stream",
+    "surrogate": "surrogate",
+    "viz": "viz",
 }
 
 # Where each name comes from. A name is imported when it is first used, so that `sdm --help` waits for no torch.
@@ -52,6 +68,7 @@ _HOMES = {
     "load": "io",
     "load_mesh": "io",
     "save": "io",
+    "save_mesh": "io",
     "signed_distance": "engine.api",
     "signed_distance_map": "engine.api",
     "signed_distance_maps": "engine.api",
@@ -75,6 +92,7 @@ __all__ = [
     "load",
     "load_mesh",
     "save",
+    "save_mesh",
     "signed_distance",
     "signed_distance_map",
     "signed_distance_maps",
@@ -92,4 +110,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, "shapes"})
+    return sorted({*globals(), *_HOMES, *_PACKAGES})

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.errors import GridError
 
 if TYPE_CHECKING:
-    from sdm.core.mesh import TriangleMesh
-
     Numbers = Sequence[float] | np.ndarray
 
+# What is taken in place of a grid.
+WANTED = "give a Grid, or a number of voxels along each axis of a grid around the mesh, such as 128"
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -72,17 +73,18 @@ class Grid:
     @classmethod
     def around(
         cls,
-        mesh: TriangleMesh,
+        mesh: MeshLike,
+        resolution: int | Sequence[int] | None = None,
         *,
-        resolution: int | None = None,
         spacing: float | Numbers | None = None,
         margin: float = 0.05,
     ) -> Grid:
         """The grid of cubic voxels that holds `mesh` with room around it.
 
         Args:
-            mesh: The mesh to hold.
-            resolution: Voxels along each axis: a cube, centred on the mesh. Default 128 if no spacing is given.
+            mesh: The mesh to hold, or whatever `as_mesh` takes for one.
+            resolution: Voxels along each axis: one number for a cube, or three; 128 if no spacing is given. The grid is
+                centred on the mesh, and its voxels are as small as the axis with the least room allows.
             spacing: Voxel size instead (one length, or one for each axis); the shape then follows the mesh's box.
             margin: Room on each side, as a share of the box's longest edge.
 
@@ -94,6 +96,7 @@ class Grid:
             raise GridError("give a resolution or a spacing for the grid, not both")
         if not (math.isfinite(margin) and margin >= 0):
             raise GridError(f"the grid's margin {margin} must be a share of the box of at least 0")
+        mesh = as_mesh(mesh)
         low, high = mesh.bounds
         extent = float((high - low).max())
         room = margin * extent
@@ -108,14 +111,13 @@ class Grid:
                 )
             origin = (low + high) / 2 - step * (count - 1) / 2
             return cls(origin, step, count)
-        resolution = 128 if resolution is None else resolution
-        if not (isinstance(resolution, int | float | np.number) and resolution >= 1 and resolution % 1 == 0):
-            raise GridError(f"the grid's resolution {resolution} must be a whole number of at least 1")
+        count = _resolution(128 if resolution is None else resolution)
         if extent == 0:
             raise GridError(f"{mesh.name} has size zero, so a resolution says nothing: give a spacing")
-        step = (extent + 2 * room) / max(resolution - 1, 1)
-        origin = (low + high) / 2 - step * (resolution - 1) / 2
-        return cls(origin, (step,) * 3, (resolution,) * 3)
+        box = np.full(3, extent) if np.ndim(resolution or 128) == 0 else high - low
+        step = float(((box + 2 * room) / np.maximum(count - 1, 1)).max())
+        origin = (low + high) / 2 - step * (count - 1) / 2
+        return cls(origin, (step,) * 3, count)
 
     @property
     def size(self) -> int:
@@ -126,6 +128,12 @@ class Grid:
     def nbytes(self) -> int:
         """Bytes of one float32 map on this grid."""
         return 4 * self.size
+
+    @property
+    def summary(self) -> str:
+        """Shape and voxel size in a few words."""
+        sizes = self.spacing[:1] if len(set(self.spacing)) == 1 else self.spacing
+        return f"{' x '.join(map(str, self.shape))} voxels of {' x '.join(f'{s:.4g}' for s in sizes)}"
 
     @property
     def affine(self) -> Float64[np.ndarray, "4 4"]:
@@ -172,6 +180,38 @@ class Grid:
             self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)
         ]
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
+
+
+# A grid, or voxels along each axis of one around a mesh: one number or three.
+GridLike: TypeAlias = Grid | int | Sequence[int]
+
+
+def as_grid(grid: GridLike | None, mesh: MeshLike, resolution: int | None = None, margin: float | None = None) -> Grid:
+    """The grid that a call asks for: one that is given, or one of a resolution around the mesh.
+
+    Raises:
+        GridError: Neither or both of them, or nothing that is a grid or a resolution.
+    """
+    if grid is not None and resolution is not None:
+        raise GridError("give a grid or a resolution, not both")
+    if isinstance(grid, Grid):
+        raise GridError("a margin is for grids that a resolution describes: give the Grid alone, or Grid.around(mesh)")
+    wanted = resolution if grid is None else grid
+    if wanted is None:
+        raise GridError(f"a map needs a grid: {WANTED}")
+    if isinstance(wanted, str | bytes) or not isinstance(wanted, int | float | np.number | Sequence | np.ndarray):
+        raise GridError(f"an object of type {type(wanted).__name__} is no grid: {WANTED}")
+    return Grid.around(mesh, wanted, margin=0.05 if margin is None else margin)
+
+
+def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
+    numbers = _numbers(wanted)
+    fits = numbers is not None and numbers.shape in ((), (3,)) and not isinstance(wanted, str | bytes)
+    if numbers is None or not fits or not ((numbers >= 1) & (numbers % 1 == 0)).all():
+        raise GridError(
+            f"the grid's resolution {wanted} must be a whole number of at least 1, or three, one for each axis"
+        )
+    return np.broadcast_to(numbers, 3)
 
 
 def _triple(values: object, what: str) -> tuple[float, float, float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ LARGEST_COORDINATE = 1e30
 MOST_TRIANGLES = 100_000_000
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TriangleMesh:
     """A triangle mesh.
 
@@ -42,7 +43,7 @@ class TriangleMesh:
     vertices: Float32[Tensor, "V 3"]
     faces: Int32[Tensor, "F 3"]
     name: str = "mesh"
-    check: bool = field(default=True, repr=False)
+    check: bool = True
 
     if TYPE_CHECKING:  # what may be given is wider than what is kept
 
@@ -59,6 +60,9 @@ class TriangleMesh:
 
     def __len__(self) -> int:
         return self.faces.shape[0]
+
+    def __repr__(self) -> str:
+        return f"TriangleMesh({self.name}: {len(self):,} triangles, {len(self.vertices):,} vertices, on {self.device})"
 
     @property
     def device(self) -> torch.device:
@@ -81,6 +85,16 @@ class TriangleMesh:
     def flipped(self) -> TriangleMesh:
         """The same mesh inside out: each face's vertices in the other order."""
         return TriangleMesh(self.vertices, self.faces.flip(1).contiguous(), self.name, check=False)
+
+    def save(self, path: str | Path) -> None:
+        """Write to `.ply`, `.stl`, `.obj`, `.off` or `.glb`, as the name ends; atomic.
+
+        Raises:
+            FormatError: Another ending, or a place that cannot be written.
+        """
+        from sdm.io import save_mesh
+
+        save_mesh(self, path)
 
     def numpy(self) -> tuple[Float32[np.ndarray, "V 3"], Int32[np.ndarray, "F 3"]]:
         """Vertices (V,3) float32 and faces (F,3) int32 on the host."""

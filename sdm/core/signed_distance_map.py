@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,11 +12,12 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.core.mesh import TriangleMesh
+from sdm.core.mesh import TriangleMesh, as_tensor
+from sdm.core.trilinear import trilinear
 from sdm.errors import GridError, SDMError
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class SDM:
     """A signed distance map: negative inside, zero on the surface, in the mesh's unit.
 
@@ -25,6 +27,9 @@ class SDM:
         grid: Where the values live.
         ambiguous_voxels: How many voxels have a winding number within a quarter of 0.5, so that the mesh does
             not clearly say whether they are inside. 0 for closed meshes; None where nobody counted.
+
+    `numpy.asarray(field)` and `field[i, j, k]` are its values. `torch.save` keeps it, and `torch.load` takes it once
+    `sdm.SDM` was used in the process.
     """
 
     values: Float[Tensor, "nx ny nz"]
@@ -45,6 +50,59 @@ class SDM:
     def numpy(self) -> Float32[np.ndarray, "nx ny nz"]:
         """The values on the host, (nx,ny,nz) float32."""
         return self.values.detach().to("cpu", torch.float32).numpy()
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels (nx,ny,nz)."""
+        return self.grid.shape
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the values."""
+        return self.values.device
+
+    def to(self, device: torch.device | str) -> SDM:
+        """The same map on another device."""
+        return SDM(self.values.to(device), self.grid, self.ambiguous_voxels)
+
+    def cpu(self) -> SDM:
+        """The same map on the host."""
+        return self.to("cpu")
+
+    def __getitem__(self, index: Any) -> Tensor:
+        return self.values[index]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        values = self.numpy()
+        kept = dtype is None or np.dtype(dtype) == values.dtype
+        if copy is False and not (kept and self.values.device.type == "cpu" and self.values.dtype == torch.float32):
+            raise ValueError("the values of this map cannot be had as such an array without a copy")
+        return values.copy() if copy and kept else values.astype(values.dtype if kept else dtype, copy=False)
+
+    def __repr__(self) -> str:
+        unclear = f", {self.ambiguous_voxels:,} of them ambiguous" if self.ambiguous_voxels else ""
+        return f"SDM({self.grid.summary}{unclear}, on {self.values.device})"
+
+    def sample(self, points: Any) -> Float[Tensor, "*n"]:
+        """Trilinear interpolation of the map, which off the voxel centres is near the exact distance, not equal to it.
+
+        Args:
+            points: (...,3) coordinates in the mesh's unit, NumPy or torch.
+
+        Returns:
+            (...) on the map's device, NaN beyond the outermost voxel centres. Differentiable in `points` and in the
+            map's values. `sdm.signed_distance` is exact, and needs the mesh.
+
+        Raises:
+            GridError: The points are not (...,3).
+        """
+        at = as_tensor(points, torch.float64, "the points", device=self.values.device)
+        if at.ndim == 0 or at.shape[-1] != 3:
+            raise GridError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
+        return trilinear(self.values, self.grid, at.reshape(-1, 3)).reshape(at.shape[:-1])
 
     def save(self, path: str | Path) -> None:
         """Write to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends; atomic. See `sdm.io`."""
@@ -72,3 +130,7 @@ class SDM:
         if np.linalg.det(affine[:3, :3]) < 0:
             faces = faces[:, ::-1]
         return TriangleMesh(points.astype(np.float32), np.ascontiguousarray(faces, dtype=np.int32), "isosurface")
+
+
+# `torch.load` makes no objects but those of classes that it was told of: these hold tensors and numbers alone.
+torch.serialization.add_safe_globals([SDM, Grid, TriangleMesh])

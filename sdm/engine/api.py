@@ -7,23 +7,27 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
+import numpy as np
 import torch
 from jaxtyping import Float32, Int32
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device, memory_guard
-from sdm.core.grid import Grid
+from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.maps import LARGEST_SLAB, batch_maps, index_map, is_recordable, mesh_map, put_together, slabs_of
 from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
-from sdm.errors import MeshError
+from sdm.errors import GridError, MeshError
 from sdm.inspect import orient_outward
 from sdm.topology.boundary_edges import boundary_edges
 
 Orient = Literal["keep", "auto"]
+# Parts of a batch of vertices.
+_ARRAYS = (Tensor, np.ndarray, list, int, float, np.number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +49,8 @@ class MeshIndex:
     """A mesh with its acceleration structure: built once, queried often.
 
     Args:
-        mesh: The mesh. Gradients flow to its vertices where they require them.
+        mesh: The mesh, or whatever `as_mesh` takes for one: a path, (vertices, faces), a mesh of another library.
+            Gradients flow to its vertices where they require them.
         device: `"cuda"`, `"cuda:1"`, `"cpu"`; by default the mesh's own if that is a GPU, else a GPU if there is
             one, else the CPU.
         orient: `"auto"` turns an inside-out closed mesh; `"keep"` takes every mesh as it is.
@@ -57,9 +62,9 @@ class MeshIndex:
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
     """
 
-    def __init__(
-        self, mesh: TriangleMesh, device: str | torch.device | None = None, *, orient: Orient = "keep"
-    ) -> None:
+    def __init__(self, mesh: MeshLike, device: str | torch.device | None = None, *, orient: Orient = "keep") -> None:
+        if not isinstance(mesh, TriangleMesh):
+            mesh = as_mesh(mesh)
         _refuse_forward_mode(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
         self.mesh = _oriented(mesh, orient).to(self.device)
@@ -120,8 +125,10 @@ class MeshIndex:
         values = points_winding(self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._structure)
         return values.reshape(at.shape[:-1])
 
-    def signed_distance_map(self, grid: Grid) -> SDM:
+    def signed_distance_map(self, grid: GridLike) -> SDM:
         """As `sdm.signed_distance_map`, on this index."""
+        if not isinstance(grid, Grid):
+            grid = as_grid(grid, self.mesh)
         with memory_guard(grid.nbytes, self.device, _described(grid)):
             if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
                 values, ambiguous = index_map(self._structure, grid)
@@ -139,12 +146,12 @@ class MeshIndex:
         return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear))
 
     def slabs(
-        self, grid: Grid, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
+        self, grid: GridLike, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
     ) -> Iterator[tuple[int, int, Tensor]]:
         """The map of a grid, slab by slab: (begin, end, values (end - begin, ny, nz)) for ascending i.
 
         Args:
-            grid: The whole grid, of any size.
+            grid: The whole grid, of any size, or voxels along each axis of one around the mesh.
             max_bytes: Most memory for one slab, which has a multiple of 32 layers; at least 32 are always taken.
             ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
 
@@ -152,6 +159,8 @@ class MeshIndex:
         that lists of triangles outgrow their memory, and equally near triangles are then told apart in another order.
         Beyond a slab, scratch memory is used as by `sdm.signed_distance_map`.
         """
+        if not isinstance(grid, Grid):
+            grid = as_grid(grid, self.mesh)
         for begin, end in slabs_of(grid, min(max_bytes // 4, LARGEST_SLAB)):
             values, unclear = self._slab(grid, begin, end)
             if ambiguous is not None and not self.closed:
@@ -163,13 +172,22 @@ class MeshIndex:
 
 
 def signed_distance_map(
-    mesh: TriangleMesh, grid: Grid, *, device: str | torch.device | None = None, orient: Orient = "keep"
+    mesh: MeshLike,
+    grid: GridLike | None = None,
+    *,
+    resolution: int | None = None,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+    orient: Orient = "keep",
 ) -> SDM:
     """The exact signed distance map of a mesh on a grid.
 
     Args:
-        mesh: Any triangles: closed or not, with slivers, zero-area and repeated faces. Gradients flow to its vertices.
-        grid: The voxel centres to measure at.
+        mesh: Any triangles: closed or not, with slivers, zero-area and repeated faces. A `TriangleMesh`, to whose
+            vertices gradients flow, or a path, (vertices, faces), or a mesh of trimesh, Open3D, PyVista or meshio.
+        grid: The voxel centres to measure at, or voxels along each axis of a cube around the mesh.
+        resolution: That number, by name.
+        margin: Room around the mesh in that cube, as a share of the longest edge of the mesh's box; 0.05 by default.
         device: Where to compute; by default a GPU if there is one. The values stay there.
         orient: `"auto"` turns an inside-out closed mesh; `"keep"` takes every mesh as it is.
 
@@ -181,13 +199,18 @@ def signed_distance_map(
 
     Raises:
         DeviceError: The device is not there.
-        GridError: The map does not fit into memory.
+        GridError: The map does not fit into memory, or nothing says what its grid is.
+        MeshError: What is given is no mesh, or one that cannot be used.
 
     Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, and up to 128 more where
     slices are thick (`sdm.engine.thick_slices`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more
     for finer ones, at most a 14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU
     calls of one kind are recorded and replayed, which keeps some of that memory: see `sdm.runtime.graphs`.
     """
+    if not isinstance(mesh, TriangleMesh):
+        mesh = as_mesh(mesh)
+    if not isinstance(grid, Grid) or resolution is not None or margin is not None:
+        grid = as_grid(grid, mesh, resolution, margin)
     where = choose_device(device, mesh.vertices)
     mesh = _oriented(mesh, orient).to(where)
     if is_recordable(mesh.vertices, grid.nbytes):
@@ -200,7 +223,7 @@ def signed_distance_map(
 
 @overload
 def signed_distance(
-    mesh: TriangleMesh,
+    mesh: MeshLike,
     points: Any,
     *,
     return_closest: Literal[False] = False,
@@ -208,15 +231,15 @@ def signed_distance(
 ) -> Tensor: ...
 @overload
 def signed_distance(
-    mesh: TriangleMesh, points: Any, *, return_closest: Literal[True], device: str | torch.device | None = None
+    mesh: MeshLike, points: Any, *, return_closest: Literal[True], device: str | torch.device | None = None
 ) -> tuple[Tensor, Closest]: ...
 def signed_distance(
-    mesh: TriangleMesh, points: Any, *, return_closest: bool = False, device: str | torch.device | None = None
+    mesh: MeshLike, points: Any, *, return_closest: bool = False, device: str | torch.device | None = None
 ) -> Tensor | tuple[Tensor, Closest]:
     """Exact signed distances of points from a mesh.
 
     Args:
-        mesh: Any triangles.
+        mesh: Any triangles, as `signed_distance_map` takes them.
         points: (...,3) coordinates in the mesh's unit, NumPy or torch, taken as float32.
         return_closest: Also return where the closest points are.
         device: Where to compute; by default where the points are if they are a tensor, else a GPU if there is one.
@@ -226,26 +249,55 @@ def signed_distance(
         Differentiable in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex
         minus the closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
     """
+    if not isinstance(mesh, TriangleMesh):
+        mesh = as_mesh(mesh)
     _refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
     return _at_points(mesh.to(where), points, return_closest, None)
 
 
+@overload
 def signed_distance_maps(
-    vertices: Any, faces: Any, grid: Grid, *, device: str | torch.device | None = None
-) -> Float32[Tensor, "b nx ny nz"]:
-    """The exact signed distance maps of a batch of meshes that share their faces, in one call.
+    vertices: Sequence[MeshLike], faces: GridLike | Sequence[Grid], /, *, device: str | torch.device | None = None
+) -> list[SDM]: ...
+@overload
+def signed_distance_maps(
+    vertices: Any,
+    faces: Any,
+    grid: GridLike | None = None,
+    *,
+    resolution: int | None = None,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+) -> Float32[Tensor, "b nx ny nz"]: ...
+def signed_distance_maps(
+    vertices: Any,
+    faces: Any = None,
+    grid: GridLike | None = None,
+    *,
+    resolution: int | None = None,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+) -> Float32[Tensor, "b nx ny nz"] | list[SDM]:
+    """The exact signed distance maps of a batch of meshes: of ones that share their faces in one call.
 
     Args:
         vertices: (B,V,3) float32, one mesh each. Not checked for NaN: that would wait for the device.
         faces: (F,3) int32.
-        grid: The voxel centres to measure at, the same for all.
+        grid: The voxel centres to measure at, the same for all, or voxels along each axis of a cube around all.
+        resolution: That number, by name.
+        margin: Room in that cube, as for `signed_distance_map`.
         device: Where to compute; by default where the vertices are if they are a tensor, else a GPU if there is one.
 
     Returns:
         (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`. Recorded and replayed as
         `signed_distance_map`.
+
+    Meshes that differ: `signed_distance_maps([mesh, ...], grid)` with one grid, one for each mesh, or voxels along each
+    axis of a cube around each, gives a list of maps, each that of `signed_distance_map`.
     """
+    if not isinstance(grid, Grid) and _are_meshes(vertices):
+        return _maps_of(vertices, faces if grid is None else grid, resolution, margin, device)
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch, shared = vertices, faces
     # A stream's are as they should be, batch after batch.
@@ -258,8 +310,44 @@ def signed_distance_maps(
         raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
+    if not isinstance(grid, Grid) or resolution is not None or margin is not None:
+        grid = as_grid(grid, _box_of(batch, shared), resolution, margin)
     with memory_guard(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
         return batch_maps(batch, shared, grid, None)
+
+
+def _are_meshes(given: Any) -> bool:
+    """True for a list of meshes, and not of arrays that are a batch of vertices."""
+    return isinstance(given, list | tuple) and any(not isinstance(each, _ARRAYS) for each in given if not _is_row(each))
+
+
+def _is_row(each: Any) -> bool:
+    # A pair may be (vertices, faces); other tuples are rows of nested ones.
+    return isinstance(each, tuple) and len(each) != 2
+
+
+def _maps_of(
+    meshes: Sequence[MeshLike],
+    grids: Any,
+    resolution: int | None,
+    margin: float | None,
+    device: str | torch.device | None,
+) -> list[SDM]:
+    several = isinstance(grids, list | tuple) and any(isinstance(grid, Grid) for grid in grids)
+    if several and len(grids) != len(meshes):
+        raise GridError(f"{len(meshes)} meshes and {len(grids)} grids were given: give one grid, or one for each mesh")
+    of_each = grids if several else [grids] * len(meshes)
+    return [
+        signed_distance_map(mesh, grid, resolution=resolution, margin=margin, device=device)
+        for mesh, grid in zip(meshes, of_each, strict=True)
+    ]
+
+
+def _box_of(batch: Float32[Tensor, "b v 3"], faces: Int32[Tensor, "f 3"]) -> TriangleMesh:
+    """A triangle with the box of a batch of meshes."""
+    used = batch.detach()[:, faces.reshape(-1).long()]
+    low, high = used.amin((0, 1)), used.amax((0, 1))
+    return TriangleMesh(torch.stack([low, high, low]), [[0, 1, 2]], "the batch")
 
 
 def _oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -54,6 +54,16 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
     return out
 
 
+@overload
+def euclidean_distance_transform(
+    mask: np.ndarray,
+    spacing: float | Sequence[float] = 1.0,
+    *,
+    signed: bool = False,
+    surface: str = "centres",
+    missing: float = math.inf,
+) -> np.ndarray: ...
+@overload
 def euclidean_distance_transform(
     mask: Tensor,
     spacing: float | Sequence[float] = 1.0,
@@ -61,7 +71,15 @@ def euclidean_distance_transform(
     signed: bool = False,
     surface: str = "centres",
     missing: float = math.inf,
-) -> Tensor:
+) -> Tensor: ...
+def euclidean_distance_transform(
+    mask: Tensor | np.ndarray,
+    spacing: float | Sequence[float] = 1.0,
+    *,
+    signed: bool = False,
+    surface: str = "centres",
+    missing: float = math.inf,
+) -> Tensor | np.ndarray:
     """Exact distance of every voxel's centre from the foreground of a binary volume, on the mask's device.
 
     Unsigned, a voxel of the foreground has 0 and any other the distance from the nearest foreground voxel; SciPy's
@@ -79,7 +97,7 @@ def euclidean_distance_transform(
 
     Args:
         mask: (x,y,z), (B,x,y,z) or (B,1,x,y,z); bool, or numbers of which those that are not zero are foreground. At
-            most 32767 voxels along an axis.
+            most 32767 voxels along an axis. A tensor, or a NumPy array, which is measured on the CPU.
         spacing: Size of a voxel along each axis, in the unit that the distances shall have; one number for all axes.
         signed: Whether the inside has negative distances, rather than 0.
         surface: "centres" or "faces".
@@ -87,12 +105,16 @@ def euclidean_distance_transform(
             and, signed, all of one without background `-missing`.
 
     Returns:
-        float32 of the mask's shape. Correct to a few roundings; not differentiable, since a mask is not.
+        float32 of the mask's shape, NumPy for NumPy. Correct to a few roundings; not differentiable, since a mask is
+        not.
 
     Raises:
         GridError: The shape or the spacing cannot be used.
-        SDMError: `surface` is neither of the two.
+        SDMError: `surface` is neither of the two, or the mask holds no numbers.
     """
+    if not isinstance(mask, Tensor):
+        values = _of_host(mask)
+        return euclidean_distance_transform(values, spacing, signed=signed, surface=surface, missing=missing).numpy()
     if not 3 <= mask.ndim <= 5 or (mask.ndim == 5 and mask.shape[1] != 1):
         raise GridError(
             f"a mask of shape {tuple(mask.shape)} has no distance transform: give (x,y,z), (B,x,y,z) or (B,1,x,y,z)"
@@ -113,6 +135,14 @@ def euclidean_distance_transform(
     return torch.ops.sdm.euclidean_distance_transform(
         inside.reshape(-1, *shape), size, SURFACES[surface], signed, missing
     ).reshape(mask.shape)
+
+
+def _of_host(mask: Any) -> Tensor:
+    """A mask as bool."""
+    values = np.asarray(mask)
+    if values.dtype.kind not in "buif":
+        raise SDMError(f"a mask holds numbers or truth values, not {values.dtype}: give a tensor or a NumPy array")
+    return torch.from_numpy(values != 0)
 
 
 def spacing_of(spacing: float | Sequence[float]) -> list[float]:

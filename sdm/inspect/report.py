@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sdm.core.mesh import TriangleMesh
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.inspect.degenerate import zero_area
 from sdm.inspect.edges import Edges, edges_of
 from sdm.inspect.orientation import VOLUME_ROUNDING, inside_out
@@ -70,15 +70,16 @@ class MeshReport:
         return asdict(self)
 
 
-def inspect_mesh(mesh: TriangleMesh) -> MeshReport:
+def inspect_mesh(mesh: MeshLike) -> MeshReport:
     """Look a mesh over. Counts are exact; a million triangles take about two seconds on one core.
 
     Args:
-        mesh: Any mesh, on any device.
+        mesh: Any mesh, on any device, or whatever `as_mesh` takes for one.
 
     Returns:
         A `MeshReport`. Lengths, areas and volumes are in the mesh's own unit.
     """
+    mesh = as_mesh(mesh)
     vertices, faces = mesh.numpy()
     merged = first_at_position(vertices)[faces.astype(np.int64)]
     edges = edges_of(merged, len(vertices))

@@ -1,4 +1,4 @@
-"""Files in and out: meshes of every kind that trimesh reads, signed distance maps as images.
+"""Files of meshes and of signed distance maps, read and written.
 
 World coordinates of a file are the mesh's coordinates, number for number. A NIfTI file's world is right-anterior-
 superior (RAS+) by its standard; an NRRD file is written with the same numbers in "right-anterior-superior" space. A
@@ -8,5 +8,16 @@ mesh in another space (LPS, as some medical software exports) has to be turned b
 from sdm.io.maps.api import grid_like, load, save, write_streamed
 from sdm.io.maps.formats import FORMATS, check_target
 from sdm.io.meshes.load import load_mesh, mesh_files
+from sdm.io.meshes.write import save_mesh
 
-__all__ = ["FORMATS", "check_target", "grid_like", "load", "load_mesh", "mesh_files", "save", "write_streamed"]
+__all__ = [
+    "FORMATS",
+    "check_target",
+    "grid_like",
+    "load",
+    "load_mesh",
+    "mesh_files",
+    "save",
+    "save_mesh",
+    "write_streamed",
+]

@@ -1,32 +1,110 @@
-"""Meshes to PLY."""
+"""Meshes to files: `.ply`, `.stl`, `.obj`, `.off`, `.glb`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
 from sdm.core.mesh import TriangleMesh
+from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
 
-FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+# From vertices (V,3), faces (F,3) and an open file.
+Writer: TypeAlias = Callable[[np.ndarray, np.ndarray, BinaryIO], None]
+PLY_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+STL_HEADER = 80
+# Digits that tell every float32 from its neighbours.
+DIGITS = "%.9g"
+
+
+def save_mesh(mesh: TriangleMesh, path: str | Path) -> None:
+    """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off` or `.glb`, as the name ends; atomic.
+
+    `load_mesh` gives the same triangles in the same order, bit for bit. `.stl` keeps no shared vertices.
+
+    Raises:
+        FormatError: Another ending, or a place that cannot be written.
+    """
+    target = Path(path)
+    _write(mesh, target, WRITERS[ending_to_write(target)])
 
 
 def write_ply(mesh: TriangleMesh, path: str | Path) -> None:
-    """Write a mesh as binary PLY, atomically.
+    """Write a mesh as binary PLY, whatever the name, atomically.
 
     Raises:
         FormatError: A place that cannot be written.
     """
-    vertices, faces = mesh.numpy()
+    _write(mesh, Path(path), _ply)
+
+
+def ending_to_write(path: Path) -> str:
+    """The ending of a mesh file that can be written.
+
+    Raises:
+        FormatError: It is another one.
+    """
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in WRITERS:
+        raise FormatError(f"{path} does not end like a mesh that can be written: use one of .{', .'.join(WRITERS)}")
+    return ending
+
+
+def _write(mesh: TriangleMesh, target: Path, write: Writer) -> None:
+    with replacing(target) as part, part.open("wb") as file:
+        write(*mesh.numpy(), file)
+
+
+def _ply(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n{axes}"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    rows = np.empty(len(faces), FACE)
+    rows = np.empty(len(faces), PLY_FACE)
     rows["count"], rows["corners"] = 3, faces
-    with replacing(Path(path)) as part, part.open("wb") as file:
-        file.write(header.encode())
-        file.write(vertices.astype("<f4", copy=False).tobytes())
-        file.write(rows.tobytes())
+    file.write(header.encode())
+    file.write(vertices.astype("<f4", copy=False).tobytes())
+    file.write(rows.tobytes())
+
+
+def _stl(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
+    corners = vertices[faces]
+    exact = corners.astype(np.float64)
+    normal = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    rows = np.zeros(len(faces), STL_FACE)
+    rows["normal"], rows["corners"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0), corners
+    file.write(b"sdm".ljust(STL_HEADER) + len(faces).to_bytes(4, "little"))
+    file.write(rows.tobytes())
+
+
+def _obj(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
+    np.savetxt(file, vertices, f"v {DIGITS} {DIGITS} {DIGITS}")
+    np.savetxt(file, faces + 1, "f %d %d %d")
+
+
+def _off(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
+    file.write(f"OFF\n{len(vertices)} {len(faces)} 0\n".encode())
+    np.savetxt(file, vertices, f"{DIGITS} {DIGITS} {DIGITS}")
+    np.savetxt(file, faces, "3 %d %d %d")
+
+
+def _glb(vertices: np.ndarray, faces: np.ndarray, file: BinaryIO) -> None:
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    file.write(export_glb(trimesh.Scene(trimesh.Trimesh(vertices, faces, process=False))))
+
+
+WRITERS: dict[str, Writer] = {
+    "ply": _ply,
+    "stl": _stl,
+    "obj": _obj,
+    "off": _off,
+    "glb": _glb,
+}

@@ -92,3 +92,69 @@ def test_values_of_another_type_come_out_as_float32(kind, tmp_path):
     for ending in ("nii", "npz", "nrrd", "zarr", "nvdb"):
         other.save(tmp_path / f"map.{ending}")
         torch.testing.assert_close(sdm.load(tmp_path / f"map.{ending}").values, other.values.float(), rtol=0, atol=0)
+
+
+def test_a_map_is_an_array():
+    field = ball(np.eye(3), shape=(3, 4, 5))
+    assert field.shape == (3, 4, 5)
+    assert len(field) == 3
+    np.testing.assert_array_equal(np.asarray(field), field.numpy())
+    assert np.asarray(field, dtype=np.float64).dtype == np.float64
+    assert np.abs(field).shape == (3, 4, 5)
+    assert not np.shares_memory(np.array(field), field.numpy())
+    assert torch.equal(field[1, :, 2], field.values[1, :, 2])
+    assert field.cpu().grid == field.to("cpu").grid == field.grid
+    with pytest.raises(ValueError, match="without a copy"):
+        np.array(field, dtype=np.float64, copy=False)
+
+
+def test_a_map_and_a_mesh_in_one_line():
+    assert repr(ball(np.eye(3))) == "SDM(27 x 27 x 27 voxels of 0.1, on cpu)"
+    field = SDM(torch.zeros(1, 2, 3), Grid((0, 0, 0), (1, 2, 3), (1, 2, 3)), 1234)
+    assert repr(field) == "SDM(1 x 2 x 3 voxels of 1 x 2 x 3, 1,234 of them ambiguous, on cpu)"
+    mesh = ball(np.eye(3)).to_mesh()
+    assert repr(mesh) == f"TriangleMesh(isosurface: {len(mesh):,} triangles, {len(mesh.vertices):,} vertices, on cpu)"
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_samples_are_trilinear(turn):
+    """A trilinear function is met everywhere, and a voxel centre of the border exactly."""
+    field = ball(TURNS[turn], shape=(6, 5, 4))
+    points = field.grid.points().double()
+
+    def polynomial(at: torch.Tensor) -> torch.Tensor:
+        return 1 + at @ torch.tensor([2.0, -3, 0.5], dtype=torch.float64)
+
+    linear = SDM(polynomial(points).float(), field.grid)
+    weight = torch.rand(50, 8, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    corners = points[::5, ::4, ::3].reshape(1, 8, 3)
+    inside = (weight / weight.sum(1, keepdim=True) * corners).sum(1)
+    torch.testing.assert_close(linear.sample(inside), polynomial(inside).float(), rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(field.sample(points), field.values, rtol=1e-5, atol=1e-5)
+    assert field.sample([[100.0, 0, 0], [np.nan, 0, 0]]).isnan().all()
+
+
+def test_samples_have_gradients():
+    grid = Grid((-1, 0, 2), (0.5, 1, 2), (3, 4, 2))
+    generator = torch.Generator().manual_seed(1)
+    values = torch.rand(3, 4, 2, dtype=torch.float64, generator=generator, requires_grad=True)
+    low, size = torch.tensor([-1.0, 0, 2]), torch.tensor([1.0, 3, 2])
+    points = (low + size * torch.rand(9, 3, generator=generator)).double().requires_grad_()
+    assert torch.autograd.gradcheck(lambda v, p: SDM(v, grid).sample(p), (values, points))
+
+
+def test_samples_of_a_thin_grid():
+    flat = SDM(torch.tensor([[[1.0], [3.0]]]), Grid((0, 0, 0), (1, 1, 1), (1, 2, 1)))
+    assert flat.sample([0, 0.5, 0]).item() == 2
+    assert flat.sample(np.zeros((2, 0, 3))).shape == (2, 0)
+    with pytest.raises(GridError, match=r"\(2,\); \(\.\.\., 3\)"):
+        flat.sample([1.0, 2.0])
+
+
+def test_a_map_is_kept_by_torch(tmp_path):
+    field = ball(np.eye(3), shape=(3, 4, 5))
+    torch.save({"map": field}, tmp_path / "map.pt")
+    for weights_only in (True, False):
+        kept = torch.load(tmp_path / "map.pt", weights_only=weights_only)["map"]
+        assert torch.equal(kept.values, field.values)
+        assert (kept.grid, kept.ambiguous_voxels) == (field.grid, field.ambiguous_voxels)

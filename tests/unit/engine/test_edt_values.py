@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
+import sdm
 from sdm.engine.distance_transform import euclidean_distance_transform
 
 INF = math.inf
@@ -96,3 +98,17 @@ def test_batches_beyond_a_launch_are_split(monkeypatch):
     expected = euclidean_distance_transform(batch, signed=True)
     monkeypatch.setattr(module, "MOST_VOXELS", 2 * 4 * 3 * 32)
     assert torch.equal(euclidean_distance_transform(batch, signed=True), expected)
+
+
+@pytest.mark.parametrize("kind", [bool, np.uint8, np.float32, np.uint16, ">i4"])
+def test_arrays_in_arrays_out(kind):
+    mask = np.random.default_rng(0).random((2, 5, 6, 7)) > 0.7
+    found = sdm.euclidean_distance_transform(mask.astype(kind)[:, ::-1], (1, 2, 3), signed=True)
+    assert isinstance(found, np.ndarray)
+    expected = sdm.euclidean_distance_transform(torch.from_numpy(mask[:, ::-1].copy()), (1, 2, 3), signed=True)
+    np.testing.assert_array_equal(found, expected.numpy())
+
+
+def test_no_numbers():
+    with pytest.raises(sdm.SDMError, match="numbers or truth values, not <U1"):
+        sdm.euclidean_distance_transform(np.full((2, 2, 2), "a"))
