@@ -46,7 +46,7 @@ LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 370, 1 << 13
 NO_SLICES = 1 << 30
 # Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
 THINNEST_SLAB = 32
-# Longer lists than this, on average, cost more than one search a voxel (measured, see bench/NOTES.md).
+# Longer lists than this, on average, cost more than one search a voxel (see bench/decisions/0012-search-or-cells.md).
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
 
 

@@ -46,7 +46,7 @@ def on_cpu() -> bool:
 def unknown(count: int) -> int:
     """A number that a GPU's compiler does not know, so that it does not write out a loop of so many turns.
 
-    What a multiprocessor works at must fit into its cache for instructions, see bench/NOTES.md.
+    What a multiprocessor works at must fit into its cache for instructions: bench/decisions/0001-kernel-code-size.md.
     """
     ...
 

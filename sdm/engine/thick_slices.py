@@ -26,7 +26,8 @@ from sdm.kernels.dense.cost_model import THINNEST_SLAB, expected_list, search_is
 from sdm.kernels.dense.workspace import BLOCK, COARSEST
 
 # What a voxel takes in a cell and in a brick with short lists, which take twice as long with so many triangles, and
-# searched (measured, see bench/NOTES.md); in a grid that is finer a map takes at most so much of what it took.
+# searched (measured: bench/decisions/0013-thick-slices-on-a-cpu.md); in a grid that is finer a map takes at most so
+# much of what it took.
 CELL, BRICK, SEARCH = 1.0, 5.0, 40.0
 SHORT = 900
 WORTH_IT = 0.7

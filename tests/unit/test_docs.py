@@ -99,3 +99,27 @@ def test_version_of_python_is_said_alike(root):
     assert f"(3, {low}) <= sys.version_info[:2] <= (3, {high})" in (root / "Makefile").read_text()
     assert (3, low) <= sys.version_info[:2] <= (3, high)
     assert os.access(root / ".ci" / "run", os.X_OK)
+
+
+def test_links_of_all_pages_exist(root):
+    pages = [path for top in ("sdm", "bench", "docs") for path in (root / top).rglob("*.md")]
+    missing = {}
+    for page in pages:
+        targets = re.findall(r"\]\((?!https?:)([^)#\s]+)\)", page.read_text())
+        if lost := [target for target in targets if not (page.parent / target).exists()]:
+            missing[str(page.relative_to(root))] = lost
+    assert len(pages) > 20
+    assert not missing
+
+
+def test_decisions_named_in_code_exist(root):
+    named = {
+        name
+        for top in ("sdm", "kernels", "bench")
+        for path in (root / top).rglob("*.py")
+        for name in re.findall(r"bench/decisions/[\w.-]+", path.read_text())
+    }
+    assert named
+    assert not [name for name in named if not (root / name.rstrip(".")).exists()]
+    index = (root / "bench/decisions/README.md").read_text()
+    assert not [path.name for path in (root / "bench/decisions").glob("0*.md") if f"({path.name})" not in index]

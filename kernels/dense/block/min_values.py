@@ -72,7 +72,7 @@ def _measure(feature: tuple[str, str], places: str) -> str:
     rows, own = feature
     return f"""
         {rows}
-        // Two times four voxels, as a multiprocessor's cache for instructions is small, see bench/NOTES.md.
+        // Two times four voxels, for a small instruction cache: bench/decisions/0001-kernel-code-size.md.
 #if defined(__CUDA_ARCH__)
         #pragma unroll 1
 #else
