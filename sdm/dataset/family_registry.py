@@ -1,4 +1,4 @@
-"""What a family is made from: a few words that a manifest keeps, so that a dataset can be finished from its name."""
+"""Families by name: a few words that a manifest keeps, so that a dataset can be finished from its name."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from sdm import shapes
 from sdm.errors import SDMError
+from sdm.io.files.one_line import one_line
 from sdm.shapes import Family, MeshFolder
 
 FAMILIES: dict[str, type[Family]] = {
@@ -48,12 +49,16 @@ def family_from(source: dict[str, Any]) -> Family:
         SDMError: It cannot be made here.
     """
     options = dict(source)
-    if "folder" in options:
-        folder = options.pop("folder")
-        if isinstance(options.get("scale"), list):
-            options["scale"] = tuple(options["scale"])
-        return MeshFolder(folder, skip_bad=True, **options)
-    name = options.pop("family", None)
-    if name not in FAMILIES:
-        raise SDMError(f"the dataset's family {name!r} is not one that sdm knows by name: give it")
-    return FAMILIES[name](**options)
+    try:
+        if "folder" in options:
+            folder = options.pop("folder")
+            if isinstance(options.get("scale"), list):
+                options["scale"] = tuple(options["scale"])
+            return MeshFolder(folder, skip_bad=True, **options)
+        name = options.pop("family", None)
+        if not isinstance(name, str) or name not in FAMILIES:
+            raise SDMError(f"the dataset's family {name!r} is not one that sdm knows by name: give it")
+        return FAMILIES[name](**options)
+    # Of options that it has not, or of another type.
+    except TypeError as error:
+        raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error

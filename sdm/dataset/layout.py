@@ -1,10 +1,13 @@
-"""What a dataset looks like on disk: a Zarr 3 group that any Zarr reader understands.
+"""Layout of a dataset on disk: a Zarr 3 group that any Zarr reader understands.
 
 - `sdm` (N,nx,ny,nz): one chunk a sample, many chunks in a shard, each shard one file written at once;
 - `theta` (N,P) float32: the parameters of each sample;
 - `transform` (N,4,4) float64, for families that place meshes: from the mesh's own coordinates to the sample's;
 - `sha256` (shards,32) bytes: of each shard's files, written after them: a shard is done when its checksum is there;
 - the group's attribute `sdm`: the manifest.
+
+Chunks of the first three end with a CRC32C, which Zarr checks as it reads them; `theta` and `transform` of version 1
+had none.
 
 While it is being made a dataset is called NAME.part; the last step gives it its name.
 """
@@ -23,22 +26,21 @@ import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from sdm.dataset.atomic import put
+from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.errors import FormatError
 from sdm.io.files.atomic import own_name
 
-VERSION = 1
-KEY = "sdm"
 UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.
 SHARD_BYTES = 1 << 28
-COMPRESSIONS = ("zstd", "none")
 DIGEST = 32
 # Of each array.
+DTYPES = {"theta": "float32", "transform": "float64"}
 AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
 
 
 def part_of(path: Path) -> Path:
-    """Where an unfinished dataset is.
+    """Path of an unfinished dataset.
 
     Raises:
         FormatError: The path ends without a name.
@@ -49,7 +51,7 @@ def part_of(path: Path) -> Path:
 
 
 def samples_of_a_shard(sample_bytes: int, count: int) -> int:
-    """How many samples a shard has, if nobody says."""
+    """Samples of a shard, if nobody says how many."""
     return max(1, min(count, SHARD_BYTES // sample_bytes))
 
 
@@ -66,16 +68,24 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 def _empty(fresh: Path, manifest: dict[str, Any]) -> None:
-    group = zarr.create_group(store=fresh, attributes={KEY: manifest})
+    group = zarr.create_group(store=fresh, attributes={KEY: sealed(manifest)})
     count, shard = manifest["count"], manifest["shard"]
     shape = tuple(manifest["recipe"]["grid"]["shape"])
     _sdm_array(fresh / "sdm", count, shape, manifest)
     width = len(manifest["parameters"])
-    _plain(group, "theta", (count, width), (shard, width), "float32")
+    _rows_array(fresh / "theta", (count, width), "float32", manifest)
     if manifest["transforms"]:
-        _plain(group, "transform", (count, 4, 4), (shard, 4, 4), "float64")
+        _rows_array(fresh / "transform", (count, 4, 4), "float64", manifest)
     shards = -(-count // shard)
-    _plain(group, "sha256", (shards, DIGEST), (1, DIGEST), "uint8")
+    group.create_array(
+        "sha256",
+        shape=(shards, DIGEST),
+        chunks=(1, DIGEST),
+        dtype="uint8",
+        compressors=None,
+        filters=None,
+        config={"write_empty_chunks": True},
+    )
 
 
 def mend_arrays(folder: Path, manifest: dict[str, Any]) -> list[str]:
@@ -92,7 +102,7 @@ def mend_arrays(folder: Path, manifest: dict[str, Any]) -> list[str]:
 
 
 def _description(array: Path) -> dict[str, Any] | None:
-    """What an array's `zarr.json` says, None if it is gone or cannot be read."""
+    """Content of an array's `zarr.json`, None if it is gone or cannot be read."""
     try:
         # As Zarr understands it, since versions of Zarr write the same in different words.
         found = zarr.open_array(array, mode="r").metadata.to_dict()
@@ -102,13 +112,14 @@ def _description(array: Path) -> dict[str, Any] | None:
     return json.loads(json.dumps({**found, "attributes": {}}, default=str))
 
 
-def _plain(group: zarr.Group, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: str) -> None:
-    group.create_array(
-        name,
+def _rows_array(store: Path, shape: tuple[int, ...], dtype: str, manifest: dict[str, Any]) -> zarr.Array:
+    """Rows of numbers, one for each sample."""
+    return zarr.create_array(
+        store=store,
         shape=shape,
-        chunks=chunks,
+        chunks=(manifest["shard"], *shape[1:]),
         dtype=dtype,
-        compressors=None,
+        compressors=[Crc32cCodec()] if manifest["version"] >= WITH_CHECKSUMS else None,
         filters=None,
         config={"write_empty_chunks": True},
     )
@@ -135,23 +146,6 @@ def _sdm_array(store: Path, rows: int, shape: tuple[int, ...], manifest: dict[st
     )
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of a dataset.
-
-    Raises:
-        FormatError: There is none.
-    """
-    try:
-        found = json.loads((folder / "zarr.json").read_text())["attributes"][KEY]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise FormatError(f"{folder} is not a dataset that sdm generate wrote") from None
-    if not isinstance(found, dict) or "recipe" not in found:
-        raise FormatError(f"{folder} is not a dataset that sdm generate wrote")
-    if found.get("version", 0) > VERSION:
-        raise FormatError(f"{folder} was written by a newer version of sdm: update it to read this dataset")
-    return found
-
-
 def shard_count(manifest: dict[str, Any]) -> int:
     """Number of shards."""
     return -(-manifest["count"] // manifest["shard"])
@@ -165,22 +159,26 @@ def rows_of(manifest: dict[str, Any], number: int) -> tuple[int, int]:
 
 def files_of(folder: Path, manifest: dict[str, Any], number: int) -> list[Path]:
     """The files of a shard, the maps last."""
-    names = ("theta", "transform", "sdm") if manifest["transforms"] else ("theta", "sdm")
-    return [file_of(folder, name, number) for name in names]
+    return [file_of(folder, name, number) for name in arrays_of(manifest)]
+
+
+def arrays_of(manifest: dict[str, Any]) -> tuple[str, ...]:
+    """The arrays whose files a shard has."""
+    return ("theta", "transform", "sdm") if manifest["transforms"] else ("theta", "sdm")
 
 
 def file_of(folder: Path, name: str, number: int) -> Path:
-    """Where a shard's part of an array is."""
+    """File of a shard's part of an array."""
     return (folder / name / "c" / str(number)).joinpath(*["0"] * (AXES[name] - 1))
 
 
 def checksum_file(folder: Path, number: int) -> Path:
-    """Where the checksum of a shard is, 32 bytes."""
+    """File of a shard's checksum, 32 bytes."""
     return file_of(folder, "sha256", number)
 
 
 def is_done(folder: Path, manifest: dict[str, Any], number: int) -> bool:
-    """Whether a shard was finished: a matter of names and sizes, not of what is in it."""
+    """True if a shard was finished: a matter of names and sizes, not of what is in it."""
     mark = checksum_file(folder, number)
     return (
         mark.is_file()
@@ -190,7 +188,7 @@ def is_done(folder: Path, manifest: dict[str, Any], number: int) -> bool:
 
 
 def is_sound(folder: Path, manifest: dict[str, Any], number: int) -> bool:
-    """Whether a shard's files are, byte for byte, what was written."""
+    """True if a shard's files are, byte for byte, what was written."""
     return (
         is_done(folder, manifest, number)
         and checksum(folder, manifest, number) == checksum_file(folder, number).read_bytes()
@@ -227,17 +225,25 @@ def write_shard(
         maps: (n,nx,ny,nz) in the dataset's type.
         scratch: A folder on the same disk that nobody else uses.
     """
-    files = files_of(folder, manifest, number)
-    put(files[0], _padded(theta.astype("<f4"), manifest["shard"]).tobytes())
-    if transform is not None:
-        put(files[1], _padded(transform.astype("<f8"), manifest["shard"]).tobytes())
-    # Zarr encodes the shard as the only one of an array of its own; its file then takes its place in the dataset.
-    alone = scratch / "sdm"
-    shutil.rmtree(alone, ignore_errors=True)
+    files = dict(zip(arrays_of(manifest), files_of(folder, manifest, number), strict=True))
+    rows = {"theta": theta} if transform is None else {"theta": theta, "transform": transform}
+    # Zarr encodes each part as the only one of an array of its own; its file then takes its place in the dataset.
+    for name, values in rows.items():
+        alone = _emptied(scratch / name)
+        padded = _padded(values, manifest["shard"])
+        _rows_array(alone, padded.shape, DTYPES[name], manifest)[:] = padded
+        put(files[name], file_of(scratch, name, 0))
+    alone = _emptied(scratch / "sdm")
     _sdm_array(alone, len(maps), maps.shape[1:], manifest)[:] = maps
-    put(files[-1], alone / "c" / "0" / "0" / "0" / "0")
-    shutil.rmtree(alone)
+    put(files["sdm"], file_of(scratch, "sdm", 0))
+    for name in files:
+        shutil.rmtree(scratch / name)
     put(checksum_file(folder, number), checksum(folder, manifest, number))
+
+
+def _emptied(store: Path) -> Path:
+    shutil.rmtree(store, ignore_errors=True)
+    return store
 
 
 def _padded(rows: np.ndarray, count: int) -> np.ndarray:

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from sdm.dataset import layout
 from sdm.dataset.atomic import put
 from sdm.dataset.devices import device_kind
+from sdm.dataset.manifest import KEY, sealed
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
 from sdm.stream import Maker
@@ -205,7 +205,7 @@ class _Crew:
             self._kind = self._job.manifest["device"] = kind
             path = self._job.folder / "zarr.json"
             text = json.loads(path.read_text())
-            text["attributes"][layout.KEY]["device"] = kind
+            text["attributes"][KEY] = sealed({**text["attributes"][KEY], "device": kind})
             put(path, json.dumps(text, indent=2).encode())
         if kind != self._kind:
             raise SDMError(f"the cluster has both {self._kind} and {kind}: a dataset is made on one kind of device")

@@ -15,6 +15,7 @@ from torch.utils.data import Dataset
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.dataset import layout
+from sdm.dataset.manifest import read_manifest
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.one_line import one_line
 from sdm.shapes import Parameter
@@ -46,7 +47,7 @@ class SDMDataset(Dataset[Batch]):
             raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
         if self.path.name.endswith(layout.UNFINISHED):
             raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
-        self.manifest: dict[str, Any] = layout.read_manifest(self.path)
+        self.manifest: dict[str, Any] = read_manifest(self.path)
         self.grid = Grid(**self.manifest["recipe"]["grid"])
         self.parameters = tuple(Parameter(**p) for p in self.manifest["parameters"])
         self.theta = torch.from_numpy(self._rows("theta", range(layout.shard_count(self.manifest))).astype(np.float32))

@@ -10,6 +10,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
+from sdm.dataset.manifest import read_manifest
 from sdm.dataset.shard_job import Job
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
@@ -30,7 +31,7 @@ def damaged(path: str | Path, progress: Callable[[int, int], None] | None = None
         FormatError: It is no dataset.
     """
     folder = Path(path)
-    manifest = layout.read_manifest(folder)
+    manifest = read_manifest(folder)
     found = []
     for number in range(layout.shard_count(manifest)):
         if not layout.is_sound(folder, manifest, number):
@@ -54,7 +55,7 @@ def mend_arrays(path: str | Path) -> list[str]:
     """
     folder = Path(path)
     try:
-        return layout.mend_arrays(folder, layout.read_manifest(folder))
+        return layout.mend_arrays(folder, read_manifest(folder))
     except OSError as error:
         raise FormatError(f"{folder} cannot be written: {error.strerror or error}") from error
 
@@ -88,7 +89,7 @@ def verify(
             process writes it.
     """
     folder = Path(path)
-    manifest = layout.read_manifest(folder)
+    manifest = read_manifest(folder)
     mend_arrays(folder)
     found = damaged(folder) if shards is None else shards
     if not found:

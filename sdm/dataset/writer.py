@@ -12,6 +12,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
+from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest
 from sdm.dataset.process_pool import run_here
 from sdm.dataset.ray_cluster import run_on_ray
 from sdm.dataset.shard_job import Job
@@ -80,8 +81,8 @@ def generate(
         raise SDMError(f"a dataset of {count} samples was asked for; give at least 1")
     if shard is not None and shard < 1:
         raise SDMError(f"a shard of {shard} samples was asked for; give at least 1")
-    if compression not in layout.COMPRESSIONS:
-        raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(layout.COMPRESSIONS)}")
+    if compression not in COMPRESSIONS:
+        raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
     if dtype not in (torch.float32, torch.float16):
         raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
     devices = ["cpu"] if ray is not None else devices_for(device)
@@ -89,7 +90,7 @@ def generate(
     recipe = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate).recipe
     sample_bytes = grid.size * (2 if dtype == torch.float16 else 4)
     manifest = {
-        "version": layout.VERSION,
+        "version": VERSION,
         "sign": "negative inside",
         "recipe": recipe,
         "count": count,
@@ -105,7 +106,7 @@ def generate(
     # How many samples are in one file is the dataset's own affair, unless somebody says.
     wanted = {**manifest, "shard": shard}
     if resume and target.exists():
-        same(layout.read_manifest(target), wanted, target)
+        same(read_manifest(target), wanted, target)
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
@@ -132,13 +133,13 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str
             return manifest
     if wanted is None:
         raise FormatError(f"{folder} is an unfinished dataset: --resume finishes it; or remove it")
-    found = layout.read_manifest(folder)
+    found = read_manifest(folder)
     same(found, wanted, folder)
     return found
 
 
 def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
-    """Whether a dataset that is there is the one that is asked for.
+    """Refuse a dataset that is there and not the one that is asked for.
 
     Raises:
         FormatError: It is not; says in what.

@@ -145,7 +145,8 @@ def generate(
 def _verify(source: str | None, options: dict[str, Any], out: Path, device: str, ray: str | None) -> int | None:
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
-    from sdm.dataset.layout import part_of, read_manifest, shard_count
+    from sdm.dataset.layout import part_of, shard_count
+    from sdm.dataset.manifest import read_manifest
     from sdm.dataset.repair import damaged, mend_arrays
 
     if not out.exists() and part_of(out).exists():
@@ -171,7 +172,8 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     import torch
 
     from sdm.core.grid import Grid
-    from sdm.dataset.layout import part_of, read_manifest
+    from sdm.dataset.layout import part_of
+    from sdm.dataset.manifest import read_manifest
 
     part = part_of(out)
     manifest = read_manifest(part if part.exists() else out)

@@ -21,6 +21,7 @@ import zarr
 from sdm.core.demo_mesh import demo_mesh
 from sdm.dataset import SDMDataset, damaged, generate, layout, verify
 from sdm.dataset import shard_job as job_module
+from sdm.dataset.manifest import read_manifest
 from sdm.dataset.repair import mend_arrays
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
@@ -98,7 +99,7 @@ def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
         write(target)
     monkeypatch.undo()
     part = layout.part_of(target)
-    manifest = layout.read_manifest(part)
+    manifest = read_manifest(part)
     assert [layout.is_done(part, manifest, n) for n in range(4)] == [True, False, False, False]
     assert not list(part.rglob("*.part"))
     write(target, resume=True)
@@ -308,7 +309,7 @@ def test_a_killed_worker_is_said_and_loses_what_it_had(tmp_path, monkeypatch):
         write(target, count=3000, progress=kill_one)
     assert not multiprocessing.active_children()
     part = layout.part_of(target)
-    manifest = layout.read_manifest(part)
+    manifest = read_manifest(part)
     have = [n for n in range(1000) if layout.is_done(part, manifest, n)]
     assert 0 < len(have) < 1000
     assert all(layout.is_sound(part, manifest, n) for n in have)
