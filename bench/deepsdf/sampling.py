@@ -28,7 +28,7 @@ from sdm.bench.common.timing import median, once
 from sdm.bench.deepsdf.shapes import cochleas
 from sdm.deepsdf.samples import ShapeSet
 from sdm.deepsdf.train.settings import VARIANTS, Settings
-from sdm.deepsdf.train.training import Trainer, own_random
+from sdm.deepsdf.train.training import Trainer, training_state
 
 BATCH, POINTS = 64, 16_384
 CHECKED = 500
@@ -117,7 +117,7 @@ def share(shapes: ShapeSet, settings: Settings, device: str, compiled: bool, bud
     def stale() -> Any:
         return trainer.update(*kept)
 
-    with own_random(settings, trainer.device):
+    with training_state(settings, trainer.device):
         for call in (fresh, stale) * 3:
             once(call, device)
         with_samples = median(fresh, device, RUNS, budget_ms / 2)

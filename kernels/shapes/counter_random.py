@@ -20,6 +20,10 @@ _LAP = wp.int64(SOBOL_BITS)
 _DROPPED = wp.int64(SOBOL_BITS - 24)
 _ONE = wp.int64(1)
 _NONE = wp.int64(0)
+# Philox's multipliers and the steps of its keys. Not in the kernel, where a number is an int32 first: these are larger.
+_MULTIPLIER_0, _MULTIPLIER_1 = wp.uint32(0xD2511F53), wp.uint32(0xCD9E8D57)
+_WEYL_0, _WEYL_1 = wp.uint32(0x9E3779B9), wp.uint32(0xBB67AE85)
+_WORD = wp.uint64(0xFFFFFFFF)
 
 
 @wp.func
@@ -37,16 +41,16 @@ def philox(counter: wp.vec4ui, low: wp.uint32, high: wp.uint32):
     k0 = low
     k1 = high
     for _ in range(10):
-        h0 = mulhi(wp.uint32(0xD2511F53), c0)
-        l0 = wp.uint32(0xD2511F53) * c0
-        h1 = mulhi(wp.uint32(0xCD9E8D57), c2)
-        l1 = wp.uint32(0xCD9E8D57) * c2
+        h0 = mulhi(_MULTIPLIER_0, c0)
+        l0 = _MULTIPLIER_0 * c0
+        h1 = mulhi(_MULTIPLIER_1, c2)
+        l1 = _MULTIPLIER_1 * c2
         c0 = h1 ^ c1 ^ k0
         c1 = l1
         c2 = h0 ^ c3 ^ k1
         c3 = l0
-        k0 = k0 + wp.uint32(0x9E3779B9)
-        k1 = k1 + wp.uint32(0xBB67AE85)
+        k0 = k0 + _WEYL_0
+        k1 = k1 + _WEYL_1
     return wp.vec4ui(c0, c1, c2, c3)
 
 
@@ -59,9 +63,7 @@ def unit_float(bits: wp.uint32):
 @wp.func
 def counter_of(index: wp.int64, block: int, purpose: int):
     bits = wp.uint64(index)
-    return wp.vec4ui(
-        wp.uint32(bits & wp.uint64(0xFFFFFFFF)), wp.uint32(bits >> wp.uint64(32)), wp.uint32(block), wp.uint32(purpose)
-    )
+    return wp.vec4ui(wp.uint32(bits & _WORD), wp.uint32(bits >> wp.uint64(32)), wp.uint32(block), wp.uint32(purpose))
 
 
 @wp.kernel

@@ -8,10 +8,10 @@ from sdm.losses.clamped_l1 import clamped_l1_loss
 from sdm.losses.cross_entropy import cross_entropy_loss
 from sdm.losses.dice import dice_loss
 from sdm.losses.hausdorff import hausdorff_distance_loss
-from sdm.losses.schedules import Schedule, constant, linear, sigmoid_rampup, stepwise
 from sdm.losses.sdf_product import probability_from_sdf, sdf_product_loss
 from sdm.losses.targets import foreground_distance, normalized_signed_distance, signed_distance_target
 from sdm.losses.weighted_mse import clipped_sdf, inverse_weighted_mse_loss
+from sdm.training.schedules import Schedule, constant, linear, sigmoid_rampup, stepwise
 
 __all__ = [
     "Schedule",

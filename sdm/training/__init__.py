@@ -1,1 +1,1 @@
-"""What all trainers share: schedules, checkpoints, budgets."""
+"""Parts that all trainers share: settings, schedules, budgets, checkpoints, weight averages, precision, curves."""

@@ -51,18 +51,16 @@ def deepsdf(
         resume: Go on from OUT/checkpoint if it is there. Without it an unfinished training is never replaced.
         compile: Compile the network first.
     """
-    from contextlib import nullcontext
-
     from sdm.cli.common.progress import CountProgress
     from sdm.deepsdf import train
     from sdm.deepsdf.samples import ShapeSet
-    from sdm.deepsdf.train.checkpoint import MODEL, refuse_unfinished
+    from sdm.deepsdf.train.checkpoint import MODEL, refuse_unfinished_in
     from sdm.deepsdf.train.ranks import is_first, process_group
     from sdm.deepsdf.train.settings import VARIANTS
     from sdm.errors import SDMError
-    from sdm.io.files.lock import alone
     from sdm.io.maps.formats import check_file
     from sdm.training.budget import check_budget
+    from sdm.training.checkpoints import training_folder
 
     given = {"epochs": epochs, "shapes": shapes, "points": points, "width": width, "seed": seed}
     settings = VARIANTS[variant](**{name: value for name, value in given.items() if value is not None})
@@ -70,14 +68,13 @@ def deepsdf(
         raise SDMError("say how long to train: --budget-s or --epochs")
     check_budget(budget_s)
     if not resume:
-        refuse_unfinished(out)
+        refuse_unfinished_in(out)
     with process_group(device) as where:
         found = ShapeSet(_meshes(source, count), where)
-        # Before the training, not at its first checkpoint.
-        out.mkdir(parents=True, exist_ok=True)
-        check_file(out / MODEL)
         # Of several ranks the first writes.
-        with alone(out) if is_first() else nullcontext(), CountProgress("steps") as progress:
+        with training_folder(out, lock=is_first()), CountProgress("steps") as progress:
+            # Before the training, not at its first checkpoint.
+            check_file(out / MODEL)
             path = train(
                 found,
                 settings,

@@ -63,15 +63,12 @@ def sdmnn(
         checkpoint: File of the checkpoint, up to 100 MB.
         device: auto, cpu, cuda or cuda:N.
     """
-    from dataclasses import asdict
-
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.core.device import choose_device
-    from sdm.errors import FormatError
-    from sdm.io.files.lock import alone
     from sdm.surrogate.infer.weights_file import save_weights, training_of
     from sdm.surrogate.train.settings import Settings
     from sdm.surrogate.train.training import Trainer
+    from sdm.training.checkpoints import training_folder
 
     plain = loss == "mse"
     settings = Settings(
@@ -96,14 +93,10 @@ def sdmnn(
     )
     name = f"{model}-{recipe}"
     curves = out / name
-    try:
-        curves.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"the folder {curves} cannot be made: {error.strerror}") from error
     target = out / f"{name}.safetensors"
     refuse_inputs([target], [start])
     # The checkpoint is gone on with without being asked for.
-    with alone(curves):
+    with training_folder(curves):
         trainer = Trainer(
             settings,
             device=choose_device(device),
@@ -112,7 +105,7 @@ def sdmnn(
             report=lambda line: print(line, flush=True),
         )
         trained = trainer.run()
-        facts = {**asdict(settings), "start": start and start.name}
+        facts = {**settings.record(), "start": start and start.name}
         facts |= {"step": trainer.step, "seconds": round(trainer.clock.seconds, 1)}
         before = {} if start is None else {"started_from": training_of(start)}
         save_weights(trained, target, training=facts, **before)

@@ -80,8 +80,6 @@ def segmentation(
 
     from sdm.cli.common.progress import CountProgress
     from sdm.core.device import choose_device
-    from sdm.errors import FormatError
-    from sdm.io.files.lock import alone
     from sdm.io.maps.formats import check_file
     from sdm.segmentation import (
         Patches,
@@ -96,6 +94,7 @@ def segmentation(
         validate,
     )
     from sdm.training.budget import check_budget
+    from sdm.training.checkpoints import refuse_unfinished, training_folder
 
     settings = Settings(
         method=method,
@@ -122,11 +121,8 @@ def segmentation(
         check_budget(budget_s)
     checkpoint = out / "checkpoint.pt"
 
-    def refuse_unfinished() -> None:
-        if not resume and checkpoint.exists():
-            raise FormatError(f"{checkpoint} keeps an unfinished training: --resume goes on with it; or remove it")
-
-    refuse_unfinished()
+    if not resume:
+        refuse_unfinished(checkpoint)
     where = choose_device(device)
     cases = read_cases(data, "train")
     check_cases(cases, spacing=spacing)
@@ -134,13 +130,13 @@ def segmentation(
     others = [case for case in others if case.label is not None]
     if others:
         check_cases(others, spacing=cases[0].spacing)
-    out.mkdir(parents=True, exist_ok=True)
-    check_file(out / "model.pt")
     patches = Patches.of_settings(cases, settings, where)
     deadline = None if budget_s is None else time.monotonic() + budget_s
-    with alone(out):
+    with training_folder(out):
+        check_file(out / "model.pt")
         # Another process may have left one while the cases were read.
-        refuse_unfinished()
+        if not resume:
+            refuse_unfinished(checkpoint)
         with CountProgress("steps") as progress:
             training = train(
                 patches,

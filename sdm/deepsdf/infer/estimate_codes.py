@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ from sdm.deepsdf.networks.code_prior import CodePrior
 from sdm.deepsdf.networks.model import DeepSDF
 from sdm.deepsdf.samples import Samples
 from sdm.errors import SDMError
+from sdm.training.schedules import cosine_decay
 
 # A step's samples (B,N,3) and (B,N) for a batch of shapes.
 Draw = Callable[[int], Samples]
@@ -97,4 +97,4 @@ def estimate_codes(
 def _rate_at(done: float, published: bool) -> float:
     if published:
         return 1.0 if done < 0.5 else 0.1
-    return 0.01 + 0.99 * (1 + math.cos(math.pi * done)) / 2
+    return cosine_decay(done, floor=0.01)

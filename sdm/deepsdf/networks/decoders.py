@@ -13,6 +13,7 @@ from torch.nn.utils.parametrizations import weight_norm
 from sdm.core.device import plain_defaults
 from sdm.core.random import torch_seed
 from sdm.deepsdf.train.settings import Settings
+from sdm.training.random_numbers import own_random_numbers
 
 # Which layer of the published network sees code and point again.
 SKIP = 4
@@ -110,6 +111,6 @@ class LocalDecoder(nn.Module):
 
 def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
     """The network of these settings, with weights that are a function of the seed."""
-    with torch.random.fork_rng(devices=[]), plain_defaults():
+    with own_random_numbers(), plain_defaults():
         torch.manual_seed(torch_seed(settings.seed))
         return PublishedDecoder(settings) if settings.variant == "published" else LocalDecoder(settings)

@@ -18,8 +18,8 @@ from sdm.deepsdf.networks.auto_decoder import AutoDecoder, bounded
 from sdm.deepsdf.samples import UnitSphere
 from sdm.deepsdf.train import checkpoint
 from sdm.deepsdf.train.settings import Settings
-from sdm.errors import FormatError, SDMError
-from sdm.io.files.torch_file import own_settings
+from sdm.errors import SDMError
+from sdm.training.checkpoints import fitting_states
 
 # Points that are decoded at a time where no gradient is asked for.
 CHUNK = 1 << 18
@@ -63,13 +63,11 @@ class DeepSDF:
             FormatError: The file is not there, is something else, is damaged, or is of another version.
         """
         where = choose_device(device)
-        saved = checkpoint.read(Path(path), where)
-        if "settings" not in saved:
-            raise FormatError(f"{path} is the state of a training's optimizer; give the {checkpoint.MODEL} beside it")
-        with own_settings(Path(path)):
-            settings = Settings(**saved["settings"])
-        whole = AutoDecoder(settings, len(saved["names"])).to(where)
-        whole.load_state_dict(saved["state"])
+        saved = checkpoint.read_model(Path(path), where)
+        settings = Settings.of_record(saved["settings"], path)
+        with fitting_states(Path(path), checkpoint.DAMAGED):
+            whole = AutoDecoder(settings, len(saved["names"])).to(where)
+            whole.load_state_dict(saved["state"])
         spheres = [UnitSphere((x, y, z), radius) for x, y, z, radius in saved["spheres"]]
         return cls(settings, whole.decoder, whole.bounded_codes(), saved["names"], spheres)
 

@@ -1,15 +1,21 @@
-"""What a DeepSDF is and how it is trained: the published settings and ours."""
+"""Settings of DeepSDF trainings: the published ones and ours."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from sdm.errors import SDMError
+from sdm.training.schedules import cosine_decay, linear_warmup
+from sdm.training.training_settings import TrainingSettings, check_choice, check_number
+
+# Share of a cosine schedule in which the rate rises, and where it ends.
+RISE = 0.02
+END = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Settings(TrainingSettings):
     """Everything that decides a training but the shapes; lengths are in unit-sphere radii.
 
     Args:
@@ -58,18 +64,42 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        # JSON and torch's files give lists back.
         object.__setattr__(self, "grids", tuple((int(r), int(c)) for r, c in self.grids))
-        _check(self)
+        super().__post_init__()
+
+    def check(self) -> None:
+        """Refuse settings that cannot be trained: see `TrainingSettings.check`."""
+        check_choice("variant", self.variant, VARIANTS)
+        check_choice("schedule", self.schedule, ("halving", "cosine"))
+        check_choice("precision", self.precision, ("bf16", "tf32", "float32"))
+        for name in ("width", "layers", "global_size", "shapes", "points", "epochs"):
+            check_number(name, getattr(self, name), least=1)
+        for name in ("clamp", "decoder_rate", "code_rate"):
+            check_number(name, getattr(self, name), above=0)
+        if self.variant == "published" and self.layers < 5:
+            raise SDMError(
+                "the published network joins code and point before its fifth layer: 5 layers or more are needed"
+            )
+        if self.variant == "published" and self.width <= self.global_size + 3:
+            least = self.global_size + 4
+            raise SDMError(f"a width of {self.width} has no room for code and point: {least} or more are needed")
+        if any(resolution < 2 or channels < 1 for resolution, channels in self.grids):
+            raise SDMError(f"the grids {self.grids} are pairs of a resolution of at least 2 and channels of at least 1")
 
     @property
     def code_size(self) -> int:
         """Numbers of a code: those for the whole shape, then grid by grid."""
         return self.global_size + sum(channels * resolution**3 for resolution, channels in self.grids)
 
-    def as_dict(self) -> dict[str, Any]:
-        """For a file."""
-        return asdict(self)
+    def rate_factor(self, done: float) -> float:
+        """Factor of the learning rates when a share `done` of the training is over."""
+        if self.schedule == "halving":
+            return 0.5 ** int(4 * done)
+        return linear_warmup(done + 1e-3, RISE) * cosine_decay(done, floor=END)
+
+    def code_weight_at(self, done: float) -> float:
+        """Weight of the codes' squared lengths when a share `done` of the training is over."""
+        return self.code_weight * linear_warmup(done, self.code_rise)
 
 
 def published(**changes: Any) -> Settings:
@@ -105,23 +135,3 @@ def local(**changes: Any) -> Settings:
 
 
 VARIANTS = {"published": published, "local": local}
-
-
-def _check(settings: Settings) -> None:
-    for name, choices in (
-        ("variant", ("published", "local")),
-        ("schedule", ("halving", "cosine")),
-        ("precision", ("bf16", "tf32", "float32")),
-    ):
-        if getattr(settings, name) not in choices:
-            raise SDMError(f"the {name} {getattr(settings, name)!r} is unknown; use one of {', '.join(choices)}")
-    for name in ("width", "layers", "global_size", "shapes", "points", "epochs", "clamp", "decoder_rate", "code_rate"):
-        if not getattr(settings, name) > 0:
-            raise SDMError(f"{name} is {getattr(settings, name)}; it must be positive")
-    if settings.variant == "published" and settings.layers < 5:
-        raise SDMError("the published network joins code and point before its fifth layer: 5 layers or more are needed")
-    if settings.variant == "published" and settings.width <= settings.global_size + 3:
-        least = settings.global_size + 4
-        raise SDMError(f"a width of {settings.width} has no room for code and point: {least} or more are needed")
-    if any(resolution < 2 or channels < 1 for resolution, channels in settings.grids):
-        raise SDMError(f"the grids {settings.grids} are pairs of a resolution of at least 2 and channels of at least 1")

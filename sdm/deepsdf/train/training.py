@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +18,17 @@ from sdm.deepsdf.samples import SampleSource, UnitSphere
 from sdm.deepsdf.train import checkpoint
 from sdm.deepsdf.train.batches import Batches, mixed
 from sdm.deepsdf.train.checkpoint import CHECKPOINT
-from sdm.deepsdf.train.schedules import code_weight, rate_factor
 from sdm.deepsdf.train.settings import Settings
 from sdm.errors import FormatError, SDMError
 from sdm.runtime.prefetch import prefetch
 from sdm.runtime.torch_warp import to_device
-from sdm.training.budget import share_done
+from sdm.training.budget import Clock, Interval
+from sdm.training.checkpoints import check_settings, fitting_states
+from sdm.training.finite_loss import check_finite
+from sdm.training.precision import bfloat16
+from sdm.training.random_numbers import own_random_numbers
 
-# How many steps the device may be behind before the loss is read and the clock is looked at.
+# Steps that the device may be behind before the loss is read and the clock is looked at.
 LOOK_EVERY = 10
 
 
@@ -74,9 +75,9 @@ def train(
     if resume:
         run.restore()
     else:
-        checkpoint.refuse_unfinished(run.folder)
+        checkpoint.refuse_unfinished_in(run.folder)
     run.prepare(run.device.type == "cuda" if compile_network is None else compile_network)
-    with own_random(settings, run.device):
+    with training_state(settings, run.device):
         run.go(budget_s, checkpoint_every_s, progress)
     return run.finish()
 
@@ -129,17 +130,16 @@ class Trainer:
         folder = self.folder / CHECKPOINT
         if not folder.exists():
             return
-        saved = checkpoint.read(folder / checkpoint.MODEL, self.device)
-        same = saved["settings"] == self.settings.as_dict() and saved["names"] == self.names
+        saved = checkpoint.read_model(folder, self.device)
+        check_settings(saved["settings"], self.settings, folder)
         # Not the same bit for bit: processors differ in the last one.
-        if not (same and np.allclose(saved["spheres"], self._spheres(), rtol=1e-6)):
-            raise FormatError(
-                f"{folder} was begun with other settings or shapes; go on with those, or train in another folder"
-            )
+        if not (saved["names"] == self.names and np.allclose(saved["spheres"], self._spheres(), rtol=1e-6)):
+            raise FormatError(f"{folder} was begun with other shapes; go on with those, or train in another folder")
         # Adam counts its steps on the host; the rest goes where the weights are by itself.
-        more = checkpoint.read(folder / checkpoint.OPTIMIZER)
-        self.model.load_state_dict(saved["state"])
-        self.optimizer.load_state_dict(more["state"])
+        more = checkpoint.read_optimizer(folder)
+        with fitting_states(folder, "is no checkpoint of these settings"):
+            self.model.load_state_dict(saved["state"])
+            self.optimizer.load_state_dict(more["state"])
         self.step, self.seconds, self.history = saved["step"], saved["seconds"], saved["history"]
 
     def go(self, budget_s: float | None, every_s: float, progress: Callable[[int, int, float], None] | None) -> None:
@@ -147,8 +147,8 @@ class Trainer:
         if self._compiled:
             self._loss(*self.draw(self.step), 0.0)[1].backward()
             self.optimizer.zero_grad(set_to_none=True)
-        before, saved_at = time.monotonic() - self.seconds, self.seconds
-        done = self._done(budget_s)
+        clock, pause = Clock(self.steps, budget_s, self.seconds), Interval(every_s)
+        done = self._done(clock)
         batches = self.batches_ahead()
         while done < 1:
             loss = self.update(*next(batches), done)
@@ -156,16 +156,15 @@ class Trainer:
             if self.step % LOOK_EVERY and self.step < self.steps:
                 continue
             value = float(loss)
-            if not math.isfinite(value):
-                raise SDMError(f"the loss is not finite after {self.step} steps; lower the learning rates")
-            self.seconds = time.monotonic() - before
-            done = self._done(budget_s)
+            check_finite(self.step, value)
+            done = self._done(clock)
+            # Read after that, so that a training whose time is over has used all of it.
+            self.seconds = clock.seconds
             self.history.append((self.step, round(self.seconds, 3), value))
             if progress is not None and self.rank == 0:
                 progress(self.step, self.steps, value)
-            if done < 1 and self.seconds - saved_at >= every_s:
+            if done < 1 and pause.is_over():
                 self._save()
-                saved_at = self.seconds
 
     def finish(self) -> Path:
         """Write the checkpoint and the model."""
@@ -193,7 +192,7 @@ class Trainer:
     def update(self, shapes: Tensor, points: Tensor, values: Tensor, done: float = 0.0) -> Tensor:
         """One step of Adam when a share `done` of the training is over; gives the loss of the data."""
         for group in self.optimizer.param_groups:
-            group["lr"] = group["base"] * rate_factor(self.settings, done)
+            group["lr"] = group["base"] * self.settings.rate_factor(done)
         loss, total = self._loss(shapes, points, values, done)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
@@ -205,12 +204,12 @@ class Trainer:
         # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
         torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
         self.model.train()
-        with _autocast(self.settings, self.device):
+        with bfloat16(self.device, self.settings.precision == "bf16" and self.device.type == "cuda"):
             loss, length = self._network(shapes, points, values)
-        return loss, loss + code_weight(self.settings, done) * length
+        return loss, loss + self.settings.code_weight_at(done) * length
 
-    def _done(self, budget_s: float | None) -> float:
-        done = share_done(self.step, self.steps, self.seconds, budget_s)
+    def _done(self, clock: Clock) -> float:
+        done = clock.share(self.step)
         if self.world == 1:
             return done
         # Clocks differ, rates must not.
@@ -223,7 +222,7 @@ class Trainer:
 
     def _content(self) -> dict[str, Any]:
         return {
-            "settings": self.settings.as_dict(),
+            "settings": self.settings.record(),
             "names": self.names,
             "spheres": self._spheres(),
             "state": {name: value.detach().cpu() for name, value in self.model.state_dict().items()},
@@ -239,17 +238,11 @@ class Trainer:
             checkpoint.write_both(self._content(), content, self.folder / CHECKPOINT)
 
 
-def _autocast(settings: Settings, device: torch.device) -> Any:
-    if settings.precision == "bf16" and device.type == "cuda":
-        return torch.autocast("cuda", torch.bfloat16)
-    return nullcontext()
-
-
 @contextmanager
-def own_random(settings: Settings, device: torch.device) -> Iterator[None]:
-    """Leave torch's generators and its matrix precision as they were."""
+def training_state(settings: Settings, device: torch.device) -> Iterator[None]:
+    """Train within the block, and leave torch's generators and its precision of matrices as they were."""
     precision = torch.get_float32_matmul_precision()
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+    with own_random_numbers(device):
         try:
             torch.set_float32_matmul_precision("highest" if settings.precision == "float32" else "high")
             yield

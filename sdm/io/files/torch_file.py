@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
+from sdm.io.files.typed_record import check_record
 
 
 def save_torch(state: Any, path: Path) -> None:
@@ -27,20 +28,31 @@ def save_torch(state: Any, path: Path) -> None:
             raise _cause(error) from None
 
 
-def load_torch(path: Path, otherwise: str, *, device: torch.device | str = "cpu", mmap: bool = False) -> dict[str, Any]:
+def load_torch(
+    path: Path,
+    otherwise: str,
+    fields: Mapping[str, Any] | None = None,
+    *,
+    device: torch.device | str = "cpu",
+    mmap: bool = False,
+) -> dict[str, Any]:
     """The dictionary in a file of torch's; no code in it is run.
 
     Args:
         path: The file.
-        otherwise: What is said, after its name, of one that is damaged or something else.
+        otherwise: Words after its name where it is damaged or something else.
+        fields: Keys that it must have, with their types: see `check_record`.
         device: Where tensors go.
         mmap: Read tensors only when they are used.
 
     Raises:
-        FormatError: It is not there, is damaged, or holds no dictionary.
+        FormatError: It is not there, is damaged, holds no dictionary, or lacks a key.
     """
     try:
-        content = torch.load(path, map_location=device, weights_only=True, mmap=mmap)
+        with warnings.catch_warnings():
+            # Of a pickle that is not torch's own it warns before it refuses it.
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location=device, weights_only=True, mmap=mmap)
     except (MemoryError, torch.OutOfMemoryError):
         raise
     # Of bytes that are not its own torch's reader raises whatever it comes across.
@@ -48,20 +60,8 @@ def load_torch(path: Path, otherwise: str, *, device: torch.device | str = "cpu"
         raise FormatError(f"{path} {otherwise}") from error
     if not isinstance(content, dict):
         raise FormatError(f"{path} {otherwise}")
+    check_record(content, fields or {}, path, otherwise)
     return content
-
-
-@contextmanager
-def own_settings(path: Path) -> Iterator[None]:
-    """Settings are made of what a file has, which a newer sdm may have written.
-
-    Raises:
-        FormatError: There is one that this sdm does not have.
-    """
-    try:
-        yield
-    except TypeError as error:
-        raise FormatError(f"{path} has settings that this program does not know: use the sdm that wrote it") from error
 
 
 def _cause(error: BaseException) -> BaseException:

@@ -16,6 +16,7 @@ from sdm.segmentation.data.case import standardized
 from sdm.segmentation.data.downsample import coarse_image, fine_field
 from sdm.segmentation.infer.sliding_window import sliding_window
 from sdm.segmentation.networks.model import SegmentationModel
+from sdm.training.precision import bfloat16, layout
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ def predicted_field(
 
     def field(windows: Tensor) -> Tensor:
         if windows.is_cuda:
-            windows = windows.to(memory_format=torch.channels_last_3d)
-        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            windows = windows.to(memory_format=layout(use=True))
+        with bfloat16(device, device.type == "cuda"):
             seen = [model.field(windows.flip(axes)).flip(axes) for axes in images]
         return torch.stack(seen).mean(0)
 

@@ -1,4 +1,4 @@
-"""A trained network in a file."""
+"""Files of trained segmentation networks."""
 
 from __future__ import annotations
 
@@ -7,13 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from sdm.errors import FormatError
-from sdm.io.files.torch_file import load_torch, own_settings, save_torch
+from sdm.io.files.torch_file import load_torch, save_torch
+from sdm.io.files.typed_record import check_record
 from sdm.segmentation.networks.model import SegmentationModel
 from sdm.segmentation.train.settings import Settings
+from sdm.training.checkpoints import fitting_states
 
 FORMAT = "sdm segmentation 1"
+FIELDS: dict[str, Any] = {
+    "format": str,
+    "settings": dict[str, Any],
+    "spacing": tuple[float, float, float],
+    "weights": dict[str, Tensor],
+}
 NO_NETWORK = "is not a trained segmentation network"
 
 
@@ -44,33 +53,28 @@ def load_model(path: Path, device: torch.device | str = "cpu") -> TrainedModel:
         FormatError: There is no such file, or it is not one of `save_model`.
     """
     state = _state(path)
-    settings = _settings(path, state)
-    model = settings.network()
-    model.load_state_dict(state["weights"])
+    settings = Settings.of_record(state["settings"], path)
+    with fitting_states(path, NO_NETWORK):
+        model = settings.network()
+        model.load_state_dict(state["weights"])
     x, y, z = state["spacing"]
     return TrainedModel(model.to(device).eval(), settings, (x, y, z))
 
 
 def load_settings(path: Path) -> Settings:
-    """How the network of a file was trained; its weights are not read.
+    """Settings by which the network of a file was trained; its weights are not read.
 
     Raises:
         FormatError: As `load_model`.
     """
-    return _settings(path, _state(path, mmap=True))
-
-
-def _settings(path: Path, state: dict[str, Any]) -> Settings:
-    with own_settings(path):
-        return Settings.of_record(state["settings"])
+    return Settings.of_record(_state(path, mmap=True)["settings"], path)
 
 
 def _state(path: Path, *, mmap: bool = False) -> dict[str, Any]:
     if not path.is_file():
         raise FormatError(f"{path} is not there: give the model.pt that sdm train segmentation wrote")
-    state = load_torch(path, NO_NETWORK, mmap=mmap)
-    if "format" not in state:
-        raise FormatError(f"{path} {NO_NETWORK}")
+    state = load_torch(path, NO_NETWORK, {"format": str}, mmap=mmap)
     if state["format"] != FORMAT:
         raise FormatError(f"{path} is a file of the kind {state['format']!r}, not {FORMAT!r}")
+    check_record(state, FIELDS, path, NO_NETWORK)
     return state

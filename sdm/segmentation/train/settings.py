@@ -1,20 +1,22 @@
-"""What a training is: enough to do it again."""
+"""Settings of a training of a segmentation network."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from sdm.core.device import plain_defaults
 from sdm.errors import SDMError
 from sdm.segmentation.data.augment import Augment
 from sdm.segmentation.networks.model import NETWORKS, Architecture, SegmentationModel
-from sdm.segmentation.train.methods import METHODS
+from sdm.segmentation.train.methods import METHODS, method_called
+from sdm.training.schedules import cosine_decay
+from sdm.training.training_settings import TrainingSettings, check_choice, check_number
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class Settings(TrainingSettings):
     """One training; the same for every method of a table but for the method's name.
 
     Args:
@@ -30,8 +32,8 @@ class Settings:
         learning_rate: Highest.
         schedule: The learning rate after that falls to zero along a "cosine", or stays ("constant").
         weight_decay: Decoupled with adam, L2 with sgd.
-        average: Share of the training, up to its end, over which the weights are averaged: see `Average`; 0: the last
-            ones.
+        average: Share of the training, up to its end, over which the weights are averaged: see `LateAverage`; 0: the
+            last ones.
         augment: "none", "published", "affine", "strong" or "scanner": see `augment.draw`.
         mirrors: Along which of the axes "xyz" patches are mirrored at random. Mirror images are more to learn from, but
             hide on which side a neighbouring organ lies.
@@ -64,11 +66,10 @@ class Settings:
     position: bool = False
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise SDMError(f"there is no method called {self.method!r}; choose one of {', '.join(METHODS)}")
-        if self.architecture not in NETWORKS:
-            raise SDMError(f"there is no network called {self.architecture!r}; choose one of {', '.join(NETWORKS)}")
+    def check(self) -> None:
+        """Refuse settings that cannot be trained: see `TrainingSettings.check`."""
+        method_called(self.method)
+        check_choice("network", self.architecture, NETWORKS)
         multiple = NETWORKS[self.architecture][2]
         if len(self.patch) != 3 or any(n < multiple or n % multiple for n in self.patch):
             raise SDMError(f"a patch of {self.patch} does not suit {self.architecture}: use multiples of {multiple}")
@@ -78,23 +79,14 @@ class Settings:
             raise SDMError(f"{self.steps} steps of {self.batch} patches train nothing: give at least one of each")
         if self.batch * math.prod(n // multiple for n in self.patch) < 2:
             raise SDMError("one patch of one coarsest voxel cannot be normalised: use a larger patch or batch")
-        if not self.learning_rate > 0:
-            raise SDMError(f"the learning rate must be positive, not {self.learning_rate}")
+        check_number("the learning rate", self.learning_rate, above=0)
         if not set(self.mirrors) <= set("xyz"):
             raise SDMError(f"patches are mirrored along axes of xyz, not along {self.mirrors!r}")
-        if not 0 <= self.average <= 1:
-            raise SDMError(f"weights are averaged over a share of the training from 0 to 1, not {self.average}")
-        self._check_network()
-
-    def _check_network(self) -> None:
+        check_number("the averaged share of the training", self.average, least=0, most=1)
         # The first of the U-Net's convolutions has half of the filters.
-        least = 2 if self.architecture == "unet" else 1
-        if self.filters is not None and self.filters < least:
-            raise SDMError(f"{self.architecture} has {least} or more filters, not {self.filters}")
-        for name in ("dropout", "last_dropout"):
-            share = getattr(self, name)
-            if share is not None and not 0 <= share < 1:
-                raise SDMError(f"{name} is a share from 0 to less than 1, not {share}")
+        check_number("filters", self.filters, least=2 if self.architecture == "unet" else 1)
+        check_number("dropout", self.dropout, least=0, below=1)
+        check_number("last_dropout", self.last_dropout, least=0, below=1)
 
     @property
     def mirrored(self) -> str:
@@ -108,11 +100,7 @@ class Settings:
             return self.learning_rate * (step + 1) / warm
         if self.schedule == "constant":
             return self.learning_rate
-        return self.learning_rate * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(1, self.steps - warm)))
-
-    def record(self) -> dict[str, Any]:
-        """As plain numbers and words."""
-        return {**asdict(self), "patch": list(self.patch)}
+        return self.learning_rate * cosine_decay(step - warm, max(1, self.steps - warm))
 
     def network(self) -> SegmentationModel:
         """The network, not trained, float32 on the host."""
@@ -126,8 +114,3 @@ class Settings:
                 position=self.position,
                 coarsen=self.coarsen,
             )
-
-    @classmethod
-    def of_record(cls, record: dict[str, Any]) -> Settings:
-        """The settings that `record` wrote; of what was no choice then, the default."""
-        return cls(**{**record, "patch": tuple(record["patch"])})

@@ -1,4 +1,4 @@
-"""The training loop: resumes where it was, stops when its time is over."""
+"""Training loop of segmentation networks: it resumes where it was, and stops when its time is over."""
 
 from __future__ import annotations
 
@@ -7,27 +7,43 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from sdm.core.random import torch_seed
-from sdm.errors import FormatError, SDMError
+from sdm.errors import SDMError
 from sdm.io.files.torch_file import load_torch, save_torch
 from sdm.segmentation.data.augment import Augment
 from sdm.segmentation.data.patches import Patch
 from sdm.segmentation.networks.model import SegmentationModel
 from sdm.segmentation.train.objective import Step, objective
-from sdm.segmentation.train.precision import check_gradients, layout, reduced, uses_bfloat16
 from sdm.segmentation.train.settings import Settings
-from sdm.segmentation.train.weight_average import Average
+from sdm.training.budget import Clock, Interval
+from sdm.training.checkpoints import check_settings, fitting_states
+from sdm.training.finite_loss import check_finite
+from sdm.training.precision import bfloat16 as autocast
+from sdm.training.precision import check_gradients, layout, uses_bfloat16
+from sdm.training.random_numbers import own_random_numbers
+from sdm.training.weight_averages import LateAverage
 
 LARGEST_GRADIENT = 1.0
 SAVE_EVERY_S = 120.0
 # Losses that a log keeps.
 POINTS = 20
 NO_CHECKPOINT = "is not a checkpoint of a training: remove it to begin anew"
+CHECKPOINT_FIELDS: dict[str, Any] = {
+    "settings": dict[str, Any],
+    "step": int,
+    "seconds": float,
+    "losses": list[tuple[int, float]],
+    "model": dict[str, Tensor],
+    "optimizer": dict[str, Any],
+    "average": list[Tensor] | None,
+    "random": Tensor,
+    "random_device": Tensor | None,
+}
 
 
 class Source(Protocol):
@@ -35,9 +51,9 @@ class Source(Protocol):
 
     device: torch.device
     spacing: tuple[float, float, float]
-    # Whether images come with the positions of their voxels.
+    # True if images come with the positions of their voxels.
     position: bool
-    # How many times as large as the cases' voxels those of the batches are.
+    # Edge of a batch's voxels in voxels of the cases.
     coarsen: int
 
     def batch(self, count: int, *, seed: int, step: int, augment: Augment) -> Patch:
@@ -61,7 +77,7 @@ class Training:
     step: int = 0
     seconds: float = 0.0
     losses: list[tuple[int, float]] = field(default_factory=list)
-    average: Average | None = None
+    average: LateAverage | None = None
 
 
 def train(
@@ -101,30 +117,28 @@ def train(
             raise SDMError(f"the settings have {name}={wanted}, the patches {given}: give both the same")
     device = patches.device
     reduce = uses_bfloat16(device, bfloat16)
-    with _own_random_numbers(device):
+    with own_random_numbers(device):
         torch.manual_seed(torch_seed(settings.seed))
         model = settings.network().to(device)
         model = model.to(memory_format=layout(reduce))  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)
-        training = Training(model, average=Average(model, settings.average) if settings.average else None)
+        training = Training(model, average=LateAverage(model, settings.average) if settings.average else None)
         if checkpoint is not None and checkpoint.is_file():
             _restore(checkpoint, training, optimizer, settings, device)
         if reduce and device.type == "cpu":
             check_gradients(model, _batch(patches, settings, training.step).image)
         model.train()
-        begin, saved = time.monotonic(), time.monotonic()
-        before = training.seconds
+        clock, pause = Clock(settings.steps, spent_s=training.seconds), Interval(SAVE_EVERY_S)
         with _compiled(model) if compiled else nullcontext():
             while training.step < settings.steps and (deadline is None or time.monotonic() < deadline):
                 _step(training, optimizer, patches, settings, reduce)
                 progress(training.step, settings.steps)
-                training.seconds = before + time.monotonic() - begin
-                if checkpoint is not None and time.monotonic() - saved > SAVE_EVERY_S:
+                training.seconds = clock.seconds
+                if checkpoint is not None and pause.is_over():
                     _save(checkpoint, training, optimizer, settings, device)
-                    saved = time.monotonic()
         if device.type == "cuda":
             torch.cuda.synchronize(device)
-        training.seconds = before + time.monotonic() - begin
+        training.seconds = clock.seconds
         if checkpoint is not None and training.step < settings.steps:
             _save(checkpoint, training, optimizer, settings, device)
     if training.average is not None and training.step == settings.steps:
@@ -141,7 +155,7 @@ def _step(
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate_at(step)
     image = patch.image.to(memory_format=layout(reduce))
-    with reduced(image.device, reduce):
+    with autocast(image.device, reduce):
         main, auxiliary = training.model(image)
     done = step / settings.steps
     state = Step(training.model.method, main, patch.label, patch.map, done, patches.spacing)
@@ -155,8 +169,7 @@ def _step(
         training.average.update(training.model, training.step)
     if training.step % max(1, settings.steps // POINTS) == 0 or training.step == settings.steps:
         value = float(loss.detach())
-        if value != value or abs(value) == float("inf"):
-            raise SDMError(f"the loss of {settings.method} is {value} at step {training.step}: lower the learning rate")
+        check_finite(training.step, value)
         training.losses.append((training.step, round(value, 6)))
 
 
@@ -181,14 +194,6 @@ def _optimizer(model: nn.Module, settings: Settings) -> torch.optim.Optimizer:
     return torch.optim.AdamW(model.parameters(), rate, weight_decay=decay)
 
 
-@contextmanager
-def _own_random_numbers(device: torch.device) -> Iterator[None]:
-    """Dropout and weights draw from torch's global generators: leave them as they were."""
-    where = [device] if device.type == "cuda" else []
-    with torch.random.fork_rng(devices=where):
-        yield
-
-
 def _save(
     path: Path, training: Training, optimizer: torch.optim.Optimizer, settings: Settings, device: torch.device
 ) -> None:
@@ -209,18 +214,13 @@ def _save(
 def _restore(
     path: Path, training: Training, optimizer: torch.optim.Optimizer, settings: Settings, device: torch.device
 ) -> None:
-    state = load_torch(path, NO_CHECKPOINT)
-    try:
-        known = Settings.of_record(state["settings"])
-    except (KeyError, TypeError) as error:
-        raise FormatError(f"{path} {NO_CHECKPOINT}") from error
-    if known != settings:
-        raise FormatError(f"{path} is the checkpoint of a training with other settings: remove it to begin anew")
-    training.model.load_state_dict(state["model"])
-    optimizer.load_state_dict(state["optimizer"])
-    if training.average is not None:
-        for mean, value in zip(training.average.values, state["average"], strict=True):
-            mean.copy_(value)
+    state = load_torch(path, NO_CHECKPOINT, CHECKPOINT_FIELDS)
+    check_settings(state["settings"], settings, path)
+    with fitting_states(path, NO_CHECKPOINT):
+        training.model.load_state_dict(state["model"])
+        optimizer.load_state_dict(state["optimizer"])
+        if training.average is not None:
+            training.average.restore(state["average"])
     training.step, training.seconds = state["step"], state["seconds"]
     training.losses = [(int(a), float(b)) for a, b in state["losses"]]
     torch.set_rng_state(state["random"])

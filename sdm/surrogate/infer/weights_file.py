@@ -11,12 +11,23 @@ from torch import Tensor, nn
 
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
+from sdm.io.files.typed_record import check_record
 from sdm.shapes import Cochlea
 from sdm.stream.sample_maker import grid_record
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.models import build, name_of
+from sdm.training.checkpoints import fitting_states
 
 VERSION = 1
+FIELDS: dict[str, Any] = {
+    "version": int,
+    "model": str,
+    "config": dict[str, Any],
+    "grid": dict[str, Any],
+    "parameters": list[tuple[str, float, float, str]],
+    "family": str,
+}
+NO_SURROGATE = "is not a surrogate that sdm wrote, or it is damaged"
 # Tensors of at most this many numbers stay float32; larger ones become float16.
 SMALL = 16_384
 # Of a table of modes, these first rows (the largest) become float16, the others 8-bit with a scale each.
@@ -67,14 +78,18 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
     try:
         config = json.loads(source.with_suffix(".json").read_text())
         packed = load(source.read_bytes())
-        if config["version"] != VERSION or config["grid"] != grid_record(GRID):
-            raise FormatError(f"{source} holds a surrogate for another grid or version of sdm; train it again")
-        model = build(config["model"], **config["config"])
-        model.load_state_dict(_unpack(packed))
     except OSError as error:
         raise FormatError(f"{error.filename or source} cannot be read: {error.strerror or error}") from error
-    except (SafetensorError, KeyError, RuntimeError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise FormatError(f"{source} is not a surrogate that sdm wrote, or it is damaged") from error
+    except (SafetensorError, RecursionError, ValueError) as error:
+        raise FormatError(f"{source} {NO_SURROGATE}") from error
+    if not isinstance(config, dict):
+        raise FormatError(f"{source} {NO_SURROGATE}: {source.with_suffix('.json').name} holds no table")
+    check_record(config, FIELDS, source.with_suffix(".json"), NO_SURROGATE)
+    if config["version"] != VERSION or config["grid"] != grid_record(GRID):
+        raise FormatError(f"{source} holds a surrogate for another grid or version of sdm; train it again")
+    with fitting_states(source, NO_SURROGATE):
+        model = build(config["model"], **config["config"])
+        model.load_state_dict(_unpack(packed))
     return model.eval().requires_grad_(False).to(device), config
 
 

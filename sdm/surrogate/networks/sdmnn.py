@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from sdm.errors import SDMError
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
-from sdm.surrogate.train.precision import full_precision
+from sdm.training.precision import full_precision
 
 
 class SDMNN(nn.Module):

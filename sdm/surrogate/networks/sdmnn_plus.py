@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
 from sdm.surrogate.networks.voxel_shuffle import merge, split
-from sdm.surrogate.train.precision import full_precision
+from sdm.training.precision import full_precision
 
 # Voxels of the grid along each edge of a block, and of the coarse map.
 FINE, COARSE = 4, 2

@@ -1,11 +1,10 @@
-"""What a training of a surrogate depends on."""
+"""Settings of a training of a surrogate."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import nn
 
@@ -14,8 +13,9 @@ from sdm.stream import Mixture, Sampler
 from sdm.surrogate.infer.weights_file import load_weights
 from sdm.surrogate.networks.models import build
 from sdm.training.budget import check_budget
+from sdm.training.training_settings import TrainingSettings, check_choice, check_number
 
-# Which samples a recipe streams; the paper's is the mixture of 625 static maps and random ones.
+# Samples that a recipe streams; the paper's is the mixture of 625 static maps and random ones.
 # In "mostly-online" the random ones are denser towards the faces and corners of the box, so as to be good there too;
 # the 16 corners themselves, where a model has neighbours on one side only, are 3 of 100 samples.
 RECIPES: dict[str, str | Sampler] = {
@@ -27,9 +27,9 @@ RECIPES: dict[str, str | Sampler] = {
 STATIC = 625
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What a training depends on, besides the device.
+@dataclass(frozen=True, kw_only=True)
+class Settings(TrainingSettings):
+    """Everything that decides a training but the device.
 
     Args:
         model: "sdmnn" or "sdmnn-plus".
@@ -57,6 +57,8 @@ class Settings:
         seed: Of the stream and all else that is random.
     """
 
+    LENGTH: ClassVar[tuple[str, ...]] = ("steps", "budget_s")
+
     model: str = "sdmnn-plus"
     modes: int = 208
     channels: int | None = None
@@ -79,32 +81,23 @@ class Settings:
     ema: float = 0.998
     seed: int = 0
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuse settings that cannot be trained: see `TrainingSettings.check`."""
         if self.model not in ("sdmnn", "sdmnn-plus"):
             raise SDMError(f"{self.model!r} is not trained step by step; use sdmnn or sdmnn-plus")
-        if self.recipe not in RECIPES:
-            raise SDMError(f"there is no recipe {self.recipe!r}; use {', '.join(RECIPES)}")
-        if self.loss not in ("mse", "surface"):
-            raise SDMError(f"there is no loss {self.loss!r}; use mse or surface")
-        if min(self.steps, self.batch_size, self.store) < 1 or self.fresh < 0:
-            raise SDMError("steps, batch size and store are at least 1, fresh maps at least 0")
-        if min(self.modes, 1 if self.channels is None else self.channels) < 1:
-            raise SDMError("modes and channels are at least 1")
+        check_choice("recipe", self.recipe, RECIPES)
+        check_choice("loss", self.loss, ("mse", "surface"))
+        for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
+            check_number(name, getattr(self, name), least=1)
+        for name in ("fresh", "rate", "surface", "coarse", "eikonal", "sobolev"):
+            check_number(name, getattr(self, name), least=0)
         for name in ("fill_share", "warm_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SDMError(f"{name} is {getattr(self, name)}; a share from 0 to 1 is needed")
-        for name in ("rate", "surface", "coarse", "eikonal", "sobolev"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise SDMError(f"{name} is {getattr(self, name)}; a number of 0 or more is needed")
+            check_number(name, getattr(self, name), least=0, most=1)
+        check_number("ema", self.ema, least=0, most=1)
         maps = STATIC if self.recipe == "static" else self.store
         if self.model == "sdmnn-plus" and self.start is None and self.modes >= maps:
             raise SDMError(f"{self.modes} modes need a store of more than {self.modes} maps, but it has {maps}")
         check_budget(self.budget_s)
-
-
-def identity(settings: Settings) -> dict[str, Any]:
-    """The settings that cannot change half-way: all but how long it takes."""
-    return {k: v for k, v in asdict(settings).items() if k not in ("steps", "budget_s")}
 
 
 def begin(settings: Settings) -> nn.Module:

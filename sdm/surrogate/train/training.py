@@ -3,35 +3,48 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdm.core.device import choose_device
 from sdm.core.random import torch_seed
-from sdm.errors import FormatError, SDMError
+from sdm.errors import FormatError
 from sdm.io.files.atomic import try_to_write
 from sdm.io.files.torch_file import load_torch, save_torch
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
-from sdm.surrogate.train.curves import Curves
 from sdm.surrogate.train.losses import eikonal, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay
-from sdm.surrogate.train.schedule import Clock, learning_rate
-from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin, identity
+from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin
 from sdm.surrogate.train.validation import validation_batches, validation_theta
 from sdm.surrogate.train.warm_start import warm_start
+from sdm.training.budget import Clock
+from sdm.training.checkpoints import check_settings, fitting_states
+from sdm.training.curves import Curves
+from sdm.training.finite_loss import check_finite
+from sdm.training.precision import bfloat16, layout
+from sdm.training.random_numbers import own_random_numbers
+from sdm.training.schedules import linear_warmup, warmup_cosine
+from sdm.training.weight_averages import exponential_average
 
 # Steps until the learning rate is what the schedule says: Adam's first steps would undo a good beginning.
 RISE = 500
 NO_CHECKPOINT = "is not a checkpoint of a training of a surrogate: remove it, or give another file"
+CHECKPOINT_FIELDS: dict[str, Any] = {
+    "settings": str,
+    "model": dict[str, Tensor],
+    "ema": dict[str, Tensor],
+    "optimizer": dict[str, Any],
+    "step": int,
+    "seconds": float,
+    "stream": dict[str, Any],
+}
 
 
 class Trainer:
@@ -66,10 +79,10 @@ class Trainer:
             try_to_write(checkpoint)
         self.device = choose_device(device)
         self.family = Cochlea()
-        with torch.random.fork_rng(devices=[]):
+        with own_random_numbers():
             torch.manual_seed(torch_seed(settings.seed))
             self.model = begin(settings).to(self.device)
-        self.ema = AveragedModel(self.model, multi_avg_fn=get_ema_multi_avg_fn(settings.ema), use_buffers=False)
+        self.ema = exponential_average(self.model, settings.ema)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
         self.step, spent = 0, 0.0
         static = settings.recipe == "static"
@@ -93,7 +106,7 @@ class Trainer:
         theta = validation_theta(self.family)[:validation]
         self._validation = [(b.theta, b.sdm.half()) for b in validation_batches(theta, self.device)]
         if self.device.type == "cuda":
-            self.model.to(memory_format=torch.channels_last_3d)  # pyright: ignore[reportCallIssue]
+            self.model.to(memory_format=layout(use=True))  # pyright: ignore[reportCallIssue]
             torch.backends.cudnn.benchmark = True
         self._fast: Any = torch.compile(self._loss) if self.device.type == "cuda" else self._loss
 
@@ -125,11 +138,11 @@ class Trainer:
     def _train(self, share: float) -> Tensor:
         settings = self.settings
         for group in self._optimizer.param_groups:
-            group["lr"] = settings.rate * group["share"] * learning_rate(share) * min(1.0, (self.step + 1) / RISE)
+            group["lr"] = settings.rate * group["share"] * warmup_cosine(share) * linear_warmup(self.step + 1, RISE)
         if self._fresh:
             self.replay.renew()
         theta, exact = self.replay.draw(settings.batch_size, self.step)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+        with bfloat16(self.device, self.device.type == "cuda"):
             loss = self._fast(theta, exact)
         if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
             generator = torch.Generator().manual_seed(torch_seed(settings.seed * 999_983 + self.step))
@@ -169,8 +182,7 @@ class Trainer:
         record: dict[str, float] = {"step": self.step, "seconds": round(self.clock.seconds, 1)}
         record |= {} if loss is None else {"loss": float(loss.detach())}
         # Weights that are no numbers must take the place of good ones in no file.
-        if not all(math.isfinite(value) for value in (*record.values(), mae)):
-            raise SDMError(f"the loss is not finite at step {self.step:,}: lower the learning rate")
+        check_finite(self.step, *record.values(), mae)
         self._curves.add(record | {"mae": mae, "near": shell})
         self._report(
             f"step {self.step:,}, {self.clock.seconds:.0f} s, {100 * share:.0f} %: "
@@ -182,7 +194,7 @@ class Trainer:
 
     def _save(self, target: Path) -> None:
         state = {
-            "settings": json.dumps(identity(self.settings)),
+            "settings": json.dumps(self.settings.identity()),
             "model": self.model.state_dict(),
             "ema": self.ema.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -193,17 +205,17 @@ class Trainer:
         save_torch(state, target)
 
     def _load(self, source: Path, stream: SDMStream) -> float:
-        state = load_torch(source, NO_CHECKPOINT, device=self.device)
+        state = load_torch(source, NO_CHECKPOINT, CHECKPOINT_FIELDS, device=self.device)
         try:
-            known = json.loads(state["settings"])
-        except (KeyError, TypeError, ValueError) as error:
+            kept = json.loads(state["settings"])
+        except ValueError as error:
             raise FormatError(f"{source} {NO_CHECKPOINT}") from error
-        if known != json.loads(json.dumps(identity(self.settings))):
-            raise FormatError(f"{source} is the checkpoint of a training with other settings; give another file")
-        self.model.load_state_dict(state["model"])
-        self.ema.load_state_dict(state["ema"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        stream.load_state_dict(state["stream"])
+        check_settings(kept, self.settings, source)
+        with fitting_states(source, NO_CHECKPOINT):
+            self.model.load_state_dict(state["model"])
+            self.ema.load_state_dict(state["ema"])
+            self._optimizer.load_state_dict(state["optimizer"])
+            stream.load_state_dict(state["stream"])
         self.step = state["step"]
         return float(state["seconds"])
 

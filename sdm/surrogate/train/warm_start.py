@@ -12,7 +12,7 @@ from sdm.core.random import torch_seed
 from sdm.surrogate.networks.pod_chebyshev import decompose
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
 from sdm.surrogate.train.map_buffer import Replay
-from sdm.surrogate.train.schedule import learning_rate
+from sdm.training.schedules import warmup_cosine
 
 SNAPSHOTS = 4096
 BATCH = 1024
@@ -56,7 +56,7 @@ def warm_start(
         if share >= 1:
             break
         for group in optimizer.param_groups:
-            group["lr"] = RATE * learning_rate(share)
+            group["lr"] = RATE * warmup_cosine(share)
         rows = torch.randint(len(theta), (min(BATCH, len(theta)),), generator=generator, device=theta.device)
         # Modes are orthogonal with mean square 1: this is the root mean square error of a coarse voxel [mm].
         loss = (guess_fast(theta[rows]) - wanted[rows]).square().sum(1).mean().sqrt()

@@ -103,9 +103,9 @@ def test_codes_are_no_longer_than_their_bound() -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"variant": "other"}, "the variant 'other' is unknown"),
-        ({"schedule": "never"}, "the schedule 'never' is unknown"),
-        ({"points": 0}, "points is 0; it must be positive"),
+        ({"variant": "other"}, "there is no variant called 'other'"),
+        ({"schedule": "never"}, "there is no schedule called 'never'"),
+        ({"points": 0}, "points is 0; it must be 1 or more"),
         ({"layers": 3}, "5 layers or more are needed"),
         ({"grids": ((1, 4),)}, "a resolution of at least 2"),
     ],

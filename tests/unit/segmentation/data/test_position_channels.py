@@ -166,7 +166,7 @@ def test_checkpoints_of_before_positions_go_on(tmp_path):
 def test_a_training_does_not_go_on_with_the_other_choice(tmp_path, position):
     path = tmp_path / "c.pt"
     train(patches(position), settings(position=position), checkpoint=path, deadline=0.0)
-    with pytest.raises(FormatError, match="other settings: remove it to begin anew"):
+    with pytest.raises(FormatError, match="other settings: give those, or another file"):
         train(patches(not position), settings(position=not position), checkpoint=path)
 
 

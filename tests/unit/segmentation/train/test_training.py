@@ -22,7 +22,6 @@ from sdm.segmentation import (
     train,
 )
 from sdm.segmentation.infer.scores import scores_of
-from sdm.segmentation.train.weight_average import Average
 from tests.helpers.segmentation_cases import case
 
 SIZE = (16, 16, 16)
@@ -91,22 +90,6 @@ def _until(source, chosen, checkpoint, count, state):
             return state["now"] == 0.0
 
     return train(source, chosen, checkpoint=checkpoint, deadline=Deadline(0), progress=count)
-
-
-def test_weights_are_averaged():
-    """Over all steps it is their mean; over a share of them, weights of step s of t count as s^(1 / share - 1)."""
-    net = torch.nn.BatchNorm1d(1)
-    whole, late = Average(net, 1.0), Average(net, 0.1)
-    for step in range(1, 401):
-        for name in ("weight", "running_var"):
-            torch.nn.init.constant_(net.state_dict()[name], step)
-        whole.update(net, step)
-        late.update(net, step)
-    for average, expected in ((late, 400 * 10 / 11), (whole, 200.5)):
-        average.give(net)
-        found = net.state_dict()
-        assert found["weight"].item() == found["running_var"].item() == pytest.approx(expected, rel=0.01)
-        assert found["num_batches_tracked"] == 0
 
 
 def test_a_finished_training_has_the_average():

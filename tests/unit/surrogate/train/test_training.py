@@ -17,7 +17,6 @@ from sdm.surrogate.infer.weights_file import load_weights, save_weights
 from sdm.surrogate.train import training as module
 from sdm.surrogate.train.losses import eikonal, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay
-from sdm.surrogate.train.schedule import Clock, learning_rate
 
 TINY = {
     "model": "sdmnn",
@@ -181,13 +180,6 @@ def test_the_store_keeps_the_latest_maps():
     once, again, other = replay.draw(4, 7)[0], replay.draw(4, 7)[0], replay.draw(4, 8)[0]
     assert torch.equal(once, again)
     assert not torch.equal(once, other)
-
-
-def test_the_clock_follows_steps_and_seconds():
-    assert Clock(10).share(5) == 0.5
-    assert Clock(10, budget_s=1.0, spent_s=0.9).share(1) >= 0.9
-    assert learning_rate(0.02) == 1
-    assert learning_rate(1.0) == pytest.approx(0.005)
 
 
 def test_losses_are_zero_for_exact_maps_alone():

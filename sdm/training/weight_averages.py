@@ -1,4 +1,4 @@
-"""The running mean of a network's weights, which generalises better than the last ones."""
+"""Averages of a network's weights over the training, which generalise better than the last ones."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ from collections.abc import Iterator
 
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
-class Average:
+def exponential_average(model: nn.Module, decay: float) -> AveragedModel:
+    """Exponential moving average of a network's weights: after each step the newest count 1 - `decay`.
+
+    A copy of the network that `update_parameters(model)` moves; its buffers stay those of the beginning.
+    """
+    return AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=False)
+
+
+class LateAverage:
     """Mean of weights over about the last `share` of the steps so far, whatever their number.
 
     After step t the newest weights count min(1, 1 / (share t)), so that weights of step s <= t count in proportion to
@@ -35,8 +43,23 @@ class Average:
     @torch.no_grad()
     def give(self, model: nn.Module) -> None:
         """Put the means into the network."""
-        for value, mean in zip(_tensors(model), self.values, strict=True):
-            value.copy_(mean)
+        _copy(self.values, list(_tensors(model)))
+
+    @torch.no_grad()
+    def restore(self, values: list[Tensor]) -> None:
+        """Take the means of a checkpoint.
+
+        Raises:
+            ValueError: They are of another network.
+        """
+        _copy(values, self.values)
+
+
+def _copy(values: list[Tensor], targets: list[Tensor]) -> None:
+    if [value.shape for value in values] != [target.shape for target in targets]:
+        raise ValueError("the averages are those of another network")
+    for value, target in zip(values, targets, strict=True):
+        target.copy_(value)
 
 
 def _tensors(model: nn.Module) -> Iterator[Tensor]:

@@ -1,4 +1,4 @@
-"""Where a training writes its curves."""
+"""Curves of a training: JSON lines, and events of TensorBoard."""
 
 from __future__ import annotations
 

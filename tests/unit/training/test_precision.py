@@ -8,7 +8,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from sdm.errors import SDMError
 from sdm.segmentation import METHODS, Patches, SegmentationModel, Settings, train
-from sdm.segmentation.train.precision import check_gradients, uses_bfloat16
+from sdm.training.precision import check_gradients, uses_bfloat16
 from tests.helpers.segmentation_cases import case
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda")

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
+from typing import cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from sdm.errors import SDMError
-from sdm.segmentation.networks.model import SegmentationModel
 
-# How far a weight's gradient may be from that in float32, as a share of it. Right ones stay below a fifth.
+# Largest difference of a weight's gradient from that in float32, as a share of it. Right ones stay below a fifth.
 LARGEST_DIFFERENCE = 0.5
 
 
 def uses_bfloat16(device: torch.device, wanted: bool | None) -> bool:
-    """Whether a training is in bfloat16: as wanted, or, if nothing is said, on a GPU.
+    """True if a training is in bfloat16: as wanted, or, if nothing is said, on a GPU.
 
     Raises:
         SDMError: A CPU has no instructions for it: it would take more time for it than for float32.
@@ -25,24 +25,31 @@ def uses_bfloat16(device: torch.device, wanted: bool | None) -> bool:
     return device.type == "cuda" if wanted is None else wanted
 
 
-def reduced(device: torch.device, use: bool) -> AbstractContextManager[object]:
-    """Convolutions in bfloat16; weights, sums and losses stay float32."""
+def bfloat16(device: torch.device, use: bool) -> AbstractContextManager[object]:
+    """Autocast: convolutions and linear layers in bfloat16 if `use`; weights, sums and losses stay float32."""
     return torch.autocast(device.type, torch.bfloat16, enabled=use)
 
 
+def full_precision(x: Tensor) -> AbstractContextManager[object]:
+    """Autocast off on x's device: bfloat16 would round millimetres to hundredths."""
+    if not torch.is_autocast_enabled(x.device.type):
+        return nullcontext()
+    return torch.autocast(x.device.type, enabled=False)
+
+
 def layout(use: bool) -> torch.memory_format:
-    """How networks and images (B,C,x,y,z) lie in memory: channels side by side, which bfloat16 likes."""
+    """Memory format of networks and images (B,C,x,y,z): channels side by side, which bfloat16 likes."""
     return torch.channels_last_3d if use else torch.contiguous_format
 
 
-def check_gradients(model: SegmentationModel, image: Tensor) -> None:
+def check_gradients(model: nn.Module, image: Tensor) -> None:
     """Refuse a network and images whose gradients in bfloat16 are not those in float32.
 
     oneDNN, which torch's CPU convolutions are made by, adds what lies in memory to the gradients of 3^3 kernels where
     an image has two voxels along its first axis (torch 2.13, AVX512-BF16): a training is random, or ends in NaN.
 
     Args:
-        model: The network; left as it was.
+        model: The network, from an image to a tensor or a tuple of tensors and None; left as it was.
         image: As in a step, (B,C,x,y,z).
 
     Raises:
@@ -55,8 +62,9 @@ def check_gradients(model: SegmentationModel, image: Tensor) -> None:
     model.eval()
     found = []
     for use in (False, True):
-        with reduced(image.device, use):
-            outputs = model(image)
+        with bfloat16(image.device, use):
+            answer = model(image)
+        outputs = cast("tuple[Tensor | None, ...]", answer if isinstance(answer, tuple) else (answer,))
         loss = torch.stack([o.float().square().mean() for o in outputs if o is not None]).sum()
         found.append(torch.autograd.grad(loss, weights, allow_unused=True))
     model.train(was)

@@ -1,3 +1,5 @@
+"""Schedules of learning rates and of weights of losses."""
+
 from __future__ import annotations
 
 import math
@@ -5,7 +7,29 @@ import math
 import pytest
 
 from sdm.errors import SDMError
-from sdm.losses import constant, linear, sigmoid_rampup, stepwise
+from sdm.training.schedules import (
+    constant,
+    cosine_decay,
+    linear,
+    linear_warmup,
+    sigmoid_rampup,
+    stepwise,
+    warmup_cosine,
+)
+
+
+def test_a_cosine_falls_to_its_floor():
+    assert [cosine_decay(d, 4.0) for d in (0, 1, 2, 4)] == pytest.approx([1, (1 + math.sqrt(0.5)) / 2, 0.5, 0])
+    assert [cosine_decay(d, floor=0.2) for d in (0.0, 0.5, 1.0)] == pytest.approx([1, 0.6, 0.2])
+
+
+def test_a_warm_up_rises_and_stays():
+    assert [linear_warmup(d, 4) for d in (0, 1, 4, 9)] == [0, 0.25, 1, 1]
+    assert linear_warmup(0.0, 0.0) == 1
+
+
+def test_a_warm_up_comes_before_the_cosine():
+    assert [warmup_cosine(s, 0.1, 0.2) for s in (0.0, 0.05, 0.1, 0.55, 1.0)] == pytest.approx([0.2, 0.5, 1, 0.6, 0.2])
 
 
 def test_constant():
