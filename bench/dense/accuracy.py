@@ -14,8 +14,6 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +29,7 @@ from sdm.bench.common.machine import describe
 from sdm.bench.common.markdown import accuracy_markdown
 from sdm.bench.common.meshes import Case, load_case, missing_note, names
 from sdm.bench.common.oracle import Brute
-from sdm.engine import ops
+from sdm.engine.plan_override import plan_override
 
 SHARES = {"uniform": 0.35, "near": 0.35, "surface": 0.12, "far": 0.06, "voxels": 0.08, "turned": 0.04}
 # Larger meshes get fewer points, so that the brute force stays within seconds on a GPU.
@@ -76,7 +74,7 @@ def check(case: Case, points: int, resolution: int, device: str) -> dict[str, An
         ("turned", turned, "auto"),
     ):
         begin = time.perf_counter()
-        with computed_by(method):
+        with plan_override(method=method):
             values = sdm.signed_distance_map(mesh, grid, device=device).numpy()
         seconds["sdm"] += time.perf_counter() - begin
         share = SHARES[kind.split(",")[0]]
@@ -119,17 +117,6 @@ def _hit_errors(
         "face": float((brute.distance_to_face(closest, face) / unit).max()),
         "barycentric": float((np.maximum(placed, outside) / unit).max()),
     }
-
-
-@contextmanager
-def computed_by(method: str) -> Iterator[None]:
-    """Maps are computed by one of the engine's ways: "cells", "search" or "auto"."""
-    usual = ops.DENSE_METHOD
-    ops.DENSE_METHOD = method
-    try:
-        yield
-    finally:
-        ops.DENSE_METHOD = usual
 
 
 def main(argv: list[str] | None = None) -> int:

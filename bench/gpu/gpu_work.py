@@ -10,9 +10,8 @@ import sys
 import torch
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case
-from sdm.kernels.winding import scan_convert
+from sdm.engine.plan_override import plan_override
 
 MESHES = ("torus-2000", "open hemisphere", "random soup", "zero-area faces", "coincident shells")
 
@@ -20,7 +19,11 @@ MESHES = ("torus-2000", "open hemisphere", "random soup", "zero-area faces", "co
 def small(resolution: int, device: str) -> int:
     """Maps, points, a batch and a distance transform; returns how many results were finite numbers throughout."""
     # Under so small a grid no triangle would count as large.
-    scan_convert.MOST_COLUMNS["cuda"] = 1
+    with plan_override(most_columns=1 if device.startswith("cuda") else None):
+        return _small(resolution, device)
+
+
+def _small(resolution: int, device: str) -> int:
     fine = 0
     for name in MESHES:
         case = load_case(name)
@@ -29,17 +32,17 @@ def small(resolution: int, device: str) -> int:
         # Not a multiple of the cells' edge, so that cells at the border are cut.
         grid = sdm.Grid.around(mesh, resolution=resolution + 3)
         for method in ("cells", "search"):
-            sdm.engine.ops.DENSE_METHOD = method
-            fine += bool(index.signed_distance_map(grid).values.isfinite().all())
+            with plan_override(method=method):
+                fine += bool(index.signed_distance_map(grid).values.isfinite().all())
         points = grid.points().reshape(-1, 3)[:: max(1, grid.size // 5000)].to(device)
         distance, hit = index.signed_distance(points, return_closest=True)
         fine += bool(distance.isfinite().all() and (hit.faces >= 0).all())
         fine += bool(index.signed_distance(points).isfinite().all() and index.winding_number(points).isfinite().all())
-    sdm.engine.ops.DENSE_METHOD = "cells"
     case = load_case("torus-500")
     vertices = torch.from_numpy(case.vertices).to(device)[None] * torch.tensor([1.0, 0.8], device=device)[:, None, None]
     grid = sdm.Grid.around(sdm.TriangleMesh(case.vertices, case.faces), resolution=resolution)
-    maps = sdm.signed_distance_maps(vertices, torch.from_numpy(case.faces).to(device), grid)
+    with plan_override(method="cells"):
+        maps = sdm.signed_distance_maps(vertices, torch.from_numpy(case.faces).to(device), grid)
     fine += bool(maps.isfinite().all())
     fine += bool(sdm.euclidean_distance_transform(maps[0] < 0, spacing=(1.0, 0.7, 1.3)).isfinite().all())
     return fine

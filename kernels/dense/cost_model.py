@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from sdm.kernels.bvh.tree import LARGEST_LEAF
 from sdm.kernels.dense.stage4_blocks import CELL_BITS
@@ -127,22 +126,22 @@ def slice_for(triangles: int, depth: int, cells: int) -> int:
     """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves: a power of two."""
     if cells > FEW_CELLS:
         return LONG_SLICE
-    return max(GPU_LANES, 1 << round(math.log2(SHORT_SLICE / triangles) + depth))
+    return max(GPU_LANES, 1 << max(0, round(math.log2(SHORT_SLICE / triangles) + depth)))
 
 
-def largest_pool(device: Any) -> int:
-    """Entries of the largest pool of lists on this device."""
-    return min(LARGEST_POOL, max(SMALLEST_POOL, int(device.total_memory) // POOL_SHARE // 4))
+def largest_pool(memory: int) -> int:
+    """Entries of the largest pool of lists on a GPU with so many bytes of memory."""
+    return min(LARGEST_POOL, max(SMALLEST_POOL, memory // POOL_SHARE // 4))
 
 
-def pool_for(expected: float, regions: int, device: Any) -> int:
-    """Entries of the pool of lists for so many regions, of which each takes so many entries."""
-    if not device.is_cuda:
+def pool_for(expected: float, regions: int, memory: int | None) -> int:
+    """Entries of the pool of lists for so many regions, of which each takes so many; a CPU has no `memory` here."""
+    if memory is None:
         return CPU_POOL
-    return min(max(SMALLEST_POOL, math.ceil(expected * regions)), largest_pool(device))
+    return min(max(SMALLEST_POOL, math.ceil(expected * regions)), largest_pool(memory))
 
 
-def passes_for(expected: float, regions: int, room: int) -> int:
-    """Number of passes over so many regions for which there is room. Each waits for its longest lists."""
+def passes_for(expected: float, regions: int, room: int, most: int = MOST_REGIONS) -> int:
+    """Number of passes over so many regions, at most `most` each, that have room. Each waits for its longest lists."""
     fit = regions if expected * regions <= room else max(16, int(room / expected))
-    return -(-regions // min(regions, MOST_REGIONS, fit))
+    return -(-regions // min(regions, most, fit))

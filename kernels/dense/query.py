@@ -13,18 +13,7 @@ from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.shared_layout import ROWS
 from sdm.kernels.dense.cell_cache import PLACE_FLOATS
-from sdm.kernels.dense.cost_model import (
-    NO_SLICES,
-    cell_for,
-    expected_entries,
-    levels_left_out,
-    passes_for,
-    pool_for,
-    search_is_faster,
-    shares_of,
-    slice_for,
-    uneven_room,
-)
+from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS, list_regions
 from sdm.kernels.dense.stage3_cells import CELL_BLOCKS, list_cells
@@ -57,7 +46,7 @@ def query_slab(
     address: wp.array | None,
     empty: Callable[[int, Any], wp.array],
     beside: Beside,
-    method: str = "auto",
+    plan: Plan,
 ) -> None:
     """Signed distances of a slab of voxels for a batch of meshes.
 
@@ -74,28 +63,24 @@ def query_slab(
             run.
         empty: Allocates scratch: `empty(length, dtype)`.
         beside: What is launched in `with beside() as join:` may run beside what comes after it, until `join()`.
-        method: `"cells"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
-            faster. Both are exact.
+        plan: Decisions about the query; distances are exact whatever they are.
     """
     with beside() as join:
         if winding is None:
             values.zero_()
         else:
             # This is bound by memory, and making lists is not.
-            slab_winding(tree, winding, slab, values, empty)
-    meshes, *shape = values.shape
+            slab_winding(tree, winding, slab, values, empty, plan.most_columns)
     gpu = values.device.is_cuda
-    if method == "auto":
-        method = "search" if search_is_faster(tree.count, shape, gpu) else "cells"
     out = Output()
     out.values = values.flatten()
     out.ambiguous = ambiguous
     out.missed = empty(1, wp.int32)
     out.elsewhere = 0 if address is None else 1
     out.address = empty(1, wp.int64) if address is None else address
-    if method == "search":
+    if plan.method == "search":
         join()
-        search_slab(tree, slab, out, meshes)
+        search_slab(tree, slab, out, values.shape[0])
         return
     lanes = GPU_LANES if gpu else 1
 
@@ -103,31 +88,24 @@ def query_slab(
         return gpu_workers(values.device, blocks) if gpu else 16 * threads()
 
     lists = Lists()
-    lists.cell = cell_for(tree.count, shape, gpu)
-    lists.regions = wp.vec3i(*(-(-n // (2 * lists.cell)) for n in shape))
-    total = meshes * lists.regions[0] * lists.regions[1] * lists.regions[2]
-    whole, left_out = tree, levels_left_out(tree.count, tree.depth, shape)
-    if left_out > 0:
-        tree = coarser(whole, left_out)
-    slice_length = slice_for(tree.count, tree.depth, 8 * total) if gpu else NO_SLICES
-    lists.region_shares, lists.shares = shares_of(tree.count, shape, lists.cell) if gpu else (1, 1)
-    expected = expected_entries(tree.count, shape, lists.cell, lists.region_shares, lists.shares)
-    expected *= uneven_room(slab.spacing, slab.turned != 0)
-    room = pool_for(expected, total, values.device)
-    passes = passes_for(expected, total, room)
-    most = -(-total // passes)
-    lists.chunks = room // CHUNK
+    lists.cell = plan.cell
+    lists.regions = wp.vec3i(*plan.regions)
+    whole = tree
+    if plan.levels_left_out > 0:
+        tree = coarser(whole, plan.levels_left_out)
+    lists.region_shares, lists.shares = plan.region_shares, plan.cell_shares
+    most = plan.most
+    lists.chunks = plan.chunks
     lists.region_heads = empty(most * lists.region_shares, wp.int32)
     lists.region_lengths = empty(most * lists.region_shares, wp.int32)
     lists.heads = empty(8 * most * lists.shares, wp.int32)
     lists.lengths = empty(8 * most * lists.shares, wp.int32)
     lists.witnesses = empty((1 + 8 + 64) * most * 4, wp.float32)
     # Bricks of smaller cells are few, and not noted.
-    noted = 8 * most * (9 if lists.cell > BLOCK else 1)
+    noted = 8 * most * (9 if plan.cell > BLOCK else 1)
     lists.places = empty(noted * PLACE_FLOATS, wp.float32)
     lists.nearest = empty(8 * most * lists.shares * 4, wp.float32)
-    # Each slice but the last of a list is full.
-    slices = 8 * most + lists.chunks * CHUNK // slice_length
+    slices = plan.blocks
     lists.slices = slices
     lists.whole = empty(LENGTHS * slices, wp.int32)
     lists.coarse = empty(slices, wp.int32)
@@ -142,16 +120,16 @@ def query_slab(
     sliced = workers(SLICED_BLOCKS) * lanes
     out.missed.zero_()
     # Each pass takes regions from everywhere, so that no pass gets all the long lists.
-    lists.step = passes
-    for first in range(passes):
+    lists.step = plan.passes
+    for first in range(plan.passes):
         lists.first = first
-        lists.count = -(-(total - first) // passes)
+        lists.count = -(-(plan.total - first) // plan.passes)
         lists.given = lists.count * (lists.region_shares + 8 * lists.shares)
         lists.counts.zero_()
         find_witnesses(tree, frames, slab, lists, workers(SCHEDULE_BLOCKS), lanes)
         list_regions(tree, frames, cones, slab, lists, stacks, workers(REGION_BLOCKS), lanes)
         list_cells(tree, frames, cones, slab, lists, workers(CELL_BLOCKS), lanes)
-        schedule_blocks(tree, frames, features, slab, lists, slice_length, workers(SCHEDULE_BLOCKS), lanes)
+        schedule_blocks(tree, frames, features, slab, lists, plan.slice_length, workers(SCHEDULE_BLOCKS), lanes)
         with beside() as join_sliced:
             # After the winding numbers, which are made there too.
             begin_sliced(slab, lists, out, sliced)

@@ -35,15 +35,12 @@ from sdm.kernels.points.groups import (
     numbered,
 )
 from sdm.kernels.points.nearest import find_nearest
+from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
 from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
 from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
-
-# Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
-# rather have more threads.
-CPU_RUN = 8
 
 
 @wp.struct
@@ -202,7 +199,7 @@ def query_points(
     values: wp.array,
     hits: tuple[wp.array, wp.array, wp.array] | None,
     empty: Callable[[int, Any], wp.array],
-    method: str = "auto",
+    plan: PointsPlan,
 ) -> None:
     """Signed distances, and closest points, faces and barycentric coordinates if `hits` has room for them.
 
@@ -216,15 +213,12 @@ def query_points(
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
         empty: Allocates scratch: `empty(length, dtype)`.
-        method: `"lists"` for the fast path, `"search"` for the plain one, `"auto"` for the one that is expected to be
-            faster. Both are exact.
+        plan: Decisions about the query; distances are exact whatever they are.
     """
     count, device = points.shape[0], points.device
-    # One lane goes through a list slower than down the tree.
-    lists = method == "lists" or (method == "auto" and device.is_cuda)
     lanes = GPU_LANES if device.is_cuda else 1
     groups = Groups()
-    groups.count = -(-count // GROUP)
+    groups.count = plan.groups
     groups.boxes = empty(8 * groups.count, wp.float32)
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
@@ -234,18 +228,17 @@ def query_points(
     groups.counts = empty(COUNTS, wp.int32)
     groups.counts.zero_()
     look_around(tree, winding, points, order, groups, scratch, workers, lanes)
-    slots = empty(count if lists else 0, wp.int32)
-    sides = empty(count if lists else 0, wp.int32)
+    slots = empty(count if plan.lists else 0, wp.int32)
+    sides = empty(count if plan.lists else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
-    if lists:
+    if plan.lists:
         find_nearest(tree, features.balls, cones, points, order, groups, scratch, slots, workers, lanes)
         find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
-    length = 1 if device.is_cuda else CPU_RUN
-    inputs = [length, tree, winding, points, order, groups, slots, sides, values, wanted]
-    launch(_query, -(-count // length), inputs, device)
+    inputs = [plan.run, tree, winding, points, order, groups, slots, sides, values, wanted]
+    launch(_query, -(-count // plan.run), inputs, device)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array) -> None:

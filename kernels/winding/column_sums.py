@@ -81,12 +81,18 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
 
 
 def slab_winding(
-    tree: Tree, winding: Winding, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
+    tree: Tree,
+    winding: Winding,
+    slab: Slab,
+    values: wp.array,
+    empty: Callable[[int, Any], wp.array],
+    most_columns: int | None = None,
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
     Fills `values` (meshes, n, ny, nz) float32. Where an open mesh's winding number is within a quarter of a whole
-    number, it may be that number instead. `empty(length, dtype)` allocates scratch.
+    number, it may be that number instead. `empty(length, dtype)` allocates scratch; for `most_columns` see
+    `PlanOptions`.
     """
     device = values.device
     meshes, nx, ny, nz = values.shape
@@ -100,7 +106,7 @@ def slab_winding(
         values.zero_()
         counts = values.view(wp.int32)
         boundary, flat = winding.boundary, counts.flatten()
-        scan_triangles(tree, slab, flat, meshes, empty)
+        scan_triangles(tree, slab, flat, meshes, empty, most_columns)
         if winding.kind != CLOSED:
             scan_caps(tree, boundary, slab, flat, meshes)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)

@@ -161,14 +161,22 @@ def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most:
 
 
 def scan_triangles(
-    tree: Tree, slab: Slab, counts: wp.array, meshes: int, empty: Callable[[int, Any], wp.array]
+    tree: Tree,
+    slab: Slab,
+    counts: wp.array,
+    meshes: int,
+    empty: Callable[[int, Any], wp.array],
+    most_columns: int | None = None,
 ) -> None:
-    """Add to `counts`, the voxels of each mesh's slab, where all triangles cross its columns."""
+    """Add to `counts`, the voxels of each mesh's slab, where all triangles cross its columns.
+
+    One that lies under `most_columns` for each lane or more is the work of many groups.
+    """
     device = counts.device
     columns = slab.shape[1] * slab.shape[2]
     slots = meshes * tree.count
     lanes = lanes_for_each(tree.count, meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
-    most = MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
+    most = most_columns or MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
     large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
     larges.zero_()

@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine import ops
 from sdm.engine.acceleration import AccelerationStructure, Sizes, build, check_count, queue_build, topology_for
 from sdm.engine.ops import map_slab, structure_slab
+from sdm.engine.plan_override import OPTIONS
 from sdm.errors import GridError
 from sdm.kernels.dense.cost_model import THINNEST_SLAB
 from sdm.runtime import graphs
@@ -100,7 +100,7 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
 
 def index_map(structure: AccelerationStructure, grid: Grid) -> tuple[Tensor, Tensor]:
     """The map (nx,ny,nz) of a recordable mesh whose structure is built, and how many voxels are ambiguous (1,)."""
-    key = "index", structure.sizes, grid, ops.DENSE_METHOD
+    key = "index", structure.sizes, grid, OPTIONS.get()
     values, ambiguous = graphs.run(Call(key, partial(_queue_index_map, structure.sizes, grid), structure.memory))
     return values[0], ambiguous
 
@@ -131,13 +131,13 @@ def _unpacked(found: tuple[Tensor, ...]) -> tuple[Tensor, Tensor | None]:
 def _known_call(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Call:
     """The call that makes maps (B,nx,ny,nz) of faces seen before, and of open meshes counts ambiguous voxels (B,)."""
     topology = topology_for(vertices, faces, edges)
-    key = "known", vertices.shape, faces.shape[0], topology.boundary.shape[0], grid, ops.DENSE_METHOD
+    key = "known", vertices.shape, faces.shape[0], topology.boundary.shape[0], grid, OPTIONS.get()
     return Call(key, partial(_queue_maps, grid), (vertices, faces, *topology))
 
 
 def _guessed_call(guessed: guesses.Guess, vertices: Tensor, faces: Tensor, grid: Grid) -> Call:
     """The call that makes a map if the guess about its faces is right."""
-    key = "guessed", vertices.shape[0], faces.shape[0], guessed, grid, ops.DENSE_METHOD
+    key = "guessed", vertices.shape[0], faces.shape[0], guessed, grid, OPTIONS.get()
     return Call(key, partial(_queue_guessed_map, guessed, grid), (vertices, faces))
 
 

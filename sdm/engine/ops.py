@@ -18,9 +18,13 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.engine import gradients
 from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, has_room, measured_finer, scales_of
 from sdm.kernels.dense import query as dense
+from sdm.kernels.dense.plan import Workload, make_plan, memory_of
 from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.plan_options import PlanOptions
+from sdm.kernels.points.plan import plan_points
 from sdm.kernels.points.query import query_points, query_winding, sort_points
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs.branches import kernels_beside
@@ -28,10 +32,6 @@ from sdm.runtime.graphs.output_slot import current_slot
 from sdm.runtime.operators import define, differentiate, is_eager
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
-# How maps are computed: "cells" (fast), "search" (plain) or "auto"; tests compare them.
-DENSE_METHOD = "auto"
-# And distances of points: "lists" (fast on a GPU), "search" (plain) or "auto".
-POINTS_METHOD = "auto"
 # Fewer points than this are queried in the order they come in.
 SMALLEST_SORT = 1 << 12
 # Points of one launch: twice as many are counted with 32 bits.
@@ -79,7 +79,7 @@ def _query(
             as_warp(values, wp.float32),
             room,
             workspace(at.device),
-            POINTS_METHOD,
+            plan_points(count, at.is_cuda, OPTIONS.get()),
         )
     return [values, *found]
 
@@ -209,13 +209,14 @@ def distance_map(
 def _slab_distances(
     structure: AccelerationStructure, origin: tuple[float, ...], direction: tuple[float, ...], slices: Slices
 ) -> tuple[Tensor, Tensor]:
-    query = partial(_query_slices, origin, direction)
+    options = OPTIONS.get()
+    query = partial(_query_slices, origin, direction, options)
     # Of a GPU's meshes the host does not know how large they are.
-    if structure.device.type != "cpu" or DENSE_METHOD == "search":
+    if structure.device.type != "cpu" or options.method == "search":
         return query(structure, slices, AS_IT_IS)
     meshes = structure.sizes.meshes
     scales = scales_of(structure.view.tree, meshes)
-    wanted = {scale: finer(slices, scale, structure.sizes.faces) for scale in set(scales)}
+    wanted = {scale: finer(slices, scale, structure.sizes.faces, options.slice_factors) for scale in set(scales)}
     times = [wanted[scale] for scale in scales]
     if len(set(times)) == 1 and has_room(slices, times[0], meshes):
         return query(structure, slices, times[0])
@@ -228,6 +229,7 @@ def _slab_distances(
 def _query_slices(
     origin: tuple[float, ...],
     direction: tuple[float, ...],
+    options: PlanOptions,
     structure: AccelerationStructure,
     slices: Slices,
     times: Triple,
@@ -235,12 +237,14 @@ def _query_slices(
     """As `distance_map`, measured on a grid with `times` as many slices."""
     meshes, device = structure.sizes.meshes, structure.device
     values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
-    with on_current_stream(values, structure.memory[0]):
+    turned = direction != gradients.IDENTITY
+    with on_current_stream(values, structure.memory[0]) as warp_device:
         tree, winding, frames, features, cones = structure.view
 
         def measure(winding: Any, slices: Slices, values: Tensor) -> Tensor:
             ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
             slot = current_slot()
+            work = Workload(structure.sizes.faces, tree.depth, meshes, slices.shape, slices.spacing, turned)
             dense.query_slab(
                 tree,
                 frames,
@@ -253,15 +257,15 @@ def _query_slices(
                 None if slot is None else as_warp(slot.bind(values), wp.int64),
                 workspace(device),
                 partial(kernels_beside, values),
-                DENSE_METHOD,
+                make_plan(work, memory_of(warp_device.alias), options),
             )
             return ambiguous
 
         if times == AS_IT_IS:
             return values, measure(winding, slices, values)
         slab = _slab(origin, slices.spacing, slices.shape, slices.first, direction)
-        slab_winding(tree, winding, slab, as_warp(values, wp.float32), workspace(device))
-        return values, measured_finer(values, slices, times, partial(measure, None))
+        slab_winding(tree, winding, slab, as_warp(values, wp.float32), workspace(device), options.most_columns)
+        return values, measured_finer(values, slices, times, partial(measure, None), options.slab_voxels)
 
 
 differentiate("closest", gradients.closest_backward, gradients.closest_setup)

@@ -24,6 +24,7 @@ from torch import Tensor
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE
 from sdm.kernels.dense.cost_model import THINNEST_SLAB, expected_list, search_is_faster
 from sdm.kernels.dense.workspace import BLOCK, COARSEST
+from sdm.kernels.plan_options import PlanOptions
 
 # What a voxel takes in a cell and in a brick with short lists, which take twice as long with so many triangles, and
 # searched (measured: bench/decisions/0013-thick-slices-on-a-cpu.md); in a grid that is finer a map takes at most so
@@ -33,10 +34,9 @@ SHORT = 900
 WORTH_IT = 0.7
 # So few triangles are searched as fast.
 FEWEST = 200
-FACTORS = (1, 2, 4, 8, 16)
-# Voxels of a slab of the finer grid, which bounds memory, and of the thinnest one that there may be.
-MOST_VOXELS, LARGEST = 1 << 23, 1 << 25
-MOST_LAYERS = (1 << 31) // max(FACTORS) - THINNEST_SLAB
+# Voxels of the thinnest slab of a finer grid that there may be, which bounds memory.
+LARGEST = 1 << 25
+MOST_LAYERS = (1 << 31) // max(PlanOptions.slice_factors) - THINNEST_SLAB
 
 Triple: TypeAlias = tuple[int, int, int]
 AS_IT_IS: Triple = (1, 1, 1)
@@ -51,19 +51,16 @@ class Slices:
     first: int
 
 
-def finer(slices: Slices, scale: float, triangles: int) -> Triple:
+@lru_cache(maxsize=256)
+def finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...] = PlanOptions.slice_factors) -> Triple:
     """Factors along each axis by which the measured grid has more slices, or `AS_IT_IS`.
 
     Args:
         slices: Of slabs of one grid their number along the first axis does not matter, so that all are treated alike.
         scale: What a mesh's coordinates are multiplied by, so that it is at most 2 wide.
         triangles: Of the mesh.
+        factors: Those to choose from, see `PlanOptions.slice_factors`.
     """
-    return _finer(slices, scale, triangles, FACTORS)
-
-
-@lru_cache(maxsize=256)
-def _finer(slices: Slices, scale: float, triangles: int, factors: tuple[int, ...]) -> Triple:
     # Remembered, as a hundred candidates take the host as long as the rest of a small map.
     # Layers are counted with 32 bits.
     if triangles < FEWEST or slices.first + slices.shape[0] > MOST_LAYERS:
@@ -114,7 +111,11 @@ def has_room(slices: Slices, times: Triple, meshes: int) -> bool:
 
 
 def measured_finer(
-    values: Tensor, slices: Slices, times: Triple, measure: Callable[[Slices, Tensor], object]
+    values: Tensor,
+    slices: Slices,
+    times: Triple,
+    measure: Callable[[Slices, Tensor], object],
+    slab_voxels: int,
 ) -> Tensor:
     """Distances in slices of which a grid has `times` as many, with their signs; how many are ambiguous (B,).
 
@@ -124,12 +125,13 @@ def measured_finer(
         times: See `finer`.
         measure: Fills values in the finer grid's slices with distances without a sign: for an open mesh signs are most
             of the work.
+        slab_voxels: See `PlanOptions`.
     """
     ambiguous = ((values - 0.5).abs() < 0.25).flatten(1).sum(1, dtype=torch.int32)
     # Along the first axis as far as to the next slab, so that slabs together are the whole map.
     meshes, layers, across = values.shape[0], times[0] * slices.shape[0], _across(slices, times)
     spacing = tuple(s / k for s, k in zip(slices.spacing, times, strict=True))
-    room = max(THINNEST_SLAB, MOST_VOXELS // (meshes * math.prod(across)) // THINNEST_SLAB * THINNEST_SLAB)
+    room = max(THINNEST_SLAB, slab_voxels // (meshes * math.prod(across)) // THINNEST_SLAB * THINNEST_SLAB)
     for begin in range(0, layers, room):
         shape = min(room, layers - begin), *across
         fine = torch.empty((meshes, *shape), dtype=torch.float32)

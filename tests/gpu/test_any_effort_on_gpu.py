@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -11,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
-from sdm.kernels.dense import cost_model, query
-from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
+from sdm.engine.plan_override import plan_override
+from sdm.kernels.dense.workspace import CHUNK
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, scale_of
+from tests.helpers.watch_measuring import entries_used, watching
 
 pytestmark = pytest.mark.gpu
 
@@ -61,24 +59,14 @@ def test_against_the_search(mesh, shape, seed, turned, room):
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
     entries: list[int] = []
-    measure = query.measure_blocks
-
-    def spy(*inputs: Any) -> None:
-        lists = inputs[3]
-        entries.append(CHUNK * (lists.given + int(lists.counts.numpy()[NEXT_CHUNK])))
-        measure(*inputs)
-
-    # A recording would keep the limits that it was made with.
-    with pytest.MonkeyPatch.context() as patch, sdm.cuda_graphs.paused():
-        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
+    with plan_override(method="search"):
         expected = index.signed_distance_map(grid).values
-        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
-        patch.setattr(query, "measure_blocks", spy)
-        plenty = index.signed_distance_map(grid).values
-        scarce = max(CHUNK, int(room * max(entries)))
-        patch.setattr(cost_model, "SMALLEST_POOL", scarce)
-        patch.setattr(cost_model, "LARGEST_POOL", scarce)
-        little = index.signed_distance_map(grid).values
+    # A replayed recording would not be looked at.
+    with plan_override(method="cells"), sdm.cuda_graphs.paused():
+        with watching(lambda lists: entries.append(entries_used(lists))):
+            plenty = index.signed_distance_map(grid).values
+        with plan_override(pool_entries=max(CHUNK, int(room * max(entries)))):
+            little = index.signed_distance_map(grid).values
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(mesh.vertices, mesh.faces, centres)).reshape(grid.shape).cuda()
     sure = expected.abs() > limit

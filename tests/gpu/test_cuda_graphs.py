@@ -10,6 +10,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import load_case, sphere, torus
+from sdm.engine.plan_override import plan_override
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
 from sdm.runtime.graphs.captured_call import CapturedCall
@@ -160,18 +161,18 @@ def test_an_index_out_of_range_where_none_was():
         torch.cuda.synchronize()
 
 
-def test_different_grids_and_methods(launches, monkeypatch):
+def test_different_grids_and_methods(launches):
     vertices, faces = torus(600)
     grids = [GRID, sdm.Grid([-1.2] * 3, [0.08] * 3, [31, 31, 30]), sdm.Grid([-1.1] * 3, [0.08] * 3, [31] * 3)]
     turned = [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]
     grids.append(sdm.Grid([-1.2] * 3, [0.08] * 3, [31] * 3, turned))
     for method in ("cells", "search"):
-        monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
         # Recordings that make room for others after a single use would make these wait for longer.
         graphs.clear()
-        for _ in range(CALLS + 1):
-            for grid in grids:
-                _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
+        with plan_override(method=method):
+            for _ in range(CALLS + 1):
+                for grid in grids:
+                    _same(sdm.signed_distance_map(_mesh(vertices, faces), grid), _eager(_mesh(vertices, faces), grid))
     assert len(launches) == 2 * len(grids)
 
 

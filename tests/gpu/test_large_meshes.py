@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case
-from sdm.kernels.dense import cost_model, query
+from sdm.engine.plan_override import plan_override
 from sdm.kernels.dense.workspace import SLICED
 from tests.helpers.exactness import ROUNDING, assert_exact
+from tests.helpers.watch_measuring import watching
 
 pytestmark = pytest.mark.gpu
 
@@ -50,7 +50,7 @@ def test_a_torus_of_a_million_triangles():
     assert ((values < 0) == (expected < 0))[clear].all()
 
 
-def test_slices_that_find_no_room(monkeypatch):
+def test_slices_that_find_no_room():
     """Of a long list that several groups measure each has a part: where one finds no room, the others are not all."""
     case = load_case("torus-300000")
     index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cuda")
@@ -58,21 +58,16 @@ def test_slices_that_find_no_room(monkeypatch):
     spacing = 2.1 / (shape - 1)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     grid = sdm.Grid(-turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
-    expected = index.signed_distance_map(grid).values
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
-    measure, lacking = query.measure_blocks, []
+    with plan_override(method="search"):
+        expected = index.signed_distance_map(grid).values
+    lacking = []
 
-    def spy(*inputs):
-        lists = inputs[3]
+    def look(lists):
         lacking.append(int(lists.lacking.numpy()[lists.sliced.numpy()[: lists.counts.numpy()[SLICED]]].sum()))
-        measure(*inputs)
 
-    monkeypatch.setattr(query, "measure_blocks", spy)
     for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
-        monkeypatch.setattr(cost_model, "LARGEST_POOL", most)
-        # A recording would keep the limit that it was made with.
-        with sdm.cuda_graphs.paused():
+        # A replayed recording would not be looked at.
+        with plan_override(method="cells", pool_entries=most), sdm.cuda_graphs.paused(), watching(look):
             values = index.signed_distance_map(grid).values
         assert (values.abs() - expected.abs()).abs().max() <= 8 * ROUNDING * 2
         assert torch.equal(values < 0, expected < 0)

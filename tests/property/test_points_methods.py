@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
+from sdm.engine.plan_override import plan_override
 from sdm.kernels.points.group_descent import MOST, OWN_ROOM
 from sdm.kernels.points.groups import GROUP
 from tests.helpers import strategies
@@ -34,35 +34,34 @@ def clusters(rng: np.random.Generator, vertices: np.ndarray, faces: np.ndarray, 
 
 
 @pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80)
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds)
-def test_against_the_brute_force(monkeypatch, method, mesh, seed):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+def test_against_the_brute_force(method, mesh, seed):
     points = clusters(np.random.default_rng(seed), mesh.vertices, mesh.faces, 12)
     for device in DEVICES:
-        values = sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device=device).cpu()
+        with plan_override(points_method=method):
+            values = sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device=device).cpu()
         assert_exact(mesh.vertices, mesh.faces, points, values)
 
 
 @pytest.mark.parametrize("name", ["nested shells", "needle fan", "random soup", "tiny beside huge", "loose slivers"])
-def test_named_meshes(monkeypatch, name):
+def test_named_meshes(name):
     case = load_case(name)
     points = clusters(np.random.default_rng(1), case.vertices, case.faces, 40)
     for device in DEVICES:
         index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), device)
         signs = []
         for method in METHODS:
-            monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
-            values = index.signed_distance(points).cpu()
+            with plan_override(points_method=method):
+                values = index.signed_distance(points).cpu()
             assert_exact(case.vertices, case.faces, points, values)
             signs.append(values < 0)
         assert torch.equal(*signs)
 
 
 @pytest.mark.parametrize("reach", [1e-7, 1e-3, 0.3, 30.0])
-def test_lists_that_are_too_long(monkeypatch, reach):
+def test_lists_that_are_too_long(reach):
     """Around the centre of a sphere all its triangles are as near as each other: too many for a group, or a point."""
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", "lists")
     rng = np.random.default_rng(2)
     for fineness, fewest in ((10, OWN_ROOM), (42, MOST)):
         vertices, faces = sphere(fineness)
@@ -70,19 +69,20 @@ def test_lists_that_are_too_long(monkeypatch, reach):
         vertices = (vertices @ np.linalg.qr(rng.normal(size=(3, 3)))[0]).astype(np.float32)
         points = (reach * rng.uniform(-1, 1, (3 * GROUP, 3))).astype(np.float32)
         for device in DEVICES:
-            values = sdm.signed_distance(sdm.TriangleMesh(vertices, faces), points, device=device).cpu()
+            with plan_override(points_method="lists"):
+                values = sdm.signed_distance(sdm.TriangleMesh(vertices, faces), points, device=device).cpu()
             assert_exact(vertices, faces, points, values)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_closest_points(monkeypatch, method):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+def test_closest_points(method):
     case = load_case("nested shells")
     points = clusters(np.random.default_rng(3), case.vertices, case.faces, 40)
     points[7] = np.nan
     for device in DEVICES:
         mesh = sdm.TriangleMesh(case.vertices, case.faces)
-        values, hit = sdm.signed_distance(mesh, points, return_closest=True, device=device)
+        with plan_override(points_method=method):
+            values, hit = sdm.signed_distance(mesh, points, return_closest=True, device=device)
         corners = torch.from_numpy(case.vertices[case.faces]).double()[hit.faces.cpu().clamp(min=0)]
         at = (corners * hit.barycentric.cpu().double()[..., None]).sum(1)
         scale = torch.from_numpy(np.abs(points).max(1)).double().clamp(min=float(np.abs(case.vertices).max()))

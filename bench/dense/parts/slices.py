@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
-from unittest import mock
 
 from sdm.bench.common.grids import sliced_around
 from sdm.bench.common.timing import median
 from sdm.bench.dense.job import Job, Ours, as_dict, check_map, error_cell, time_ours, wrong_in
 from sdm.bench.dense.parts.signs import pierced
-from sdm.engine import thick_slices
+from sdm.engine.plan_override import plan_override
 
 MESHES = ("rocker-arm", "nefertiti", "torus-20000")
 # The last once more without this share of its triangles, so that signs are most of the work.
@@ -34,7 +33,7 @@ def rows(job: Job) -> Iterator[dict[str, Any]]:
             grid = sliced_around(case, across, count)
             each = job.budget_s / (len(whole) + 1) / len(slices) / 4
             row, values = time_ours(job, ours, grid, each)
-            with mock.patch.object(thick_slices, "FACTORS", (1,)):
+            with plan_override(slice_factors=(1,)):
                 plain = median(lambda ours=ours, grid=grid: ours.map_new(grid), job.device, job.runs, 1e3 * each)
             yield {
                 "mesh": case.name,

@@ -8,21 +8,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import cube, sphere
+from sdm.engine.plan_override import plan_override
 from tests.helpers import strategies
 from tests.helpers.exactness import assert_exact
 
-few = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-@pytest.fixture(autouse=True)
-def fast_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
+few = settings(max_examples=25)
 
 
 def check(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, most: int = 500, seed: int = 0) -> None:
@@ -30,8 +25,9 @@ def check(vertices: np.ndarray, faces: np.ndarray, grid: sdm.Grid, most: int = 5
     centres = grid.points().reshape(-1, 3)
     some = np.random.default_rng(seed).permutation(len(centres))[:most]
     for device in ("cpu", "cuda")[: 1 + torch.cuda.is_available()]:
-        values = sdm.signed_distance_map(sdm.TriangleMesh(vertices, faces), grid, device=device).values.reshape(-1)
-        assert_exact(vertices, faces, centres[some].numpy(), values.cpu()[some])
+        with plan_override(method="cells"):
+            values = sdm.signed_distance_map(sdm.TriangleMesh(vertices, faces), grid, device=device).values
+        assert_exact(vertices, faces, centres[some].numpy(), values.reshape(-1).cpu()[some])
 
 
 def turned(rng: np.random.Generator) -> np.ndarray:

@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import sphere
-from sdm.kernels.dense import cost_model, query
-from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
-from sdm.kernels.winding import scan_convert
+from sdm.engine.plan_override import plan_override
+from sdm.kernels.dense.workspace import CHUNK
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
-from tests.helpers.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
+from tests.helpers.watch_measuring import entries_used, watching
 
 # Fine ones have long lists, about their centres above all.
 fine = st.integers(6, 16).map(lambda rings: strategies.Arrays(*sphere(rings)))
 meshes = st.one_of(strategies.soups(60), strategies.slivers(40), strategies.closed(20), strategies.shells(8), fine)
 efforts = st.fixed_dictionaries(
     {
-        # Of what is used where there is plenty, so that it may run out anywhere.
-        "room": st.floats(0.05, 1.1),
         "slice_length": st.sampled_from([1, 2, 7, 30, 10**6]),
-        "levels": st.integers(0, 2),
-        "shares": st.sampled_from([1, 2, 8]),
-        "wide": st.booleans(),
-        "regions": st.sampled_from([1, 3, 1 << 15]),
-        "columns": st.sampled_from([1, 9, 1 << 30]),
-        "finer": st.booleans(),
+        "levels_left_out": st.integers(0, 2),
+        "shares": st.sampled_from([(1, 1), (4, 2), (16, 8)]),
+        "cell": st.sampled_from([8, 16]),
+        "most_regions": st.sampled_from([1, 3, 1 << 15]),
+        "most_columns": st.sampled_from([1, 9, 1 << 30]),
+        "slice_factors": st.sampled_from([(1,), (1, 2, 4, 8, 16)]),
     }
 )
 
@@ -44,9 +37,11 @@ efforts = st.fixed_dictionaries(
     shape=st.tuples(*[st.integers(1, 34)] * 3),
     seed=strategies.seeds,
     turned=st.booleans(),
-    shared=efforts,
+    effort=efforts,
+    # Of what is used where there is plenty, so that it may run out anywhere.
+    room=st.floats(0.05, 1.1),
 )
-def test_against_the_brute_force(mesh, shape, seed, turned, shared):
+def test_against_the_brute_force(mesh, shape, seed, turned, effort, room):
     rng = np.random.default_rng(seed)
     used = mesh.vertices[mesh.faces].astype(np.float64)
     low, high = used.min((0, 1)), used.max((0, 1))
@@ -57,28 +52,12 @@ def test_against_the_brute_force(mesh, shape, seed, turned, shared):
     middle = rng.uniform(low, high + 1e-3 * size)
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     used_by_pass: list[int] = []
-    measure = query.measure_blocks
-
-    def spy(*inputs: Any) -> None:
-        lists = inputs[3]
-        used_by_pass.append(CHUNK * (lists.given + int(lists.counts.numpy()[NEXT_CHUNK])))
-        measure(*inputs)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
-        patch.setattr(query, "measure_blocks", spy)
-        patch.setattr(cost_model, "MOST_REGIONS", shared["regions"])
-        patch.setitem(cost_model.SHORT_FOR_WIDE, "cpu", 1e9 if shared["wide"] else 0)
-        patch.setitem(scan_convert.MOST_COLUMNS, "cpu", shared["columns"])
-        if not shared["finer"]:
-            no_finer_grids(patch)
-        slice_lists(patch, shared["slice_length"])
-        leave_levels_out(patch, shared["levels"])
-        share_lists(patch, shared["shares"])
-        index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
-        plenty = index.signed_distance_map(grid).values
-        patch.setattr(cost_model, "CPU_POOL", max(CHUNK, int(shared["room"] * max(used_by_pass))))
-        scarce = index.signed_distance_map(grid).values
+    index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
+    with plan_override(method="cells", **effort):
+        with watching(lambda lists: used_by_pass.append(entries_used(lists))):
+            plenty = index.signed_distance_map(grid).values
+        with plan_override(pool_entries=max(CHUNK, int(room * max(used_by_pass)))):
+            scarce = index.signed_distance_map(grid).values
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(mesh.vertices, mesh.faces, centres)).reshape(grid.shape)
     assert ((plenty.abs() - scarce.abs()).abs() <= limit).all()

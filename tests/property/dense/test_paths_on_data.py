@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, missing_note, names
+from sdm.engine.plan_override import plan_override
 from tests.helpers.exactness import ROUNDING, scale_of
 
 REAL = names(["real"])
@@ -15,7 +15,7 @@ REAL = names(["real"])
 RESOLUTIONS = [pytest.param(13, id="13"), pytest.param(48, id="48", marks=pytest.mark.slow)]
 
 
-def maps_of(monkeypatch, name, resolution, device):
+def maps_of(name, resolution, device):
     if (note := missing_note(name)) is not None:
         pytest.skip(note)
     case = load_case(name)
@@ -24,16 +24,16 @@ def maps_of(monkeypatch, name, resolution, device):
     index = sdm.MeshIndex(mesh, device)
     found = []
     for method in ("cells", "search"):
-        monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
-        found.append(index.signed_distance_map(grid))
+        with plan_override(method=method):
+            found.append(index.signed_distance_map(grid))
     scale = scale_of(case.vertices, case.faces, grid.points().reshape(-1, 3).numpy())
     return found, torch.from_numpy(ROUNDING * scale).reshape(grid.shape)
 
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 @pytest.mark.parametrize("name", REAL)
-def test_same_values(monkeypatch, name, resolution, device):
-    (fast, plain), rounding = maps_of(monkeypatch, name, resolution, device)
+def test_same_values(name, resolution, device):
+    (fast, plain), rounding = maps_of(name, resolution, device)
     a, b = fast.values.cpu().double(), plain.values.cpu().double()
     # Each may be four roundings off.
     apart = (a.abs() - b.abs()).abs() / rounding
@@ -46,8 +46,8 @@ def test_same_values(monkeypatch, name, resolution, device):
 @pytest.mark.gpu
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
-def test_same_values_on_a_fine_grid(monkeypatch, name):
-    (fast, plain), rounding = maps_of(monkeypatch, name, 128, "cuda")
+def test_same_values_on_a_fine_grid(name):
+    (fast, plain), rounding = maps_of(name, 128, "cuda")
     apart = (fast.values.cpu().double().abs() - plain.values.cpu().double().abs()).abs() / rounding
     assert apart.max() <= 8
     assert fast.ambiguous_voxels == plain.ambiguous_voxels

@@ -9,7 +9,7 @@ import torch
 import sdm
 import sdm.engine.ops
 from sdm.bench.common.meshes import load_case
-from sdm.engine import thick_slices
+from sdm.engine.plan_override import plan_override
 from sdm.engine.thick_slices import Slices, finer
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
@@ -85,22 +85,21 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     return calls
 
 
-def both_ways(monkeypatch: pytest.MonkeyPatch, mesh: sdm.TriangleMesh, grid: sdm.Grid) -> tuple[sdm.SDM, sdm.SDM]:
+def both_ways(mesh: sdm.TriangleMesh, grid: sdm.Grid) -> tuple[sdm.SDM, sdm.SDM]:
     """On a finer grid, in several slabs, and one search a voxel."""
-    with monkeypatch.context() as patch:
-        patch.setattr(thick_slices, "MOST_VOXELS", 1)
+    with plan_override(slab_voxels=1):
         found = sdm.signed_distance_map(mesh, grid, device="cpu")
-        patch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
+    with plan_override(method="search"):
         return found, sdm.signed_distance_map(mesh, grid, device="cpu")
 
 
 @pytest.mark.parametrize("name", ["torus-2000", "open hemisphere", "overlapping shells", "random soup"])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["straight", "turned"])
-def test_the_same_map(monkeypatch, measured, name, axis, turn):
+def test_the_same_map(measured, name, axis, turn):
     case = load_case(name)
     mesh, grid = sdm.TriangleMesh(case.vertices, case.faces), grid_of(axis, turn)
-    found, searched = both_ways(monkeypatch, mesh, grid)
+    found, searched = both_ways(mesh, grid)
     assert [max(times) > 1 for times in measured] == [True]
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(case.vertices, case.faces, centres)).reshape(grid.shape)
@@ -111,10 +110,10 @@ def test_the_same_map(monkeypatch, measured, name, axis, turn):
     assert_exact(case.vertices, case.faces, centres[some], found.values.reshape(-1)[torch.from_numpy(some)])
 
 
-def test_a_mesh_that_leaves_inside_unclear(monkeypatch, measured):
+def test_a_mesh_that_leaves_inside_unclear(measured):
     """Ambiguous voxels are counted of those that are kept, once each."""
     case = load_case("open hemisphere")
-    found, searched = both_ways(monkeypatch, sdm.TriangleMesh(case.vertices, case.faces), grid_of(2, np.eye(3)))
+    found, searched = both_ways(sdm.TriangleMesh(case.vertices, case.faces), grid_of(2, np.eye(3)))
     assert found.ambiguous_voxels == searched.ambiguous_voxels > 0
     assert measured
 
@@ -152,7 +151,7 @@ def test_large_sections_are_left_as_they_are():
         assert finer(Slices((THIN, THIN, THICK), (40, 2000, n), 0), 1.0, 20_000) == (1, 1, times)
 
 
-def test_batches_and_gradients(monkeypatch, measured):
+def test_batches_and_gradients(measured):
     case = load_case("torus")
     grid = grid_of(2, np.eye(3))
     vertices = np.stack([case.vertices, 0.9 * case.vertices, 0.7 * case.vertices])
@@ -165,9 +164,9 @@ def test_batches_and_gradients(monkeypatch, measured):
     for one, values in zip(vertices, maps.detach(), strict=True):
         alone = sdm.signed_distance_map(sdm.TriangleMesh(one, case.faces), grid, device="cpu").values
         assert (values - alone).abs().max() <= 8 * ROUNDING * 2
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "search")
     batch.grad = None
-    sdm.signed_distance_maps(batch, case.faces, grid, device="cpu").square().sum().backward()
+    with plan_override(method="search"):
+        sdm.signed_distance_maps(batch, case.faces, grid, device="cpu").square().sum().backward()
     assert gradient is not None
     assert batch.grad is not None
     torch.testing.assert_close(gradient, batch.grad, rtol=1e-3, atol=1e-3)

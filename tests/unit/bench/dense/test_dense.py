@@ -16,7 +16,8 @@ from sdm.bench.dense import job as common
 from sdm.bench.dense import plot_results
 from sdm.bench.dense.parts import signs, table, worst
 from sdm.bench.peers import Peer
-from sdm.engine import thick_slices
+from sdm.engine.plan_override import OPTIONS
+from sdm.kernels.plan_options import PlanOptions
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -65,8 +66,8 @@ def test_thick_slices(capsys, tmp_path):
     assert [(row["mesh"], row["slices"]) for row in part["rows"]] == list(zip(meshes, [12, 6, 12, 6], strict=True))
     assert part["summary"]["wrong"] == 0
     assert all(row["checked"]["near_surface"] > 0 for row in part["rows"])
-    # The finer grid is for the map alone, and what was patched is back.
-    assert len(thick_slices.FACTORS) > 1
+    # The finer grid is for the map alone, and the options are the usual ones again.
+    assert OPTIONS.get() == PlanOptions()
     assert "12 of 48^2" in capsys.readouterr().out
 
 

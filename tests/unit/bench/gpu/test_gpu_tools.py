@@ -57,10 +57,7 @@ def test_without_a_gpu(capsys):
     assert "no CUDA device" in capsys.readouterr().err
 
 
-def test_the_work_is_fine_on_a_cpu(monkeypatch):
-    import sdm.engine.ops
-
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "auto")
+def test_the_work_is_fine_on_a_cpu():
     assert gpu_work.small(6, "cpu") == 4 * len(gpu_work.MESHES) + 2
 
 

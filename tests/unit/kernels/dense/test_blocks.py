@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,15 +13,15 @@ import torch
 import warp as wp
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.meshes import load_case, sphere
-from sdm.kernels.dense import cost_model, query
+from sdm.engine.plan_override import plan_override
+from sdm.kernels.dense import cost_model
 from sdm.kernels.dense.stage4_blocks import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
-from sdm.kernels.dense.workspace import BLOCK, CHUNK, COARSE, LENGTHS, NEXT_CHUNK, SLICED, WHOLE
+from sdm.kernels.dense.workspace import BLOCK, COARSE, LENGTHS, SLICED, WHOLE
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import shrink
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
-from tests.helpers.sharing import leave_levels_out, no_finer_grids, share_lists, slice_lists
+from tests.helpers.watch_measuring import entries_used, watching
 
 wp.set_module_options({"enable_backward": False})
 
@@ -65,33 +66,28 @@ class Seen:
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
+def seen() -> Iterator[Seen]:
     """Only the fast path, and a look at its schedules."""
     found = Seen()
-    measure = query.measure_blocks
 
-    def spy(*inputs: Any) -> None:
-        lists = inputs[3]
+    def look(lists: Any) -> None:
         counts = lists.counts.numpy()
         piles = lists.whole.numpy().reshape(LENGTHS, lists.slices)
         whole = decoded(np.concatenate([pile[:count] for pile, count in zip(piles, counts[WHOLE:], strict=True)]))
         coarse = decoded(lists.coarse.numpy()[: counts[COARSE]])
         # Nothing is known of cells outside of the grid.
-        planned = np.unique(np.concatenate([whole[:, 0], coarse[:, 0]]))
+        scheduled = np.unique(np.concatenate([whole[:, 0], coarse[:, 0]]))
         found.whole.append(whole)
         found.coarse.append(coarse)
-        found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[planned])
-        found.without_room += int((lists.heads.numpy().reshape(-1, lists.shares)[planned] < 0).any(1).sum())
+        found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[scheduled])
+        found.without_room += int((lists.heads.numpy().reshape(-1, lists.shares)[scheduled] < 0).any(1).sum())
         # Of some cells only a part of the slices found none, so that what the others come to is not all.
         found.sliced_without_room += int(lists.lacking.numpy()[lists.sliced.numpy()[: counts[SLICED]]].sum())
-        found.used += int(CHUNK * (lists.given + counts[NEXT_CHUNK]))
+        found.used += entries_used(lists)
         found.count += lists.count
-        measure(*inputs)
 
-    monkeypatch.setattr(query, "measure_blocks", spy)
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", "cells")
-    no_finer_grids(monkeypatch)
-    return found
+    with plan_override(method="cells", slice_factors=(1,)), watching(look):
+        yield found
 
 
 NAMES = ["overlapping shells", "random soup", "needle fan"]
@@ -113,8 +109,15 @@ def grid_of(name: str, mesh: sdm.TriangleMesh) -> sdm.Grid:
     )
 
 
-def values_of(mesh: sdm.TriangleMesh, grid: sdm.Grid) -> torch.Tensor:
-    return sdm.signed_distance_map(mesh, grid, device="cpu").values
+def values_of(mesh: sdm.TriangleMesh, grid: sdm.Grid, **options: Any) -> torch.Tensor:
+    """A map planned with these options."""
+    with plan_override(**options):
+        return sdm.signed_distance_map(mesh, grid, device="cpu").values
+
+
+def shared(shares: int) -> dict[str, tuple[int, int]]:
+    """As many groups for each list on this CPU as a GPU might have."""
+    return {} if shares == 1 else {"shares": (2 * shares, shares)}
 
 
 def check(mesh: sdm.TriangleMesh, grid: sdm.Grid, values: torch.Tensor) -> None:
@@ -135,11 +138,10 @@ def test_codes_hold_the_largest_numbers():
 
 
 @pytest.mark.parametrize("slice_length", [20, 300, 10**6])
-def test_each_cell_is_scheduled_once(monkeypatch, seen, slice_length):
-    slice_lists(monkeypatch, slice_length)
+def test_each_cell_is_scheduled_once(seen, slice_length):
     mesh = mesh_of("all alike")
     grid = sdm.Grid([-0.3] * 3, [0.03] * 3, [16, 16, 32])
-    values = values_of(mesh, grid)
+    values = values_of(mesh, grid, slice_length=slice_length)
     codes, lengths = seen.codes(), seen.lengths[0].sum(1)
     assert not len(seen.coarse[0])
     assert np.unique(codes[:, 0]).tolist() == list(range(8 * seen.count))
@@ -166,18 +168,15 @@ def test_coarse_cells_are_measured_by_bricks(seen, name):
 
 @pytest.mark.parametrize("shares", [1, 4])
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
-def test_large_cells_are_measured_by_bricks_from_one_list(monkeypatch, seen, name, shares):
+def test_large_cells_are_measured_by_bricks_from_one_list(seen, name, shares):
     """Cells of 16^3 voxels, coarse ones too, in slices and shared, of grids that end anywhere in them."""
     mesh = mesh_of(name)
-    monkeypatch.setitem(cost_model.SHORT_FOR_WIDE, "cpu", 1e9)
-    share_lists(monkeypatch, shares)
     fine = mesh.numpy()[0].min(0), float(np.ptp(mesh.numpy()[0], 0).max())
     grids = [grid_of(name, mesh), sdm.Grid(fine[0] + 0.3 * fine[1], [fine[1] / 200] * 3, [37, 30, 41])]
     for grid in grids:
         for slice_length in (10**6, 13):
             seen.clear()
-            slice_lists(monkeypatch, slice_length)
-            values = values_of(mesh, grid)
+            values = values_of(mesh, grid, cell=16, slice_length=slice_length, **shared(shares))
             assert len(seen.codes()) > 0
             check(mesh, grid, values)
     # Of the finer grid no cell is coarse.
@@ -185,17 +184,15 @@ def test_large_cells_are_measured_by_bricks_from_one_list(monkeypatch, seen, nam
 
 
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
-def test_slices_change_no_bit(monkeypatch, seen, name):
+def test_slices_change_no_bit(seen, name):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
-    slice_lists(monkeypatch, 10**6)
-    plain = values_of(mesh, grid)
+    plain = values_of(mesh, grid, slice_length=10**6)
     check(mesh, grid, plain)
     assert (seen.codes()[:, 2] == 1).all()
     for slice_length in (1, 7, 100):
         seen.clear()
-        slice_lists(monkeypatch, slice_length)
-        values = values_of(mesh, grid)
+        values = values_of(mesh, grid, slice_length=slice_length)
         most = int(seen.codes()[:, 2].max())
         assert most > (1 if slice_length < 100 or name == "all alike" else 0)
         assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
@@ -203,21 +200,19 @@ def test_slices_change_no_bit(monkeypatch, seen, name):
 
 @pytest.mark.parametrize("shares", [2, 16])
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
-def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
+def test_lists_made_by_several_groups(seen, name, shares):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
     alone = values_of(mesh, grid)
     alone_lengths = np.concatenate([lengths.sum(1) for lengths in seen.lengths])
     seen.lengths.clear()
-    share_lists(monkeypatch, shares)
-    maps = [values_of(mesh, grid)]
+    maps = [values_of(mesh, grid, **shared(shares))]
     lengths = np.concatenate(seen.lengths)
     assert lengths.shape[1] == shares
     assert ((lengths > 0).sum(1) > 1).any()
     # What one group does not know of the others' it keeps, but not much.
     assert lengths.sum() < 4 * alone_lengths.sum() + 100 * shares
-    slice_lists(monkeypatch, 13)
-    maps.append(values_of(mesh, grid))
+    maps.append(values_of(mesh, grid, slice_length=13, **shared(shares)))
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
     for values in maps:
@@ -228,20 +223,17 @@ def test_lists_made_by_several_groups(monkeypatch, seen, name, shares):
 
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
-def test_lists_of_larger_leaves(monkeypatch, seen, name, levels):
+def test_lists_of_larger_leaves(seen, name, levels):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
-    leave_levels_out(monkeypatch, 0)
-    plain = values_of(mesh, grid)
+    plain = values_of(mesh, grid, levels_left_out=0)
     plain_entries = sum(lengths.sum() for lengths in seen.lengths)
-    leave_levels_out(monkeypatch, levels)
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
     for slice_length, shares in ((10**6, 1), (13, 4)):
         seen.clear()
-        slice_lists(monkeypatch, slice_length)
-        share_lists(monkeypatch, shares)
-        values = values_of(mesh, grid)
+        options = {"levels_left_out": levels, "slice_length": slice_length, **shared(shares)}
+        values = values_of(mesh, grid, **options)
         if shares == 1:
             # Not of half or a quarter of the length: a larger leaf is nearer.
             assert sum(lengths.sum() for lengths in seen.lengths) < 0.9 * plain_entries
@@ -250,23 +242,21 @@ def test_lists_of_larger_leaves(monkeypatch, seen, name, levels):
         assert torch.equal(values < 0, plain < 0)
     # Each mesh of a batch has its own part of the hierarchy.
     turned = torch.stack([mesh.vertices, mesh.vertices[:, [1, 2, 0]], mesh.vertices[:, [2, 0, 1]]])
-    batch = sdm.signed_distance_maps(turned, mesh.faces, grid)
+    with plan_override(**options):
+        batch = sdm.signed_distance_maps(turned, mesh.faces, grid)
     for number, vertices in enumerate(turned):
         check(sdm.TriangleMesh(vertices, mesh.faces), grid, batch[number])
 
 
 @pytest.mark.parametrize("shares", [1, 4])
 @pytest.mark.parametrize("room", [1 << 11, 1 << 13, 1 << 15, 1 << 16, 3 << 15])
-def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
+def test_a_pool_that_runs_out(seen, room, shares):
     """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its slices."""
     mesh = mesh_of("overlapping shells")
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = values_of(mesh, grid)
     assert seen.without_room == 0
-    monkeypatch.setattr(cost_model, "CPU_POOL", room)
-    slice_lists(monkeypatch, 13)
-    share_lists(monkeypatch, shares)
-    scarce = values_of(mesh, grid)
+    scarce = values_of(mesh, grid, pool_entries=room, slice_length=13, **shared(shares))
     assert seen.without_room > 0 or seen.sliced_without_room > 0
     check(mesh, grid, scarce)
     assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
@@ -275,16 +265,14 @@ def test_a_pool_that_runs_out(monkeypatch, seen, room, shares):
 
 @pytest.mark.parametrize("name", ["overlapping shells", "all alike"])
 @pytest.mark.parametrize("slice_length", [1, 4, 13])
-def test_slices_that_find_no_room(monkeypatch, seen, name, slice_length):
+def test_slices_that_find_no_room(seen, name, slice_length):
     """The least of some slices may not be the least of all: pools of every size, so that any of them is the last."""
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
     plenty = values_of(mesh, grid)
     limit = 8 * ROUNDING * float(np.max(scale_of(*mesh.numpy(), grid.points().reshape(-1, 3).numpy())))
-    slice_lists(monkeypatch, slice_length)
     for step in range(0, 34, 3):
-        monkeypatch.setattr(cost_model, "CPU_POOL", int(2048 * 1.25**step))
-        scarce = values_of(mesh, grid)
+        scarce = values_of(mesh, grid, slice_length=slice_length, pool_entries=int(2048 * 1.25**step))
         assert (plenty.abs() - scarce.abs()).abs().max() <= limit
         assert torch.equal(plenty < 0, scarce < 0)
     assert seen.sliced_without_room > 0

@@ -96,15 +96,6 @@ def test_long_lists_are_made_of_larger_leaves():
             assert levels == 0 or triangles / 2 ** (depth - levels) <= LARGEST_LEAF
 
 
-class Device:
-    """As much of one as is asked about."""
-
-    is_cuda = True
-
-    def __init__(self, gib: int) -> None:
-        self.total_memory = gib << 30
-
-
 @pytest.mark.parametrize("n", [64, 128, 256, 512, 1024])
 @pytest.mark.parametrize("triangles", [12, 20_000, 100_000, 1_000_000, 5_000_000])
 @pytest.mark.parametrize("gib", [8, 80])
@@ -112,7 +103,7 @@ def test_as_few_passes_as_there_is_room_for(triangles, n, gib):
     shape, cell = [n] * 3, cell_for(triangles, [n] * 3, gpu=True)
     regions = (n // (2 * cell)) ** 3
     expected = expected_entries(triangles, shape, cell, *shares_of(triangles, shape, cell))
-    room = pool_for(expected, regions, Device(gib))
+    room = pool_for(expected, regions, gib << 30)
     passes = passes_for(expected, regions, room)
     assert SMALLEST_POOL <= room <= LARGEST_POOL
     assert 4 * room <= max(gib << 26, 4 * SMALLEST_POOL)
@@ -134,4 +125,4 @@ def test_ordinary_maps_take_one_pass():
         shape, cell = [n] * 3, cell_for(triangles, [n] * 3, gpu=True)
         regions = (n // (2 * cell)) ** 3
         expected = expected_entries(triangles, shape, cell, *shares_of(triangles, shape, cell))
-        assert passes_for(expected, regions, pool_for(expected, regions, Device(80))) == 1
+        assert passes_for(expected, regions, pool_for(expected, regions, 80 << 30)) == 1

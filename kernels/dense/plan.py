@@ -1,0 +1,130 @@
+"""Plan of a dense query: all decisions of the cost model about one slab, made once and before any device work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import warp as wp
+
+from sdm.kernels.dense.cost_model import (
+    MOST_REGIONS,
+    NO_SLICES,
+    cell_for,
+    expected_entries,
+    levels_left_out,
+    passes_for,
+    pool_for,
+    search_is_faster,
+    shares_of,
+    slice_for,
+    uneven_room,
+)
+from sdm.kernels.dense.workspace import CHUNK
+from sdm.kernels.plan_options import PlanOptions
+
+
+class Workload(NamedTuple):
+    """Counts and sizes that a plan follows from.
+
+    Args:
+        triangles: Of each mesh.
+        depth: The tree of each mesh has 2^depth leaves.
+        meshes: Of the batch.
+        shape: Voxels (n,ny,nz) of the slab.
+        spacing: Of the grid, (x,y,z), in the mesh's unit.
+        turned: True if the grid's axes are not x, y and z.
+    """
+
+    triangles: int
+    depth: int
+    meshes: int
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    turned: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Decisions about the query of one slab. Maps of a batch, and slabs of a grid, are planned alike.
+
+    Args:
+        method: `"cells"` for the seven stages, `"search"` for one search a voxel.
+        cell: Voxels along the edge of a cell: 8 or 16.
+        regions: Regions of 2^3 cells along each axis of the slab.
+        total: Regions of all meshes.
+        passes: Passes over the regions, each of which takes one of so many.
+        most: Regions of the largest pass.
+        region_shares: Groups of lanes that make the candidate list of a region: a power of two.
+        cell_shares: The same for a cell: as many, or a power of two less.
+        levels_left_out: Last levels of the tree that candidate lists do without.
+        slice_length: Leaves of a cell's candidate list that one group of lanes takes.
+        chunks: Chunks of the pool of candidate lists.
+        blocks: Blocks that there is room for in each class of lengths: every slice but the last of a list is full.
+        most_columns: See `PlanOptions`.
+    """
+
+    method: str
+    cell: int
+    regions: tuple[int, int, int]
+    total: int
+    passes: int
+    most: int
+    region_shares: int
+    cell_shares: int
+    levels_left_out: int
+    slice_length: int
+    chunks: int
+    blocks: int
+    most_columns: int | None
+
+
+@lru_cache(maxsize=16)
+def memory_of(device: str) -> int | None:
+    """Bytes of a GPU's memory; None of a CPU's, which no plan depends on."""
+    found = wp.get_device(device)
+    return int(found.total_memory) if found.is_cuda else None
+
+
+@lru_cache(maxsize=256)
+def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
+    """The plan of a query on a GPU with so many bytes of memory, or on a CPU if that is None.
+
+    Remembered, as the cost model takes the host as long as some launches.
+    """
+    gpu, shape = memory is not None, work.shape
+    method = options.method
+    if method == "auto":
+        method = "search" if search_is_faster(work.triangles, shape, gpu) else "cells"
+    cell = options.cell or cell_for(work.triangles, shape, gpu)
+    nx, ny, nz = (-(-n // (2 * cell)) for n in shape)
+    total = work.meshes * nx * ny * nz
+    left_out = options.levels_left_out
+    if left_out is None:
+        left_out = levels_left_out(work.triangles, work.depth, shape)
+    left_out = min(left_out, work.depth)
+    by_model = slice_for(work.triangles, work.depth - left_out, 8 * total) if gpu else NO_SLICES
+    slice_length = options.slice_length or by_model
+    region_shares, cell_shares = options.shares or (shares_of(work.triangles, shape, cell) if gpu else (1, 1))
+    expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares)
+    expected *= uneven_room(work.spacing, work.turned)
+    entries = options.pool_entries or pool_for(expected, total, memory)
+    passes = passes_for(expected, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
+    most = -(-total // passes)
+    chunks = entries // CHUNK
+    return Plan(
+        method=method,
+        cell=cell,
+        regions=(nx, ny, nz),
+        total=total,
+        passes=passes,
+        most=most,
+        region_shares=region_shares,
+        cell_shares=cell_shares,
+        levels_left_out=left_out,
+        slice_length=slice_length,
+        chunks=chunks,
+        blocks=8 * most + chunks * CHUNK // slice_length,
+        most_columns=options.most_columns,
+    )
