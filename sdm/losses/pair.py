@@ -1,4 +1,4 @@
-"""What every loss asks of its two tensors."""
+"""Checks of the two tensors that a loss compares."""
 
 from __future__ import annotations
 

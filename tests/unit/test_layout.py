@@ -17,12 +17,11 @@ TOPS = ("sdm", "kernels", "bench", "tests")
 FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
 # Folders whose docstrings do not keep to that yet.
 UNNAMED = (
-    "sdm/dataset", "sdm/deepsdf", "sdm/fit", "sdm/io", "sdm/losses", "sdm/metrics",
-    "sdm/segmentation", "sdm/shapes", "sdm/stream", "sdm/surrogate", "sdm/training",
+    "sdm/dataset", "sdm/fit", "sdm/io", "sdm/shapes", "sdm/stream",
 )  # fmt: skip
 # Modules of one name that differ plainly, besides those that `is_plain` knows.
 TWINS = {
-    "api", "atomic", "batch", "grid", "nifti", "ranks", "schedules", "targets", "validation", "predict", "evaluate",
+    "api", "atomic", "batch", "grid", "nifti", "ranks", "targets", "validation", "predict", "evaluate",
 }  # fmt: skip
 
 

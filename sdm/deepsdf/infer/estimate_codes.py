@@ -24,7 +24,7 @@ PUBLISHED, OF_SCANS, OF_SHAPES = 1e-4, 1e-6, 1e-9
 
 @dataclass(frozen=True)
 class Estimate:
-    """What was found.
+    """Codes that were found, and their losses.
 
     Args:
         codes: (B,D).

@@ -1,4 +1,4 @@
-"""What a scan says of a shape: points of its surface, of a part of it, perhaps with normals and noise."""
+"""Scans of a shape: points of its surface, or of a part of it, perhaps with normals and noise."""
 
 from __future__ import annotations
 
@@ -86,6 +86,6 @@ def _unit(normals: Tensor) -> Tensor:
 
 
 def half_of(points: Tensor, direction: Tensor) -> Tensor:
-    """Which of points (N,3) a scan from `direction` (3,) keeps: the half of them that is nearest to it, (N,) bool."""
+    """Mask (N,) of the points (N,3) that a scan from `direction` (3,) keeps: the half of them that is nearest to it."""
     along = points @ direction.to(points)
     return along > along.median()

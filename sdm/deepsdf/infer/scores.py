@@ -1,4 +1,4 @@
-"""How close a surface is to the true one: the paper's Chamfer distance, distances in the mesh's unit, and overlap.
+"""Scores of a surface: the paper's Chamfer distance, distances in the mesh's unit, and overlap.
 
 The paper's Chamfer distances are not in the unit sphere that its network sees. Its evaluation undoes that normalisation
 (`gen_points / scale - offset` in deep_sdf/metrics/chamfer.py of github.com/facebookresearch/DeepSDF at 48c19b8, against

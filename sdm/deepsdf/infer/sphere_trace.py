@@ -21,7 +21,7 @@ STEPS, HIT, CAUTION = 100, 1e-3, 0.8
 
 
 def sphere_trace(model: DeepSDF, code: Any, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Where rays meet the surface of a code in the unit sphere: J. Hart, "Sphere tracing", 1996.
+    """Points where rays meet the surface of a code in the unit sphere: J. Hart, "Sphere tracing", 1996.
 
     Args:
         model: The decoder.

@@ -46,7 +46,7 @@ def bounded(codes: Tensor, bound: float | None) -> Tensor:
 
 
 def errors(prediction: Tensor, values: Tensor, settings: Settings) -> Tensor:
-    """What each sample costs, of the shape of both.
+    """Loss of each sample, of the shape of both.
 
     The paper's |clamp(p) - clamp(y)|, equation (4), or |p - y| / (1 + |y| / clamp): the second fades with the distance,
     so that far values count a little, and never lets a wrong prediction go without a gradient.

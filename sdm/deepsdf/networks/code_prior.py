@@ -1,4 +1,4 @@
-"""What is known of a code before anything is seen of its shape."""
+"""Prior of codes: a Gaussian of those of the training shapes."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class DeepSDF:
 
     @property
     def device(self) -> torch.device:
-        """Where the network is."""
+        """Device of the network."""
         return self.codes.device
 
     @property

@@ -1,4 +1,4 @@
-"""What training takes: points and their signed distances, shape by shape."""
+"""Batches of samples: points and their signed distances, shape by shape."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Samples(NamedTuple):
 
 
 class SampleSource(Protocol):
-    """Where samples come from."""
+    """Source of samples for a training."""
 
     def __len__(self) -> int:
         """Number of shapes."""

@@ -1,4 +1,4 @@
-"""Where DeepSDF's samples are: near the surface at two scales, and everywhere in the box."""
+"""Distribution of DeepSDF's samples: near the surface at two scales, and everywhere in the box."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SampleDistribution:
             )
 
     def near_count(self, points: int) -> int:
-        """How many of `points` samples of a shape are near the surface: always the first ones.
+        """Number of `points` samples of a shape that are near the surface: always the first ones.
 
         Of these the first, third, fifth ... have the first variance.
         """

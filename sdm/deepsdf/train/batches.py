@@ -1,4 +1,4 @@
-"""Which shapes a training step sees: a pure function of seed and step, for any number of ranks that divides a batch."""
+"""Shapes of a training step: a pure function of seed and step, for any number of ranks that divides a batch."""
 
 from __future__ import annotations
 

@@ -32,5 +32,5 @@ def process_group(device: str | torch.device | None) -> Iterator[torch.device]:
 
 
 def is_first() -> bool:
-    """Whether this is the process that speaks and writes."""
+    """True in the process that speaks and writes."""
     return os.environ.get("RANK", "0") == "0"

@@ -184,7 +184,7 @@ class Trainer:
         return shapes, points, values
 
     def batches_ahead(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """What `draw` gives for this step and those to come, on a GPU beside the step before, which leaves it room."""
+        """Batches of this step and those to come, on a GPU drawn beside the step before, which leaves it room."""
         steps = iter(range(self.step, self.steps))
         drawn = prefetch(lambda several: [self.draw(step) for step in several], steps, self.device, 1)
         return (batch for _, batch in drawn)

@@ -14,7 +14,7 @@ Augment = Literal["none", "published", "affine", "strong", "scanner"]
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """How much an augmentation changes.
+    """Ranges of an augmentation's changes.
 
     Args:
         degrees: Largest turn about each axis.
@@ -44,7 +44,7 @@ RANGES = {
 
 @dataclass(frozen=True)
 class Draw:
-    """What was drawn for one patch: independent parts, each used or not as the augmentation says."""
+    """Random draw for one patch: independent parts, each used or not as the augmentation says."""
 
     case: int
     place: Tensor

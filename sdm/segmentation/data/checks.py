@@ -62,7 +62,7 @@ def _wrong_image(case: Case) -> str | None:
 
 
 def check_image(case: Case, spacing: Sequence[float]) -> None:
-    """Whether a network that was trained on voxels of a size in mm can segment an image.
+    """Refuse an image that a network cannot segment which was trained on voxels of a size in mm.
 
     Raises:
         SDMError: The image is not (x,y,z), has values that are not finite, of which networks say nothing, or voxels of
@@ -86,7 +86,7 @@ def _wrong_spacing(case: Case, spacing: Sequence[float]) -> str | None:
 
 
 def same_spacing(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two voxel sizes are alike, as far as scanners and files are exact."""
+    """True if two voxel sizes are alike, as far as scanners and files are exact."""
     return all(abs(a - b) <= TOLERANCE * b for a, b in zip(one, other, strict=True))
 
 

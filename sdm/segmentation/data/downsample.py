@@ -42,7 +42,7 @@ def coarse_map(values: Tensor, factor: int) -> Tensor:
 
 
 def fine_field(field: Tensor, factor: int, shape: Sequence[int]) -> Tensor:
-    """What is known at the cubes' centres, at all fine voxels, by linear interpolation: (x',y',z') to `shape`."""
+    """Linear interpolation of values at the cubes' centres to all fine voxels: (x',y',z') to `shape`."""
     if factor == 1:
         return field
     x, y, z = shape

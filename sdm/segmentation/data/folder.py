@@ -47,7 +47,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
 
 
 def has_part(folder: Path, part: str) -> bool:
-    """Whether a folder has cases of a part of its own."""
+    """True if a folder has cases of a part of its own."""
     plain, images, _ = PARTS[part]
     return bool(hdf5_files(folder / plain) or nifti_files(folder / images))
 

@@ -1,4 +1,4 @@
-"""What of a label is foreground."""
+"""Foreground of a label."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-3
 
 
 def foreground(values: np.ndarray, path: Path) -> NDArray[np.bool_]:
-    """Where a label's number is not 0.
+    """Mask of the voxels whose number in a label is not 0.
 
     Raises:
         FormatError: The values are no numbers, not finite, or not whole: probabilities, or an image.

@@ -75,7 +75,7 @@ class Patches:
 
     @classmethod
     def of_settings(cls, cases: Sequence[Case], settings: Settings, device: torch.device | str) -> Patches:
-        """What a training with these settings takes."""
+        """Patches for a training with these settings."""
         return cls(
             cases,
             METHODS[settings.method].map,
@@ -137,7 +137,7 @@ class Patches:
         return to_device(values.to(torch.float32), self.device)
 
     def _place(self, d: Draw) -> tuple[Tensor, Tensor]:
-        """Where in the padded case it is: (3,3) from offsets in its voxels to those of the case, and the centre."""
+        """Place in the padded case: (3,3) from offsets in the patch's voxels to those of the case, and the centre."""
         shape = torch.tensor(self._cases[d.case].shape[1:], dtype=torch.float64, device="cpu")
         size = torch.tensor(self.size, dtype=torch.float64, device="cpu")
         # Whole voxels, so that a patch that is not turned is a copy.

@@ -1,4 +1,4 @@
-"""Where each voxel is in its volume, as further channels for a network that sees a patch alone."""
+"""Positions of voxels in their volume, as further channels for a network that sees a patch alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ CHANNELS = 3
 
 
 def position_frame(matrix: Tensor, centre: Tensor, size: Sequence[int], shape: Sequence[int]) -> Tensor:
-    """How positions run through a patch: (3,4) float64 for `positions`.
+    """Affine map of positions through a patch: (3,4) float64 for `positions`.
 
     Args:
         matrix: (3,3) from offsets in voxels of the patch to those of the volume: the identity for a copy, else what
@@ -26,7 +26,7 @@ def position_frame(matrix: Tensor, centre: Tensor, size: Sequence[int], shape: S
 
 
 def positions(frames: Tensor, size: Sequence[int]) -> Tensor:
-    """Where the voxels of patches are along each axis of their volumes, (B,3,x,y,z).
+    """Positions of the voxels of patches along each axis of their volumes, (B,3,x,y,z).
 
     The centre of voxel i of n is at 2 (i + 1/2) / n - 1, so that -1 and 1 are the volume's two faces; what pads a
     volume lies beyond them. Positions are those of the tissue, whichever way a patch is turned, scaled or mirrored.

@@ -19,7 +19,7 @@ from sdm.segmentation.infer.predict import label_distance_map
 
 
 def prediction_files(case: Case, folder: Path) -> tuple[Path, Path]:
-    """Where `write_prediction` writes the label and its distance map."""
+    """Files that `write_prediction` writes: the label and its distance map."""
     return folder / f"{case.name}{ENDINGS[0]}", folder / f"{case.name}_sdm{ENDINGS[0]}"
 
 

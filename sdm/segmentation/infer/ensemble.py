@@ -65,7 +65,7 @@ def predict_ensemble(
 
 
 def check_ensemble(models: Sequence[TrainedModel], names: Sequence[object] | None = None) -> None:
-    """Whether what these networks say can be averaged.
+    """Refuse networks whose fields cannot be averaged.
 
     Args:
         models: Trained networks.
@@ -93,7 +93,7 @@ def check_ensemble(models: Sequence[TrainedModel], names: Sequence[object] | Non
 
 
 def _quantity(trained: TrainedModel) -> str:
-    """What a network's field is, in words that differ where a mean would be of nothing."""
+    """Name of the quantity that a network's field is, so that those that have no mean differ."""
     method = METHODS[trained.settings.method]
     if method.output == "logit":
         return "a probability"

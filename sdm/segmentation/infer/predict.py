@@ -62,7 +62,7 @@ def predicted_field(
     mirrors: str = "",
     batch: int = 4,
 ) -> Tensor:
-    """What a network says of an image (x,y,z) before it is cut at zero: see `predict` and `SegmentationModel.field`."""
+    """Field of an image (x,y,z) by a network, before it is cut at zero: see `predict`, `SegmentationModel.field`."""
     model.eval()
     device = next(model.parameters()).device
     images = _mirror_images(mirrors)

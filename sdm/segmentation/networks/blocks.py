@@ -1,4 +1,4 @@
-"""What both networks are built of."""
+"""Blocks of layers that both networks are built of."""
 
 from __future__ import annotations
 

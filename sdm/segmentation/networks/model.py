@@ -72,7 +72,7 @@ class SegmentationModel(nn.Module):
         return main, other.sigmoid() if self.method.map == "foreground" else other.tanh()
 
     def decoded(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """What the main and the auxiliary output are made of, (B,filters,x,y,z) each: the same but with a branch."""
+        """Features of the main and the auxiliary output, (B,filters,x,y,z) each: the same but with a branch."""
         features = self.encoder(image)
         value = self.decoder(features)
         return value, value if self.branch is None else self.branch(features)

@@ -1,4 +1,4 @@
-"""What each method minimises."""
+"""Objective of each method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PRODUCT_WEIGHT = 10.0
 
 @dataclass(frozen=True)
 class Step:
-    """What a loss may look at: outputs and targets (B,1,x,y,z), and how far training is, 0 to 1."""
+    """Step of a training as its loss sees it: outputs and targets (B,1,x,y,z), and how far training is, 0 to 1."""
 
     method: Method
     main: Tensor

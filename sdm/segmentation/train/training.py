@@ -47,7 +47,7 @@ CHECKPOINT_FIELDS: dict[str, Any] = {
 
 
 class Source(Protocol):
-    """Where batches come from: `Patches`, or anything else that makes them on a device."""
+    """Source of batches: `Patches`, or anything else that makes them on a device."""
 
     device: torch.device
     spacing: tuple[float, float, float]

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def has_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 faster than float32."""
+    """True if this processor multiplies bfloat16 faster than float32."""
     import openvino  # pyright: ignore[reportMissingImports]
 
     return "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")

@@ -94,7 +94,7 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
 
 
 def training_of(source: Path) -> dict[str, Any]:
-    """How weights were trained, as their JSON file says, with what that began from, and so on."""
+    """Settings and length of the training of some weights, by their JSON file, and of those that it began from."""
     facts = json.loads(source.with_suffix(".json").read_text())
     before = {"started_from": facts["started_from"]} if "started_from" in facts else {}
     return {**facts.get("training", {}), **before}

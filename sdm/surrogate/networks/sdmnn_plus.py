@@ -73,7 +73,7 @@ class SDMNNPlus(nn.Module):
         return coarse, self.refined(*interpolated)
 
     def interpolated(self, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What `refined` needs of theta (B,4), the part that needs float32.
+        """Input of `refined` for theta (B,4): the part that needs float32.
 
         Returns:
             The coarse maps (B,8,22,18,12) [mm] with their borders repeated, the refinement's gains (B,depth+1,2,C,1),
@@ -104,7 +104,7 @@ class SDMNNPlus(nn.Module):
             return merge(self._begin(theta)[1], COARSE)
 
     def _begin(self, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """What the trunk makes of theta, and the coarse maps in blocks."""
+        """Output of the trunk for theta, and the coarse maps in blocks."""
         state = self.trunk(self.features(theta))
         return state, self.low_rank(self.coefficients(state) * self.scale)
 
@@ -113,7 +113,7 @@ class SDMNNPlus(nn.Module):
         return torch.addmm(self.mean, coefficients, self.modes).reshape(-1, COARSE**3, *self.blocks)
 
     def coarse_of(self, maps: Tensor) -> Tensor:
-        """What `low_rank` should give for exact maps (B,1,80,64,40): (B,25600) [mm]."""
+        """Target of `low_rank` for exact maps (B,1,80,64,40): (B,25600) [mm]."""
         return split(nn.functional.avg_pool3d(maps, FINE // COARSE), COARSE).flatten(1)
 
 

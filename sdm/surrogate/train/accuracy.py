@@ -1,4 +1,4 @@
-"""How good a surrogate is: errors of the map, of the surface and of the inside, on exact maps."""
+"""Accuracy of a surrogate: errors of the map, of the surface and of the inside, against exact maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What surrogates are trained by."""
+"""Losses of surrogates: weighted to the surface, eikonal, and of the derivatives by the parameters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def eikonal(predicted: Tensor, exact: Tensor) -> Tensor:
 
 
 def sobolev(model: nn.Module, family: Family, theta: Tensor, generator: torch.Generator) -> Tensor:
-    """How wrong d(map)/d(theta) is: an unbiased estimate of its mean squared error a voxel [mm^2].
+    """Sobolev loss: an unbiased estimate of the mean squared error of d(map)/d(theta) a voxel [mm^2].
 
     Args:
         model: Parameters (B,4) to maps (B,1,nx,ny,nz).

@@ -1,4 +1,4 @@
-"""Where SDMNN+ begins: modes by proper orthogonal decomposition, and a network fitted to their coefficients."""
+"""Warm start of SDMNN+: modes by proper orthogonal decomposition, and a network fitted to their coefficients."""
 
 from __future__ import annotations
 
