@@ -18,4 +18,4 @@ class DeviceError(SDMError):
 
 
 class FormatError(SDMError):
-    """A file that cannot be read or written in the format that was asked for."""
+    """A file that cannot be read or written in the format that was requested."""

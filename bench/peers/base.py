@@ -37,7 +37,7 @@ class Peer(ABC):
     def missing(self) -> str | None:
         """Why it cannot run here, as a sentence; None if it can."""
         if self.device.startswith("cuda") and not torch.cuda.is_available():
-            return f"{self.name} was asked for on {self.device}, but no CUDA device is there"
+            return f"{self.name} was requested on {self.device}, but no CUDA device is there"
         try:
             importlib.import_module(self.module)
         except ImportError as error:

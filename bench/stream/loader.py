@@ -25,7 +25,7 @@ from sdm.stream import Batch
 
 # Longer than this for one map, and a library is out of the running [s].
 SLOWEST = 10.0
-# Grid that every library is first asked for: it loads, compiles, and leaves the slow ones out.
+# Grid that every library is first requested: it loads, compiles, and leaves the slow ones out.
 FIRST = 12
 # Seconds of the measurement at least, on a GPU's machine, and the fewest steps.
 SECONDS, FEWEST = 12.0, 3
@@ -119,7 +119,7 @@ def compare_peers(bench: Bench, cores: list[int]) -> list[dict[str, Any]]:
     there = {peer.name: peer.missing() for peer in peers()}
     names = [name for name, why in there.items() if why is None]
     if not names:
-        raise SystemExit("no other CPU library is installed: pip install 'warp-sdm[bench]'")
+        raise SystemExit("no other CPU library is installed: pip install '.[bench]' in a clone")
     exact = bench.stream(1).sample(0).sdm[0, 0].cpu()
     context = multiprocessing.get_context("spawn")
     rows = []

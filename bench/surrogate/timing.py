@@ -105,7 +105,7 @@ def _exact(family: Cochlea, theta: Tensor) -> Tensor:
 
 
 def _deepsdf() -> Method:
-    """A decoder of the published size, asked for every voxel in parts that fit into the processor's cache."""
+    """A decoder of the published size, evaluated at every voxel in parts that fit into the processor's cache."""
     decoder = PublishedDecoder(published()).eval()
     code = torch.zeros(1, decoder.code_size)
     points = GRID.points().reshape(1, -1, 3) / 10

@@ -44,9 +44,9 @@ def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) ->
     if device.type == "cuda" and not there:
         count = torch.cuda.device_count() if torch.cuda.is_available() else 0
         if count == 0:
-            raise DeviceError(f"the device {wanted} was asked for, but no CUDA device is there; use cpu")
+            raise DeviceError(f"the device {wanted} was requested, but no CUDA device is there; use cpu")
         if device.index is not None and device.index >= count:
-            raise DeviceError(f"the device {wanted} was asked for, but there are only cuda:0 to cuda:{count - 1}")
+            raise DeviceError(f"the device {wanted} was requested, but there are only cuda:0 to cuda:{count - 1}")
     if device.type == "cuda" and device.index is None:
         device = torch.device("cuda", torch.cuda.current_device())
     return device

@@ -8,7 +8,7 @@ from sdm.core.device import choose_device
 
 
 def devices_for(wanted: str | torch.device | None) -> list[str]:
-    """Every GPU of this machine that is of the first one's kind, else the CPU; or the one device that was asked for.
+    """Every GPU of this machine that is of the first one's kind, else the CPU; or the one device that was requested.
 
     GPUs of two kinds may differ in the last bits, and a dataset must not depend on who made which shard.
 

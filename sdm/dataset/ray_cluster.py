@@ -63,7 +63,7 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise SDMError("--ray needs Ray, which is not installed: pip install 'warp-sdm[ray]'") from None
+        raise SDMError("--ray needs Ray, which is not installed: pip install '.[ray]' in a clone") from None
     own = not ray.is_initialized()
     if own:
         _knock(address)

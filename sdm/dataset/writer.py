@@ -78,9 +78,9 @@ def generate(
     # The manifest takes no number of NumPy's.
     count, shard = int(count), None if shard is None else int(shard)
     if count < 1:
-        raise SDMError(f"a dataset of {count} samples was asked for; give at least 1")
+        raise SDMError(f"a dataset of {count} samples was requested; give at least 1")
     if shard is not None and shard < 1:
-        raise SDMError(f"a shard of {shard} samples was asked for; give at least 1")
+        raise SDMError(f"a shard of {shard} samples was requested; give at least 1")
     if compression not in COMPRESSIONS:
         raise SDMError(f"there is no compression called {compression!r}; use {' or '.join(COMPRESSIONS)}")
     if dtype not in (torch.float32, torch.float16):
@@ -139,7 +139,7 @@ def begin(target: Path, folder: Path, manifest: dict[str, Any], wanted: dict[str
 
 
 def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
-    """Refuse a dataset that is there and not the one that is asked for.
+    """Refuse a dataset that is there and not the one that is requested.
 
     Raises:
         FormatError: It is not; says in what.
@@ -149,7 +149,7 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
         there = found["recipe"].get(key, found.get(key))
         if (there is not None and value is not None and there != value) or (key == "truncate" and there != value):
             raise FormatError(
-                f"{path} has {key} {there}, but {value} was asked for: ask for the same, or for a new one"
+                f"{path} has {key} {there}, but {value} was requested: ask for the same, or for a new one"
             )
 
 

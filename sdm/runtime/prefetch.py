@@ -20,12 +20,12 @@ def prefetch(
     count: int,
     together: int = 1,
 ) -> Iterator[tuple[int, B]]:
-    """(step, batch) for each step: on a GPU at least `count` batches queued on a side stream before they are asked for.
+    """(step, batch) for each step: on a GPU at least `count` batches queued on a side stream before they are requested.
 
-    Elsewhere each is made when it is asked for.
+    Elsewhere each is made when it is requested.
 
     `make` gives the batches of several steps at once: of `together`, but for the last. Each batch is new memory. The
-    consumer's stream, the one that is current when a batch is asked for, waits for that batch on the device; the host
+    consumer's stream, the one that is current when a batch is requested, waits for that batch on the device; the host
     waits for nothing. The allocator is told that the consumer's stream reads the batch, so its memory is free for reuse
     only after what was queued there up to the moment the batch is let go. Tensors of a batch on the host are left
     alone.

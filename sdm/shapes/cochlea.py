@@ -68,7 +68,7 @@ class Cochlea(Family):
 
     def __init__(self, triangles: int = 20_000, *, design: CochleaDesign | None = None) -> None:
         if not FEWEST <= triangles <= MOST:
-            raise MeshError(f"a cochlea of {triangles} triangles was asked for; {FEWEST} to {MOST:,} are supported")
+            raise MeshError(f"a cochlea of {triangles} triangles was requested; {FEWEST} to {MOST:,} are supported")
         self.design = CochleaDesign() if design is None else design
         # An even number of cells puts a vertex at the middle of each cap.
         cells = 2 * max(1, round(math.sqrt(triangles / (8 * STEPS_PER_CELL + 4)) / 2))

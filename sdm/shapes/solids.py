@@ -38,7 +38,7 @@ class _Solids(Family):
         self, slots: dict[int, dict[str, str]], ranges: dict[str, Parameter], kind: int, triangles: int, shift: float
     ) -> None:
         if not FEWEST <= triangles <= MOST:
-            raise MeshError(f"a {self.name} of {triangles} triangles was asked for; {FEWEST} to {MOST:,} are supported")
+            raise MeshError(f"a {self.name} of {triangles} triangles was requested; {FEWEST} to {MOST:,} are supported")
         if not (math.isfinite(shift) and shift >= 0):
             raise MeshError(f"the largest shift of a {self.name} is {shift}; give a length of at least 0")
         ranges = dict(ranges)

@@ -12,7 +12,7 @@ class Batch(NamedTuple):
 
     Args:
         theta: (B,P) float32 parameters, on the device.
-        sdm: (B,1,nx,ny,nz) maps, on the device; float32 unless another type was asked for.
+        sdm: (B,1,nx,ny,nz) maps, on the device; float32 unless another type was requested.
         index: (B,) int64 global numbers of the samples, on the host, where reading them waits for nothing.
     """
 

@@ -147,7 +147,7 @@ class Maker:
             yield
 
     def measure(self, vertices: Tensor, faces: Tensor) -> Tensor:
-        """Maps (B,1,nx,ny,nz) of vertices (B,V,3) on the device, in the type that was asked for."""
+        """Maps (B,1,nx,ny,nz) of vertices (B,V,3) on the device, in the type that was requested."""
         values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
         if self.truncate is not None:
             values = values.clamp_(-self.truncate, self.truncate)

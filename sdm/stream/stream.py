@@ -39,7 +39,7 @@ class SDMStream(IterableDataset[Batch]):
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign.
-        ahead: How many batches at least are queued on a CUDA stream of their own before they are asked for. Small ones
+        ahead: How many batches at least are queued on a CUDA stream of their own before they are requested. Small ones
             are made several at once, up to 64 samples, as a GPU takes less time for them so.
         start: Global number of the first sample.
         stop: Global number before which the stream ends, a multiple of the global batch after `start`; None: never.
@@ -58,7 +58,7 @@ class SDMStream(IterableDataset[Batch]):
     StatefulDataLoader wants them) do so in another process, with any batch size and number of ranks that lead to
     `stop` in whole steps, both from `start` and from where the state is.
 
-    Batches are fresh tensors, ready for the stream that is current when they are asked for, and no step waits for the
+    Batches are fresh tensors, ready for the stream that is current when they are requested, and no step waits for the
     device. Iterate over the stream itself, or a DataLoader with `batch_size=None, num_workers=0`. Workers are for
     the CPU alone, as a forked process cannot use CUDA; they keep the order, and start anew with each `iter` of a
     DataLoader. With `persistent_workers` each goes on after what it had made ahead: batches that a loop left behind are
@@ -86,7 +86,7 @@ class SDMStream(IterableDataset[Batch]):
         if batch_size < 1:
             raise SDMError(f"the batch size is {batch_size}; give at least 1")
         if ahead < 1:
-            raise SDMError(f"{ahead} batches ahead were asked for; give at least 1")
+            raise SDMError(f"{ahead} batches ahead were requested; give at least 1")
         self.batch_size, self._ahead = int(batch_size), int(ahead)
         self._start, self.stop = int(start), None if stop is None else int(stop)
         self._find_rank = rank is None and world_size is None
@@ -178,9 +178,9 @@ class SDMStream(IterableDataset[Batch]):
         """The samples with these global numbers, as the stream gives them, whatever its position."""
         numbers = torch.as_tensor(index, dtype=torch.int64, device="cpu").reshape(-1)
         if not len(numbers):
-            raise SDMError("no sample was asked for; give the number of one, or more")
+            raise SDMError("no sample was requested; give the number of one, or more")
         if bool((numbers < 0).any()):
-            raise SDMError(f"sample {int(numbers.min())} was asked for; they are numbered from 0")
+            raise SDMError(f"sample {int(numbers.min())} was requested; they are numbered from 0")
         self._refuse_fork()
         return self._maker.make(numbers)
 

@@ -41,7 +41,7 @@ class ValidationSet(Dataset[Batch]):
 
     def __init__(self, maker: Maker, count: int) -> None:
         if count < 1:
-            raise SDMError(f"a validation set of {count} samples was asked for; give at least 1")
+            raise SDMError(f"a validation set of {count} samples was requested; give at least 1")
         own = Maker(
             maker.family,
             maker.grid,

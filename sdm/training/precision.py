@@ -1,4 +1,4 @@
-"""bfloat16: always on a GPU, if asked for on CPUs that have it, and there only where its gradients are right."""
+"""bfloat16: always on a GPU, on request on CPUs that have it, and there only where its gradients are right."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def _started(*, window: bool) -> Any:
     try:
         polyscope: Any = import_module("polyscope")
     except ImportError:
-        raise SDMError("a view needs Polyscope, which is not installed: pip install 'warp-sdm[viewer]'") from None
+        raise SDMError("a view needs Polyscope, which is not installed: pip install '.[viewer]' in a clone") from None
     if window and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise SDMError("there is no display to open a window on: draw a picture (sdm view --out FILE.png)")
     polyscope.set_verbosity(0)

@@ -1,4 +1,4 @@
-"""Wherever in the box theta is, shapes are sound, and samples do not care how they are asked for."""
+"""Wherever in the box theta is, shapes are sound, and samples do not care how they are requested."""
 
 from __future__ import annotations
 

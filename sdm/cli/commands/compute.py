@@ -49,8 +49,8 @@ def compute(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
         orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
-        resume: Skip meshes whose map is there already: on the same grid, and of the same triangles facing the same
-            way, as the map says. Other files under its name are replaced.
+        resume: Skip meshes whose map is there already: on the same grid, and made from the same mesh (checksum stored
+            in the map). Other files under its name are replaced.
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.jobs import Settings, run

@@ -41,14 +41,14 @@ def decode(
     from sdm.io.meshes.write import write_ply
 
     if to is not None and out.suffix != ".png":
-        raise FormatError(f"{out} does not end like a picture, but a strip of pictures was asked for: use .png")
+        raise FormatError(f"{out} does not end like a picture, but a strip of pictures was requested: use .png")
     refuse_inputs([out], [code, model, to])
     if out.suffix in (".ply", ".png"):
         check_file(out)
     elif is_map_name(out):
         check_target(out)
     else:
-        raise FormatError(f"{out} is no name for a result: use one of .ply, .png, .{', .'.join(FORMATS)}")
+        raise FormatError(f"cannot write {out.suffix or out.name}: use one of .ply, .png, .{', .'.join(FORMATS)}")
     shape, found = load_code(code), DeepSDF.load(model, device)
     if to is not None:
         picture = interpolation_strip(found, shape.code, load_code(to).code, count=count, size=resolution)

@@ -37,8 +37,8 @@ def encode(
         out: File to write, ending in .npz; or for several shapes a folder.
         scan: The shapes are points of surfaces, perhaps of a part: find whole shapes that go through them.
         sphere: Centre and radius of the sphere around the whole shape. A scan of a part needs it.
-        steps: Of the search.
-        seed: Of the samples.
+        steps: Optimisation steps.
+        seed: Random seed.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs

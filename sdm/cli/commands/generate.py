@@ -20,7 +20,7 @@ def generate(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     count: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    # None, so that --resume can tell what was asked for.
+    # None, so that --resume can tell what was requested.
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 64)")] = None,
     margin: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(default: 0.05)")] = None,
     seed: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 0)")] = None,

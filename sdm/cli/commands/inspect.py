@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def inspect(mesh: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MESH")], *, json: bool = False) -> None:
     """Say what a mesh is like: closed, oriented, outward, manifold, and what is wrong with it.
 
-    Lengths, areas and volumes are in the mesh's own unit. Problems are told, not mended, and the exit code is 0.
+    Lengths, areas and volumes are in the mesh's own unit. Problems are reported, not repaired, and the exit code is 0.
 
     Args:
         mesh: Mesh file: STL, PLY, OBJ, OFF, GLB, or whatever else trimesh reads.

@@ -52,8 +52,8 @@ def segmentation(
             output: head or branch, dtm or sdf, l1, l2 or l1l2, as in head-sdf-l1; also pwc, hausdorff-foreground.
         network: vnet or unet (3D).
         patch: Voxels of a patch along each axis, multiples of 16 (vnet) or 8 (unet).
-        coarsen: Show the network voxels so many times as large along each axis: a patch of as many of them holds more
-            of the body, or all of it. Labels and distances are still those of the image's voxels.
+        coarsen: Downsample the input by this factor: a patch of as many voxels holds more of the body, or all of it.
+            Labels and distances are still those of the image's voxels.
         batch: Patches a step.
         steps: Steps of the optimiser.
         optimizer: adam or sgd.

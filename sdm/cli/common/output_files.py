@@ -17,7 +17,7 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
     Args:
         meshes: Files, and folders whose mesh files are meant.
         out: A file if it ends like a map, else a folder, which is made.
-        ending: The format that was asked for, without the dot.
+        ending: The format that was requested, without the dot.
 
     In a folder a map is named like its mesh; where two meshes differ by their ending alone, it stays in the name.
 

@@ -63,7 +63,7 @@ def estimate_codes(
         SDMError: No steps.
     """
     if steps < 1:
-        raise SDMError(f"{steps} steps were asked for; give 1 or more, 800 as published")
+        raise SDMError(f"{steps} steps were requested; give 1 or more, 800 as published")
     settings = model.settings
     published = settings.variant == "published"
     rate = (5e-3 if published else 2e-2) if rate is None else rate

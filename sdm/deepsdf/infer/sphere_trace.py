@@ -53,7 +53,7 @@ def sphere_trace(model: DeepSDF, code: Any, origins: Tensor, directions: Tensor)
 def render(model: DeepSDF, code: Any, *, size: int = 256, elevation: float = 30.0, azimuth: float = -60.0) -> Tensor:
     """A picture (size,size,3) in [0,1] of a code's surface, from a direction in degrees, in parallel projection."""
     if size < 1:
-        raise SDMError(f"a picture of {size} pixels was asked for; give 1 or more")
+        raise SDMError(f"a picture of {size} pixels was requested; give 1 or more")
     eye, right, up = _camera(elevation, azimuth, model.device)
     across = torch.linspace(-1, 1, size, device=model.device, dtype=torch.float32)
     y, x = torch.meshgrid(-across, across, indexing="ij")

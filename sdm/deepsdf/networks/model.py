@@ -21,7 +21,7 @@ from sdm.deepsdf.train.settings import Settings
 from sdm.errors import SDMError
 from sdm.training.checkpoints import fitting_states
 
-# Points that are decoded at a time where no gradient is asked for.
+# Points that are decoded at a time where no gradient is requested.
 CHUNK = 1 << 18
 
 

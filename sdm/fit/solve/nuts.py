@@ -1,6 +1,6 @@
 """The posterior by the No-U-Turn sampler (Hoffman and Gelman 2014), where a Gaussian about the estimate is not enough.
 
-The sampler is Pyro's (`pip install "warp-sdm[nuts]"`). It walks in units of the Laplace posterior, so that all ten
+The sampler is Pyro's (the extra `nuts`). It walks in units of the Laplace posterior, so that all ten
 unknowns have about the same width, with the appearance held at its estimate.
 """
 
@@ -29,7 +29,7 @@ class Samples:
 
     Args:
         increments: (N,P+6) float64 increments of `State.moved` at the estimate.
-        accepted: Mean probability of acceptance; the sampler aims at 0.8.
+        accepted: Mean probability of acceptance; the sampler's target is 0.8.
         divergences: Trajectories that left the typical set: more than a few mean that it is not to be trusted.
     """
 
@@ -67,7 +67,7 @@ def sample_posterior(
     try:
         infer = importlib.import_module("pyro.infer")
     except ImportError as error:
-        raise SDMError('sampling needs Pyro: pip install "warp-sdm[nuts]"') from error
+        raise SDMError('sampling needs Pyro: pip install ".[nuts]" in a clone') from error
     options = FitOptions() if options is None else options
     energy = _Energy(result, image_tensor(image, grid, backend.device), grid, backend, options)
 

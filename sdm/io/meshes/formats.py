@@ -55,7 +55,7 @@ def ending_of(path: Path) -> str:
         ending = f"ending {path.suffix}" if path.suffix else "name without an ending"
         raise MeshError(f"{path}: no mesh has the {ending}; known are .{', .'.join(known_endings())}")
     if not _is_installed(found):
-        raise MeshError(f"{path} needs {TRIMESH[found]} to be read: pip install 'warp-sdm[formats]'")
+        raise MeshError(f"{path} needs {TRIMESH[found]} to be read: pip install '.[formats]' in a clone")
     return found
 
 

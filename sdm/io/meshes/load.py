@@ -85,7 +85,7 @@ def _read(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
     except (MeshError, MemoryError):
         raise
     except ImportError as error:
-        raise MeshError(f"{path} cannot be read without {error.name}: pip install 'warp-sdm[formats]'") from error
+        raise MeshError(f"{path} cannot be read without {error.name}: pip install '.[formats]' in a clone") from error
     except IndexError as error:
         why = one_line(error)
         raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({why})") from error

@@ -39,7 +39,7 @@ def read_hdf5(path: Path) -> Case:
     try:
         import h5py
     except ImportError:
-        raise FormatError(f"{path} needs h5py: pip install 'warp-sdm[segmentation]'") from None
+        raise FormatError(f"{path} needs h5py: pip install '.[segmentation]' in a clone") from None
     try:
         with h5py.File(path, "r") as file:
             if "image" not in file:

@@ -65,7 +65,7 @@ def _export(
     try:
         import onnxscript  # noqa: F401  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise SDMError("export to ONNX needs the extra `onnx`: pip install 'warp-sdm[onnx]'") from error
+        raise SDMError("export to ONNX needs the extra `onnx`: pip install '.[onnx]' in a clone") from error
     batch = torch.export.Dim("batch", min=1, max=4096)
     # One for each input; those of a `_Method` are one argument, `*inputs`.
     shapes = tuple({0: batch} for _ in example)

@@ -33,7 +33,7 @@ class Stages:
 
         self._core = openvino.Core()
         self._hints = {"INFERENCE_NUM_THREADS": threads, "PERFORMANCE_HINT": "LATENCY"}
-        # Read from memory: the files may be gone when a batch of one is first asked for.
+        # Read from memory: the files may be gone when a batch of one is first requested.
         self._stages = [(file.read_bytes(), precision) for file, precision in files]
         self._requests: dict[bool, list[Any]] = {}
 

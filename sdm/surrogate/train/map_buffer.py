@@ -28,7 +28,7 @@ class Replay:
 
     def __init__(self, stream: SDMStream, capacity: int, seed: int = 0) -> None:
         if capacity < 1:
-            raise SDMError(f"a store of {capacity} maps was asked for; give at least 1")
+            raise SDMError(f"a store of {capacity} maps was requested; give at least 1")
         self.stream, self.capacity, self.seed = stream, capacity, seed
         device = stream.device
         self.theta = torch.empty((capacity, 4), device=device)

@@ -105,7 +105,7 @@ def test_inspect_too(name, place, capsys):
 
 
 def test_a_zarr_larger_than_memory_is_not_refused(place, monkeypatch):
-    """It is asked for its first slab, which is all that has to fit."""
+    """It is requested its first slab, which is all that has to fit."""
     from sdm.engine.api import MeshIndex
 
     class Asked(Exception):

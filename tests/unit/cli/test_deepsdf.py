@@ -102,7 +102,7 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
         (
             ["decode", "{new}", "-m", "{model}", "-o", "x.stl"],
-            "is no name for a result: use one of .ply, .png, .nii.gz",
+            "cannot write .stl: use one of .ply, .png, .nii.gz",
         ),
         (
             ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],

@@ -164,7 +164,7 @@ def test_resume_refuses_what_the_dataset_is_not(tmp_path, capsys, family):
     own = [*SMALL, "--seed", "3", "--compression", "none", "--margin", "0.1", "--truncate", "1"]
     assert run("cuboid", *own, "-o", out) == 0
     for words, message in (
-        (["--count", "100"], "has count 5, but 100 was asked for"),
+        (["--count", "100"], "has count 5, but 100 was requested"),
         (["--resolution", "32"], "has grid "),
         (["--margin", "0.2"], "has grid "),
         (["--seed", "0"], "has seed 3, but 0"),

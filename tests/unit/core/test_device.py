@@ -27,7 +27,7 @@ def no_gpu(monkeypatch):
 def test_without_a_gpu(no_gpu):
     for wanted in (None, "auto", "cpu", torch.device("cpu")):
         assert device.choose_device(wanted) == torch.device("cpu")
-    with pytest.raises(DeviceError, match="the device cuda was asked for, but no CUDA device is there; use cpu"):
+    with pytest.raises(DeviceError, match="the device cuda was requested, but no CUDA device is there; use cpu"):
         device.choose_device("cuda")
     with pytest.raises(DeviceError, match="cuda:1"):
         device.choose_device(torch.device("cuda:1"))
@@ -39,7 +39,7 @@ def test_with_gpus(two_gpus):
     assert device.choose_device(None) == torch.device("cuda:1")
     assert device.choose_device("auto", torch.zeros(3), None) == torch.device("cuda:1")
     assert device.choose_device("cpu") == torch.device("cpu")
-    with pytest.raises(DeviceError, match="cuda:2 was asked for, but there are only cuda:0 to cuda:1"):
+    with pytest.raises(DeviceError, match="cuda:2 was requested, but there are only cuda:0 to cuda:1"):
         device.choose_device("cuda:2")
 
 

@@ -37,7 +37,7 @@ def write(path, **options):
 
 def test_says_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(SDMError, match=r"pip install 'warp-sdm\[ray\]'"):
+    with pytest.raises(SDMError, match=r"pip install '\.\[ray\]'"):
         write(tmp_path / "d.zarr", ray="auto")
 
 

@@ -183,7 +183,7 @@ def test_sample_gives_any_numbers(family):
     assert found.index.tolist() == [6, 1, 1]
     expected = together(whole)
     assert torch.equal(found.sdm, expected.sdm[[6, 1, 1]])
-    with pytest.raises(SDMError, match="no sample was asked for"):
+    with pytest.raises(SDMError, match="no sample was requested"):
         source.sample([])
     with pytest.raises(SDMError, match="numbered from 0"):
         source.sample(-1)

@@ -122,5 +122,5 @@ def test_bad_scans_are_said(balls: DeepSDF) -> None:
             SDMError, match="2 normals of the scan are not finite or have no length, the first in row 7"
         ):
             encode_scan(balls, some(200, 0.4), normals)
-    with pytest.raises(SDMError, match="0 steps were asked for"):
+    with pytest.raises(SDMError, match="0 steps were requested"):
         estimate_codes(balls, Scan(some(200, 0.4)), steps=0)

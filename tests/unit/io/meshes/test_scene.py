@@ -35,7 +35,7 @@ def test_formats_of_the_extra(ending, module, tmp_path):
 @pytest.mark.usefixtures("nothing_installed")
 def test_a_format_whose_reader_is_not_installed(ending, needs, tmp_path):
     (tmp_path / f"a.{ending}").write_text("x")
-    with pytest.raises(MeshError, match=rf"a\.{ending} needs {needs} to be read: pip install 'warp-sdm\[formats\]'"):
+    with pytest.raises(MeshError, match=rf"a\.{ending} needs {needs} to be read: pip install '\.\[formats\]'"):
         load_mesh(tmp_path / f"a.{ending}")
     assert mesh_files(tmp_path) == []
 

@@ -16,7 +16,7 @@ def test_every_shape_lies_in_the_grid_with_room():
     last = first + torch.tensor(GRID.spacing) * (torch.tensor(GRID.shape) - 1)
     assert (low - first).min() >= ROOM_MM - 0.02
     assert (last - high).min() >= ROOM_MM - 0.02
-    # Not more than is needed: a grid of this size may be asked for on every call.
+    # Not more than is needed: a grid of this size may be requested on every call.
     assert (low - first).max() < 1.3
     assert (last - high).max() < 1.3
 
