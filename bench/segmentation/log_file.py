@@ -6,18 +6,16 @@ FILE.jsonl holds a study. FILE.jsonl/NAME is one trial of those that share a fil
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import math
-import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sdm.bench.common.json_file import put
 from sdm.errors import FormatError
+from sdm.io.files.lock import alone
 
 SUFFIX = ".jsonl"
 Job = dict[str, Any]
@@ -93,7 +91,7 @@ class LogFile:
 
     def _write(self, change: Callable[[list[Log]], Iterable[Log]]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with _locked(self.path.parent):
+        with alone(self.path.parent, wait=True):
             lines = sorted(change(self._lines()), key=_key)
             text = (json.dumps(line, allow_nan=False, separators=(",", ":")) for line in lines)
             put(self.path, "".join(f"{line}\n" for line in text))
@@ -147,15 +145,3 @@ def _of_several(log: Log) -> bool:
 
 def _key(line: Log) -> tuple[str, str]:
     return line.get("trial", ""), line["job"]["name"]
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Wait until no other process of this machine writes logs to the folder; without locks where there are none."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

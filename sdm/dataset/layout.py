@@ -25,10 +25,9 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
-from sdm.dataset.atomic import put
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.errors import FormatError
-from sdm.io.files.atomic import own_name
+from sdm.io.files.atomic import own_name, put
 
 UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.

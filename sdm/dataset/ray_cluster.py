@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from sdm.dataset.atomic import put
 from sdm.dataset.devices import device_kind
 from sdm.dataset.manifest import KEY, sealed
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
+from sdm.io.files.atomic import put
 from sdm.stream import Maker
 
 # How often new machines are looked for [s], and how long a cluster may have no worker at all.

@@ -21,7 +21,7 @@ UNNAMED = (
 )  # fmt: skip
 # Modules of one name that differ plainly, besides those that `is_plain` knows.
 TWINS = {
-    "api", "atomic", "batch", "grid", "nifti", "ranks", "targets", "validation", "predict", "evaluate",
+    "api", "batch", "grid", "nifti", "ranks", "targets", "validation", "predict", "evaluate",
 }  # fmt: skip
 
 

@@ -39,6 +39,30 @@ def replacing(target: Path) -> Iterator[Path]:
         _remove(part)
 
 
+def put(target: Path, content: bytes | Path) -> None:
+    """Write bytes, or move a file that is on the same disk, to `target`; on the disk before anything else says so.
+
+    The folder is made if it is not there.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(content, Path):
+        _flush(content)
+        content.replace(target)
+    else:
+        part = own_name(target)
+        try:
+            part.write_bytes(content)
+            _flush(part)
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
+    # Without this a power cut may forget the renaming.
+    _flush(target.parent)
+
+
 def try_to_write(target: Path) -> None:
     """Find out whether `target` can be written, without touching it.
 
@@ -72,8 +96,11 @@ def own_name(path: Path, ending: str = LEFTOVER) -> Path:
 
 def _flush(path: Path) -> None:
     # Without this a power cut soon after the renaming may leave an empty file under the final name.
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _take_place(part: Path, target: Path) -> None:

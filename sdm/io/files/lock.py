@@ -12,12 +12,16 @@ from sdm.errors import FormatError
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path, *, wait: bool = False) -> Iterator[None]:
     """Keep other processes of this machine from writing to a folder at the same time, if they ask so too.
 
     Of two trainings each would go on from the other's checkpoint; of two that fill a dataset the one that finished it
     would take it away under the hands of the other. The lock goes with its process and those forked meanwhile, however
     they end; a file system that has no locks does without.
+
+    Args:
+        folder: It is there already.
+        wait: Wait for the other process, instead of refusing.
 
     Raises:
         FormatError: Another process has it, or it is not there.
@@ -28,7 +32,7 @@ def alone(folder: Path) -> Iterator[None]:
         raise FormatError(f"{folder} cannot be written: {error.strerror or error}") from error
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             raise FormatError(f"{folder} is being written by another process: wait for it, or end it") from None
         except OSError:

@@ -14,7 +14,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io import FORMATS, load, save
 from sdm.io.files import atomic, rename_exchange
-from sdm.io.files.atomic import LEFTOVER, replacing
+from sdm.io.files.atomic import LEFTOVER, put, replacing
 
 GRID = Grid((0, 0, 0), (1, 1, 1), (6, 5, 4))
 FIELD = SDM(torch.arange(120, dtype=torch.float32).reshape(6, 5, 4), GRID, 0)
@@ -229,3 +229,22 @@ def test_a_link_gives_way_and_what_it_leads_to_stays(ending, in_one_step, there,
     assert far.exists() == there
     if there:
         assert torch.equal(load(far).values, FIELD.values)
+
+
+def test_what_is_put_is_there_whole_and_leaves_nothing_beside(tmp_path, monkeypatch):
+    target = tmp_path / "made" / "a.bin"
+    put(target, b"one")
+    moved = tmp_path / "moved"
+    moved.write_bytes(b"two")
+    put(target, moved)
+    assert target.read_bytes() == b"two"
+    assert not moved.exists()
+    monkeypatch.setattr(Path, "replace", _fails)
+    with pytest.raises(OSError, match="no"):
+        put(target, b"three")
+    assert target.read_bytes() == b"two"
+    assert [path.name for path in target.parent.iterdir()] == ["a.bin"]
+
+
+def _fails(*given):
+    raise OSError("no")
