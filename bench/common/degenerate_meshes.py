@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from sdm.bench.common.mesh_formulas import Arrays, cube, joined, moved, sphere, torus
@@ -87,6 +89,52 @@ def t_junctions() -> Arrays:
     # The edge from vertex 5 (1,-1,1) to 7 (1,1,1) belongs to faces (4,7,5) and (1,5,7): split it in one of them.
     split = [face for face in faces.tolist() if face != [4, 7, 5]] + [[4, 7, 8], [4, 8, 5]]
     return vertices, np.array(split, np.int32)
+
+
+def filled_t_junctions(splits: int = 12, seed: int = 4) -> Arrays:
+    """A closed prism, turned, one of whose edges is whole on one side and split on the other.
+
+    Thin triangles fill what rounding left between: from one end of the edge to each piece of it.
+    """
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    base = np.array([[1.0, 0.0], [-0.5, 0.8], [-0.6, -0.7]])
+    vertices = np.concatenate([np.insert(base, 2, z, axis=1) for z in (-1.5, 1.5)])
+    share = np.sort(rng.uniform(0, 1, (splits, 1)), axis=0)
+    vertices = np.concatenate([vertices, vertices[0] + share * (vertices[3] - vertices[0])]) @ turn
+    if np.linalg.det(turn) < 0:
+        vertices = -vertices
+    chain = [0, *range(6, 6 + splits), 3]
+    # The side (0,1,4,3) is whole, the side (2,0,3,5) is a fan from vertex 2 over the pieces, and from 5 over its end.
+    faces = [[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [2, 3, 5]]
+    pieces = list(itertools.pairwise(chain))
+    faces += [[2, begin, end] for begin, end in pieces]
+    faces += [[0, end, begin] for begin, end in pieces[1:]]
+    return vertices.astype(np.float32), np.array(faces, np.int32)
+
+
+def thin_soup(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Corners (count,3,3) float32 of loose near-degenerate triangles, of many heights, alone or on one turned line."""
+    start, along = rng.normal(size=(2, count, 1, 3))
+    if rng.random() < 0.5:
+        start, along = start[:1], along[:1]
+    corner = start + rng.uniform(-1, 1, (count, 3, 1)) * along
+    if rng.random() < 0.3:
+        # Needles from one tip.
+        corner[:, 0] = corner[0, 0]
+    if rng.random() < 0.3:
+        corner *= 10.0 ** rng.uniform(-3, 0, (count, 1, 1))
+    off = rng.normal(size=(count, 3, 3)) * 10.0 ** rng.uniform(-9, -1, (count, 1, 1))
+    return (corner + (rng.random() < 0.6) * off).astype(np.float32)
+
+
+def thin_soups(clusters: int = 125, seed: int = 13) -> Arrays:
+    """Many soups of one to five near-degenerate triangles, each by itself."""
+    rng = np.random.default_rng(seed)
+    side = round(clusters ** (1 / 3))
+    place = 8.0 * np.stack(np.meshgrid(*[np.arange(side) - side / 2] * 3), -1).reshape(-1, 1, 1, 3)
+    soups = [thin_soup(rng, int(rng.integers(1, 6))) + offset for offset in place]
+    return _loose(np.concatenate(soups))
 
 
 def three_sheets() -> Arrays:

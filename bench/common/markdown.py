@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-KINDS = ("uniform", "near", "surface", "far", "voxels", "turned")
+KINDS = ("uniform", "near", "surface", "in line", "far", "voxels", "turned")
 LEGEND = """\
 Columns from `uniform` to `turned`: largest error of a distance against a float64 brute force over all triangles, in
 roundings: 2^-24 of the largest absolute coordinate of the mesh and the point. The limit is {limit:g}. `near`: within
-two voxels of a 128^3 grid; `surface`: on triangles, vertices and edges; `far`: ten box sizes away; `voxels`: of a map;
-`turned`: of a map on turned axes with unequal spacing. Wrong signs: against the winding number in float64, above one
-half being inside. Left out of that: `unclear`, the winding number is within 1e-3 of one half; `on surface`, within 4
-roundings of it. `closest point`: how far it is from the distance, the face or the barycentric coordinates that come
-with it, the largest of the three, same limit."""
+two voxels of a 128^3 grid; `surface`: on triangles, vertices and edges; `in line`: on the lines of edges or just beside
+them; `far`: ten box sizes away; `voxels`: of a map; `turned`: of a map on turned axes with unequal spacing. Wrong
+signs: against the winding number in float64, above one half being inside. Left out of that: `unclear`, the winding
+number is within 1e-3 of one half; `on surface`, within 4 roundings of it. `closest point`: how far it is from the
+distance, the face or the barycentric coordinates that come with it, the largest of the three, same limit."""
 
 
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:

@@ -13,7 +13,7 @@ from torch import Tensor
 from sdm.bench.common import query_points as sampling
 from sdm.bench.common.correctness import LIMIT, compare
 from sdm.bench.common.meshes import Case, load_case
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.peers import Peer, all_peers
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]

@@ -1,4 +1,4 @@
-"""Points to measure at, where errors hide: everywhere, near the surface, on it, and far away."""
+"""Points to measure at, where errors hide: everywhere, near the surface, on it, in line with edges, and far away."""
 
 from __future__ import annotations
 
@@ -56,7 +56,25 @@ def far(case: Case, count: int) -> np.ndarray:
     return ((low + high) / 2 + _directions(rng, count) * reach * rng.uniform(0.9, 1.1, (count, 1))).astype(np.float32)
 
 
-KINDS: dict[str, Callable[[Case, int], np.ndarray]] = {"uniform": uniform, "near": near, "surface": surface, "far": far}
+def in_line(case: Case, count: int) -> np.ndarray:
+    """Points on the lines of edges, up to half a length beyond their ends, or up to a hundredth beside them."""
+    rng = generator(case, "in line")
+    corner = case.vertices.astype(np.float64)[case.faces]
+    face, side = rng.integers(0, len(corner), count), rng.integers(0, 3, count)
+    start, edge = corner[face, side], corner[face, (side + 1) % 3] - corner[face, side]
+    points = start + rng.uniform(-0.5, 1.5, (count, 1)) * edge
+    off = 10.0 ** rng.uniform(-9, -2, (count, 1)) * np.linalg.norm(edge, axis=1, keepdims=True)
+    points[::2] += (off * _directions(rng, count))[::2]
+    return points.astype(np.float32)
+
+
+KINDS: dict[str, Callable[[Case, int], np.ndarray]] = {
+    "uniform": uniform,
+    "near": near,
+    "surface": surface,
+    "in line": in_line,
+    "far": far,
+}
 
 
 def _on_triangles(case: Case, rng: np.random.Generator, count: int) -> np.ndarray:

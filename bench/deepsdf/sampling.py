@@ -23,7 +23,7 @@ import torch
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import median, once
 from sdm.bench.deepsdf.shapes import cochleas
 from sdm.deepsdf.samples import ShapeSet

@@ -23,7 +23,7 @@ from sdm.bench.common import query_points as sampling
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.machine import describe, version_of
 from sdm.bench.common.meshes import Case, load_case, missing_note
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.own import Own, load_own
 from sdm.bench.common.results_folder import write_results
 from sdm.bench.common.tables import print_results

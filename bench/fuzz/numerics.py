@@ -11,7 +11,7 @@ import sdm
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.mesh_formulas import Arrays, cube, joined, sphere, torus
 from sdm.bench.common.meshes import Case
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
 
 # Half of the points lie near the surface, as near as this share of the mesh.

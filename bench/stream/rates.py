@@ -10,7 +10,7 @@ import torch
 from sdm import signed_distance_maps
 from sdm.bench.common.correctness import compare
 from sdm.bench.common.meshes import Case
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import median
 from sdm.bench.stream.sizes import Bench
 from sdm.engine.acceleration import build

@@ -39,7 +39,7 @@ _CORNERS_SIZE = 48
 class Tree:
     """The hierarchy of a batch of meshes. Triangle `t` of mesh `m` in curve order is slot `m * count + t`."""
 
-    corners: wp.array(dtype=wp.vec3)  # (4 * slots) corner a, b, c and unit normal, scaled
+    corners: wp.array(dtype=wp.vec3)  # (4 * slots) corner a, b, c, scaled, and the normal, see `load_corners`
     lattice: wp.array(dtype=wp.vec2i)  # (3 * slots) corners' (y,z) on the lattice
     face: wp.array(dtype=wp.int32)  # (slots) index of the face before sorting
     boxes: wp.array(dtype=wp.float32)  # (meshes * 2^(depth+1) * BOX_FLOATS) low (3), 0, high (3), 0, scaled
@@ -84,7 +84,10 @@ def first_triangle(tree: Tree, leaf: int):
 
 @wp.func
 def load_corners(tree: Tree, slot: int):
-    """The corners a, b and c of the triangle in a slot, and its unit normal (scaled)."""
+    """The corners a, b and c of the triangle in a slot (scaled), and its normal.
+
+    That has length 1, or 2 if the triangle is thin, or 0 if it is flat: see `triangle_distance`.
+    """
     r0 = load4_of_vectors(tree.corners, 3 * slot)
     r1 = load4_of_vectors(tree.corners, 3 * slot + 1)
     r2 = load4_of_vectors(tree.corners, 3 * slot + 2)

@@ -1,9 +1,28 @@
 """Distance to one triangle: a fast float32 form to search with, a float64 form to finish with.
 
-Both take the minimum over the three edges (as segments) and, where the point projects into the triangle, its
-plane. Unlike the usual cascade over Voronoi regions this has no division by the area, so it stays right on
-slivers, collinear and repeated vertices: a wrong answer to "does it project inside?" near an edge changes the
-distance by no more than the rounding that caused it, because the edge itself is always in the minimum.
+Both take the minimum over the three edges (as segments) and, where the point projects into the triangle, its plane.
+Unlike the usual cascade over Voronoi regions this has no division by the area, so it stays right on slivers, collinear
+and repeated vertices, with two cares. Let h be a triangle's height over its longest edge, of length L, in scaled
+coordinates: they are at most 1, so that one of them rounds by u = 2^-24, and a distance may be wrong by 2u.
+
+**Flat triangles** (h <= FLATTEST max(1, L)) have no plane, and their edges tell all: every point of the triangle is
+within h/2 of an edge, which is less than half a rounding.
+
+**Thin triangles** (h < max(THIN L^2, L/SLENDER)) have their inside test in float64. In float32 a point p at a distance
+d may seem to be on the inner side of an edge's line if it is within r = 9u(L + d) of it: a rounding each of p - a,
+b - a and the normal, three in the cross product and three in the dot product. Beside an edge that changes the distance
+by no more than such a rounding. But beyond a corner of angle A the point may be on the outer side of two lines and r
+from both, that is s = r/sin(A/2) <= 2rL/h from the corner. There the height over the plane, which is less than the
+distance by up to min(s, s^2/2d), would stand alone. Of a triangle that is not thin this is
+
+- at most 4.5u where d <= L: where d <= 9u, s <= 18u L (L/h) <= 18u/THIN; where d is more, s <= 36u L (L/h) <= 9u, and
+  s^2/2d <= 4.5u;
+- at most 648 u^2 d (L/h)^2 <= 648 u^2 d SLENDER^2 <= 0.7u d where d > L,
+
+which is within the room that the search leaves for rounding (`nearest_search.CLOSE`). In float64 the differences of
+float32 numbers are exact, and the test is as dot(n, cross(b - a, p - a)): only the cross product's roundings count, r =
+3 2^-53 (L + d), as those of n tilt it for all three edges alike, and those of the dot product are relative to the
+distance from the line. So s <= 2rL/h <= 6 2^-53 2^26 (L + d) = 0.75u (L + d): less than the distance may be wrong by.
 """
 
 from __future__ import annotations
@@ -14,8 +33,9 @@ from sdm.kernels.primitives.fast_math import inverse_root
 
 wp.set_module_options({"enable_backward": False})
 
-# Below this height over longest edge a triangle is as thin as float32 rounding of its own corners: its edges tell all.
-FLATTEST = wp.float64(1.0e-10)
+# See above.
+FLATTEST = wp.float64(2.0**-26)
+THIN, SLENDER = wp.float64(4.0), wp.float64(128.0)
 
 
 @wp.func
@@ -30,11 +50,24 @@ def segment_distance2(q: wp.vec3, e: wp.vec3):
 
 
 @wp.func
+def projects_into(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Test of whether p projects into the triangle (a,b,c), which has an area, in float64."""
+    ab = b - a
+    bc = c - b
+    ca = a - c
+    n = wp.cross(ab, -ca)
+    zero = wp.float64(0.0)
+    inside_ab = wp.dot(n, wp.cross(ab, p - a)) >= zero
+    inside_bc = wp.dot(n, wp.cross(bc, p - b)) >= zero
+    return inside_ab and inside_bc and wp.dot(n, wp.cross(ca, p - c)) >= zero
+
+
+@wp.func
 def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     """Squared distance of p from the triangle (a,b,c), and what of it is nearest: plane (0), ab (1), bc (2) or ca (3).
 
-    n is the unit normal, zero if the triangle has no area. It comes from float64, so that the height over a sliver is
-    as accurate as over any triangle.
+    n is the normal: of length 1, or 2 for a thin triangle, or 0 for a flat one (see above). It comes from float64, so
+    that the height over a sliver is as accurate as over any triangle.
     """
     pa = p - a
     pb = p - b
@@ -45,9 +78,14 @@ def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     inside_ab = wp.dot(wp.cross(n, ab), pa) >= 0.0
     inside_bc = wp.dot(wp.cross(n, bc), pb) >= 0.0
     inside_ca = wp.dot(wp.cross(n, ca), pc) >= 0.0
+    length2 = wp.dot(n, n)
+    inside = inside_ab and inside_bc and inside_ca and length2 > 0.5
+    if inside and length2 > 2.0:
+        n = 0.5 * n
+        inside = projects_into(wp.vec3d(p), wp.vec3d(a), wp.vec3d(b), wp.vec3d(c))
     d2 = float(0.0)
     part = int(0)
-    if inside_ab and inside_bc and inside_ca and wp.dot(n, n) > 0.5:
+    if inside:
         h = wp.dot(n, pa)
         d2 = h * h
     else:
@@ -65,17 +103,34 @@ def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
 
 
 @wp.func
+def longest_edge2(ab: wp.vec3d, bc: wp.vec3d, ca: wp.vec3d):
+    """The square of the longest of three edges."""
+    return wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
+
+
+@wp.func
 def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Unit normal of a triangle, or zero if it has no area to speak of."""
+    """Unit normal of a triangle in scaled coordinates, or zero if it is flat: if its edges tell all (see above)."""
     ab = b - a
-    bc = c - b
     ca = a - c
     n = wp.cross(ab, -ca)
     n2 = wp.dot(n, n)
-    least = FLATTEST * wp.max(wp.dot(ab, ab), wp.max(wp.dot(bc, bc), wp.dot(ca, ca)))
-    if n2 <= least * least:
+    longest2 = longest_edge2(ab, c - b, ca)
+    if n2 <= FLATTEST * FLATTEST * longest2 * wp.max(longest2, wp.float64(1.0)):
         return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
     return inverse_root(n2) * n
+
+
+@wp.func
+def is_thin(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Test of whether float32 may take a point beyond a corner of the triangle for one above it (see above)."""
+    ab = b - a
+    ca = a - c
+    n = wp.cross(ab, -ca)
+    longest2 = longest_edge2(ab, c - b, ca)
+    # The square of the height times that of the longest edge, twice.
+    n2 = wp.dot(n, n)
+    return n2 < longest2 * longest2 * wp.max(THIN * THIN * longest2, wp.float64(1.0) / (SLENDER * SLENDER))
 
 
 @wp.struct
@@ -150,9 +205,9 @@ def closest_point(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
     n = unit_normal(a, b, c)
     if wp.dot(n, n) > wp.float64(0.5):
-        weight_c = wp.dot(wp.cross(n, ab), pa)
-        weight_a = wp.dot(wp.cross(n, bc), pb)
-        weight_b = wp.dot(wp.cross(n, ca), pc)
+        weight_c = wp.dot(n, wp.cross(ab, pa))
+        weight_a = wp.dot(n, wp.cross(bc, pb))
+        weight_b = wp.dot(n, wp.cross(ca, pc))
         if weight_a >= zero and weight_b >= zero and weight_c >= zero:
             h = wp.dot(n, pa)
             if h * h < hit.distance2:

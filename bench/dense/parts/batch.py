@@ -13,7 +13,7 @@ from torch import Tensor
 import sdm
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.meshes import Case, load_case, missing_note
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.query_points import generator
 from sdm.bench.common.timing import median, once
 from sdm.bench.dense.job import MIB, Job, as_dict, peak_mib

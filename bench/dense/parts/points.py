@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sdm.bench.common.correctness import compare
 from sdm.bench.common.meshes import Case
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import median, once
 from sdm.bench.dense.job import Job, Ours, as_dict, error_cell, geometric_mean, peak_mib, wrong_in
 from sdm.bench.peers import StockWarp

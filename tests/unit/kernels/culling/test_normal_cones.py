@@ -365,6 +365,7 @@ def test_most_of_a_smooth_surface_is_missed_from_afar():
     assert (dropped & 2 > 0).mean() > 0.7
     # What is dropped is neither before nor behind the point nearest to the box: all else is.
     normals = mesh.tree.corners.numpy().reshape(-1, 4, 3)[:, 3]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     facing = np.abs(normals @ centre[0]) / np.linalg.norm(centre[0])
     assert facing[dropped & 1 > 0].max() < 0.999
     # The highest nodes with cones are small enough for some of them to be missed too.

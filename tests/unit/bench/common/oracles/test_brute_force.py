@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sdm.bench.common import meshes
-from sdm.bench.common.oracle import Brute
+from sdm.bench.common.oracles.brute_force import Brute
 from tests.helpers import oracle
 
 
@@ -42,7 +42,7 @@ def test_equals_the_oracle(name):
 
 
 def test_threads_and_slices_cover_every_point(monkeypatch):
-    import sdm.bench.common.oracle
+    import sdm.bench.common.oracles.brute_force
 
     rng = np.random.default_rng(6)
     vertices, faces = meshes.cube()
@@ -50,8 +50,8 @@ def test_threads_and_slices_cover_every_point(monkeypatch):
     expected, _, _ = oracle.distance(vertices, faces, points)
     shares = []
     for workers in (1, 3):
-        monkeypatch.setattr(sdm.bench.common.oracle.os, "sched_getaffinity", lambda _, n=workers: range(n))
-        monkeypatch.setattr(sdm.bench.common.oracle, "CHUNK", 90)
+        monkeypatch.setattr(sdm.bench.common.oracles.brute_force.os, "sched_getaffinity", lambda _, n=workers: range(n))
+        monkeypatch.setattr(sdm.bench.common.oracles.brute_force, "CHUNK", 90)
         d, _, face = Brute(vertices, faces, progress=shares.append).distance(points)
         np.testing.assert_allclose(d, expected, atol=1e-15)
         assert face.min() >= 0

@@ -1,0 +1,1 @@
+"""True distances, to compare with: a float64 brute force over all triangles, and rational arithmetic."""

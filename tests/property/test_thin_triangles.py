@@ -1,0 +1,178 @@
+"""Near-degenerate triangles, alone and in T-junctions: none hides what is nearer, whatever is asked and how."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sdm
+import sdm.engine.ops
+from sdm.bench.common.degenerate_meshes import filled_t_junctions, thin_soup
+from sdm.bench.common.oracles import rational
+from tests.helpers import strategies
+from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
+
+# Three corners on one turned line, as near as float32 has it, of two triangles; a point between theirs and beyond.
+LINE = [
+    [-1.447624921798706, 0.4282739758491516, 1.7468687295913696],
+    [-0.8597241640090942, -0.7521378397941589, 1.4085214138031006],
+    [-1.0241400003433228, -0.42201700806617737, 1.5031455755233765],
+    [-1.0208276510238647, -0.42866751551628113, 1.5012394189834595],
+    [-0.6330865621566772, -1.2071902751922607, 1.2780874967575073],
+    [-0.6884263753890991, -1.0960768461227417, 1.3099365234375],
+]
+BETWEEN = [[-1.0409536361694336, -0.388257771730423, 1.5128222703933716]]
+POINT_METHODS = ["search", "lists"]
+MAP_METHODS = ["cells", "search", "auto"]
+# Soups that every kind of map got wrong while such triangles had the inside tests of all others, beside any others.
+MAP_SEEDS = [*range(50), 134, 397, 492, 586, 593, 615, 623, 640, 670, 690]
+BATCH_SEEDS = [*range(25), 63, 106, 107, 128, 156, 169, 310, 383, 425, 454]
+
+
+def loose(corner: np.ndarray) -> strategies.Arrays:
+    return strategies.Arrays(corner.reshape(-1, 3), np.arange(corner.size // 3, dtype=np.int32).reshape(-1, 3))
+
+
+def points_in_line(corner: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Points (N,3) float32 on the edges' lines and just beside them, between their ends and up to half beyond."""
+    corner = corner.astype(np.float64)
+    face, side = rng.integers(0, len(corner), count), rng.integers(0, 3, count)
+    edge = corner[face, (side + 1) % 3] - corner[face, side]
+    along = rng.uniform(-0.5, 1.5, (count, 1))
+    # A third of them close to an end.
+    along[::3] = np.round(along[::3]) + 10.0 ** rng.uniform(-8, -1, along[::3].shape) * rng.choice([-1, 1])
+    points = corner[face, side] + along * edge
+    off = 10.0 ** rng.uniform(-9, 0, (count, 1)) * np.linalg.norm(edge, axis=1, keepdims=True)
+    points[::2] += (off * rng.normal(size=(count, 3)))[::2]
+    return points.astype(np.float32)
+
+
+def grid_in_line(corner: np.ndarray, rng: np.random.Generator, voxels: int) -> sdm.Grid:
+    """A grid with an axis along an edge of one triangle, and a voxel centre on its corner."""
+    triangle = corner[rng.integers(0, len(corner))].astype(np.float64)
+    edge = triangle[1] - triangle[0]
+    axes, _ = np.linalg.qr(np.stack([edge, *rng.normal(size=(2, 3))], 1))
+    axes[:, 2] *= np.linalg.det(axes)
+    spacing = max(float(np.linalg.norm(edge)), 1e-3) * 10.0 ** rng.uniform(-2, 0.3) * 2 / voxels
+    origin = triangle[rng.integers(0, 3)] - axes @ np.full(3, voxels // 2 * spacing)
+    return sdm.Grid(origin, [spacing] * 3, [voxels] * 3, direction=[[float(x) for x in row] for row in axes])
+
+
+@pytest.mark.parametrize("method", POINT_METHODS)
+@pytest.mark.parametrize("faces", [[[0, 1, 2]], [[0, 1, 2], [3, 4, 5]], [[3, 4, 5], [0, 1, 2]]])
+def test_a_point_beyond_a_collinear_triangle(monkeypatch, method, faces):
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+    vertices, faces, points = np.array(LINE, np.float32), np.array(faces), np.array(BETWEEN, np.float32)
+    value = sdm.signed_distance(sdm.TriangleMesh(vertices, faces), points, device="cpu")
+    truth = rational.distance(vertices, faces, points)
+    assert truth < 2e-7
+    np.testing.assert_allclose(value.abs(), truth, rtol=0, atol=4 * ROUNDING * 1.7)
+
+
+@pytest.mark.parametrize("method", POINT_METHODS)
+def test_points_on_a_filled_t_junction(monkeypatch, method):
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+    rng = np.random.default_rng(3)
+    for seed in range(10):
+        vertices, faces = filled_t_junctions(12, seed)
+        begin, end = vertices[[0, 3]].astype(np.float64)
+        points = (begin + rng.uniform(-0.2, 1.2, (300, 1)) * (end - begin)).astype(np.float32)
+        index = sdm.MeshIndex(sdm.TriangleMesh(vertices, faces), "cpu")
+        assert index.closed
+        assert_exact(vertices, faces, points, index.signed_distance(points))
+
+
+@pytest.mark.parametrize("method", MAP_METHODS)
+def test_maps_of_a_filled_t_junction(monkeypatch, method):
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
+    rng = np.random.default_rng(3)
+    for seed in range(4):
+        vertices, faces = filled_t_junctions(12, seed)
+        # An axis along the split edge.
+        grid = grid_in_line(vertices[[[0, 3, 1]]], rng, 13)
+        field = sdm.signed_distance_map(sdm.TriangleMesh(vertices, faces), grid, device="cpu")
+        assert_exact(vertices, faces, grid.points().reshape(-1, 3).numpy(), field.values)
+
+
+@pytest.mark.parametrize("method", POINT_METHODS)
+def test_points_about_thin_soups(monkeypatch, method):
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        corner = thin_soup(rng, int(rng.integers(1, 6)))
+        mesh, points = loose(corner), points_in_line(corner, rng, 60)
+        assert_exact(*mesh, points, sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device="cpu"))
+
+
+@pytest.mark.parametrize("method", MAP_METHODS)
+def test_maps_of_thin_soups(monkeypatch, method):
+    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
+    for seed in MAP_SEEDS:
+        rng = np.random.default_rng(seed)
+        corner = thin_soup(rng, int(rng.integers(1, 6)))
+        mesh, grid = loose(corner), grid_in_line(corner, rng, 9)
+        field = sdm.signed_distance_map(sdm.TriangleMesh(*mesh), grid, device="cpu")
+        assert_exact(*mesh, grid.points().reshape(-1, 3).numpy(), field.values)
+
+
+def test_batches_and_updates_of_thin_soups():
+    for seed in BATCH_SEEDS:
+        rng = np.random.default_rng(seed)
+        corners = np.stack([thin_soup(rng, 3) for _ in range(3)])
+        meshes = [loose(corner) for corner in corners]
+        grid = grid_in_line(corners[0], rng, 9)
+        points = grid.points().reshape(-1, 3).numpy()
+        vertices, faces = np.stack([mesh.vertices for mesh in meshes]), meshes[0].faces
+        maps = sdm.signed_distance_maps(vertices, faces, grid, device="cpu")
+        index = sdm.MeshIndex(sdm.TriangleMesh(*meshes[1]), "cpu")
+        index.update(meshes[0].vertices)
+        assert_exact(*meshes[0], points, index.signed_distance(points))
+        assert torch.equal(index.signed_distance_map(grid).values, maps[0])
+        for mesh, values in zip(meshes, maps, strict=True):
+            assert_exact(*mesh, points, values)
+
+
+def test_closest_points_and_gradients_of_thin_soups():
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        corner = thin_soup(rng, int(rng.integers(1, 6)))
+        mesh, points = loose(corner), points_in_line(corner, rng, 40)
+        at = torch.from_numpy(points).requires_grad_()
+        values, hit = sdm.signed_distance(sdm.TriangleMesh(*mesh), at, return_closest=True, device="cpu")
+        assert_exact(*mesh, points, values)
+        limit = 4 * ROUNDING * scale_of(*mesh, points)
+        closest, weights = hit.points.detach().double().numpy(), hit.barycentric.detach().double().numpy()
+        reach = np.linalg.norm(points - closest, axis=1)
+        assert (np.abs(reach - values.detach().abs().double().numpy()) <= limit).all()
+        placed = (weights[:, None] @ corner[hit.faces.numpy()].astype(np.float64))[:, 0]
+        assert (np.abs(placed - closest).max(1) <= limit).all()
+        # Away from the surface, the gradient is the way from the closest point.
+        (gradient,) = torch.autograd.grad(values.sum(), at)
+        away = reach > 1e-2
+        way = np.sign(values.detach().numpy())[away, None] * (points - closest)[away] / reach[away, None]
+        np.testing.assert_allclose(gradient.numpy()[away], way, atol=1e-4)
+
+
+@st.composite
+def thin_meshes(draw: st.DrawFn) -> strategies.Arrays:
+    rng = np.random.default_rng(draw(strategies.seeds))
+    mesh = loose(thin_soup(rng, draw(st.integers(1, 5))))
+    offset = draw(strategies.offsets) * np.array([1.0, -0.7, 0.3])
+    return strategies.Arrays(((mesh.vertices + offset) * draw(strategies.scales)).astype(np.float32), mesh.faces)
+
+
+@pytest.mark.parametrize("method", POINT_METHODS)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(mesh=thin_meshes(), seed=strategies.seeds)
+def test_any_thin_mesh(monkeypatch, method, mesh, seed):
+    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+    points = points_in_line(mesh.vertices[mesh.faces], np.random.default_rng(seed), 40)
+    values = sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device="cpu")
+    assert_exact(*mesh, points, values)
+    few = slice(0, 4)
+    truth = rational.distance(*mesh, points[few])
+    limit = 4 * ROUNDING * scale_of(*mesh, points[few])
+    assert (np.abs(values[few].abs().double().numpy() - truth) <= limit).all()
