@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.json_file import write
+from sdm.inspect.edges import edges_of
 from sdm.shapes import Cochlea
 
 # Where the fit starts: a plain cochlea, turned and moved roughly onto the real one.
@@ -144,9 +145,8 @@ def soundness(family: Cochlea, samples: int) -> dict:
     corners = family.from_unit(torch.tensor(list(itertools.product((0.0, 1.0), repeat=4))))
     theta = torch.cat([corners, family.sample(samples, seed=2020, device="cpu")])
     faces = family.faces.numpy().astype(np.int64)
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    directed = np.unique(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=0)
-    closed = bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all()) and len(directed) == len(edges)
+    edges = edges_of(faces, int(faces.max()) + 1)
+    closed = bool((edges.uses == 2).all()) and not edges.chain.any()
     report = {"shapes": len(theta), "closed_and_oriented": closed, "seed": 2020}
     bad, inside_out, second, checked = [], 0, 0, 0
     least, aspect, small = [], [], []

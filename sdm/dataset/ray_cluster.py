@@ -22,7 +22,8 @@ from sdm.stream import Maker
 
 # How often new machines are looked for [s], and how long a cluster may have no worker at all.
 LOOK, PATIENCE = 5.0, 120.0
-# How many workers a shard may lose, and how many may be lost in a row at one place.
+# Workers that a shard may lose, and that may be lost in a row at one place. Counted here and not by Ray's own
+# max_task_retries (2.60), which are used up on a machine that is gone before Ray has noticed that it is.
 TRIES = 3
 # A machine and its port, and how long it has to answer [s].
 ADDRESS, KNOCK = re.compile(r"(?:ray://)?(\[.+\]|[^:/]+):(\d+)"), 10.0
