@@ -1,7 +1,7 @@
 """Work put in line so that all lanes have some: octants that features matter to, and eighths of those.
 
-A pair is a part's number (5 bits) and one of the block's octants of 4^3 voxels (3 bits); an item is a pair and one of
-that octant's eighths of 2^3 voxels (3 bits). Each lane finds a few of them or none; then each takes one.
+A pair is a feature's number (5 bits) and one of the block's octants of 4^3 voxels (3 bits); an item is a pair and one
+of that octant's eighths of 2^3 voxels (3 bits). Each lane finds a few of them or none; then each takes one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The features of triangles that can be nearest to a block's voxels, written so that measuring one takes a few
 products.
 
-Let c be the block's centre, p a voxel from there, and m the point of a part's plane, line or corner that is closest to
-c, seen from c. The squared distances are
+Let c be the block's centre, p a voxel from there, and m the point of a feature's plane, line or corner that is closest
+to c, seen from c. The squared distances are
 
     corner  |p - m|^2
     line    |u - m|^2         u = p - (p.e) e, across the unit vector e
@@ -195,7 +195,7 @@ def taken_now(corners: int, edges: int, faces: int, lanes: int):
 
 @wp.func
 def kind_of(mix: Mix, feature: int):
-    """The kind of a part."""
+    """The kind of a feature."""
     if feature < mix.corners:
         return CORNER_KIND
     return wp.where(feature < mix.corners + mix.edges, EDGE_KIND, FACE_KIND)

@@ -148,7 +148,7 @@ def _kinds(places: str) -> str:
 """
 )
 def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
-    """Lessen the values of an eighth's voxels to those of a part, see `work_queues` for what an item is."""
+    """Lessen the values of an eighth's voxels to those of a feature, see `work_queues` for what an item is."""
     ...
 
 

@@ -99,7 +99,7 @@ def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.v
 
 @wp.func
 def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
-    """Note whether a part's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
+    """Note whether a feature's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
     witness = read_row(rows, WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
     note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
@@ -166,7 +166,7 @@ def _eight(step: float) -> str:
 """
 )
 def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
-    """The octants of the block, as bits, that pass all the tests of a part.
+    """The octants of the block, as bits, that pass all the tests of a feature.
 
     These are written anew, in steps of the lattice from its first voxel, as `eighths_of` wants them.
     """
