@@ -6,9 +6,10 @@ Parts: `table` (four meshes against the faster of the peers, geometric means), `
 `triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph), `signs`
 (what the sign costs), `slices` (thick ones).
 
-sdm's time is that of a mesh never seen before, from vertices and faces on the device to the map: topology, structure
-and query. A peer's is its query alone. Medians of warm calls; spread is slowest less fastest, of the median. A peer
-that would take longer than its share of the budget is timed on random slabs, one in each eighth of the grid, and
+sdm's time goes from vertices and faces on the device to the map: topology, structure and query. It is that of repeated
+calls: on a GPU meshes with as many vertices, faces and boundary edges were mapped before, so the call is a CUDA graph;
+`first_ms` is the first call. A peer's time is its query alone. Medians; spread is slowest less fastest, of the median.
+A peer that would take longer than its share of the budget is timed on random slabs, one in each eighth of the grid, and
 scaled; `share` says how much that was. Voxels are checked against a float64 brute force, half of them near the surface.
 """
 

@@ -120,7 +120,7 @@ def growth(report: dict[str, Any], path: Path) -> bool:
 
 
 def ratio_table(found: Iterable[Speed]) -> str:
-    """Markdown: how many times faster sdm is than each peer; ~ where a peer was timed on a part."""
+    """Markdown: times as fast as each peer that sdm is; ~ where a peer was timed on a part."""
     found = list(found)
     titles = list(dict.fromkeys(speed.title for speed in found))
     peers = [peer for peer in dict.fromkeys(speed.peer for speed in found) if peer != OURS]

@@ -99,7 +99,7 @@ class Ours:
         return self.index.signed_distance_map(grid).values
 
     def map_new(self, grid: sdm.Grid) -> Tensor:
-        """The map of a mesh never seen before, as a user asks for it: topology, structure and map."""
+        """The map from copies of vertices and faces, as a user's call makes it: topology, structure and map."""
         mesh = sdm.TriangleMesh(self.vertices.clone(), self.faces.clone(), self.case.name, check=False)
         return sdm.signed_distance_map(mesh, grid, device=self.device).values
 

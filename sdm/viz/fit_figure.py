@@ -85,7 +85,7 @@ def draw_fit(
     _list(axes[1, 3], [f"surface within {float(deviations.mean()):.4f} mm (1 sd)",
                        f"explains {result.diagnosis.explained:.1%} of its neighbourhood",
                        f"contrast {result.diagnosis.contrast:.1f} times the noise",
-                       f"{sum(result.evaluations.values())} shapes built, {result.seconds:.1f} s"])  # fmt: skip
+                       f"{sum(result.evaluations.values())} shape evaluations, {result.seconds:.1f} s"])  # fmt: skip
     with replacing(target) as part:
         figure.savefig(part, format=kind, dpi=110)
 

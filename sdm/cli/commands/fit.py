@@ -101,7 +101,7 @@ def _print(result: FitResult) -> None:
     print(f"centre {place} mm")
     diagnosis = result.diagnosis
     print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
-    built = ", ".join(f"{count} {name}" for name, count in result.evaluations.items())
-    print(f"shapes built: {built}; {result.seconds:.1f} s")
+    evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
+    print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
     for sentence in diagnosis.warnings:
         print(f"sdm: {sentence}", file=sys.stderr)

@@ -71,12 +71,12 @@ def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool
     needed = unknowns * (0.5 * math.log(image.numel()) + LEAST_GAIN)
     problems = []
     if not converged:
-        problems.append("the steps did not converge, so the estimate is not one")
+        problems.append("the fit did not converge; its values are unreliable")
     seen = math.isfinite(gain) and gain >= needed and contrast >= LEAST_CONTRAST
     if not seen:
         problems.append(
-            f"no shape of this family is to be seen: it gains {gain:.0f} nats over none ({needed:.0f} needed), with a "
-            f"contrast of {contrast:.2f} times the noise ({LEAST_CONTRAST} needed)"
+            f"no shape of this family found: log-likelihood gain {gain:.0f}, {needed:.0f} needed; contrast "
+            f"{contrast:.2f} times the noise, {LEAST_CONTRAST} needed"
         )
     elif explained < LEAST_EXPLAINED:
         problems.append(
