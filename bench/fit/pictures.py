@@ -45,7 +45,6 @@ def _coverage(record: dict, path: Path) -> None:
 
 
 def _draw_coverage(record: dict, panel: Axes) -> None:
-    panel.axhspan(0.85, 0.95, color="0.92")
     panel.axhline(0.9, color="0.5", linewidth=0.8)
     for offset, scanner, colour in ((-0.12, "0.3", "#3f86bd"), (0.12, "0.2", "#c9453f")):
         found = record[scanner]
@@ -59,4 +58,5 @@ def _draw_coverage(record: dict, panel: Axes) -> None:
         panel.set_xticks(range(len(values)), list(found["coverage_90"]), rotation=30)
     panel.set_ylim(0.7, 1.0)
     panel.set_ylabel("90 % intervals that hold the truth")
+    panel.set_title("Simulated shapes that fit the model: family, blur and noise are the fit's own")
     panel.legend()

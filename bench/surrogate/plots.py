@@ -52,7 +52,10 @@ def draw_accuracy(report: dict[str, Any], target: Path) -> None:
 def draw_timing(report: dict[str, Any], target: Path) -> None:
     """Milliseconds of one map by every method, on a logarithmic scale."""
     rows = sorted(report["rows"], key=lambda row: row["ms"], reverse=True)
-    caption = f"{_machine(report)}, {report['threads']} cores; every method but the untrained is checked first."
+    caption = (
+        f"Repeated calls; {_machine(report)}, {report['threads']} cores. openvino and onnxruntime: extra onnx; "
+        "SDMNN and DeepSDF are untrained, for their time; all others are checked first."
+    )
     with drawing(target, caption, (12.0, 6.0)) as (_, axes):
         axes.set_position((0.22, 0.17, 0.74, 0.72))
         for place, row in enumerate(rows):
