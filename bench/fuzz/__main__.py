@@ -24,6 +24,7 @@ import numpy as np
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fuzz.trial import Finding, Outcome
+from sdm.core.random import derive_seed
 
 PARTS = ("numerics", "mesh_files", "map_files", "datasets", "models")
 # A trial that takes longer hangs, as far as a user is concerned.
@@ -32,7 +33,7 @@ MOST_SECONDS = 30.0
 
 def run_trial(part: str, seed: int, number: int) -> tuple[Outcome | None, str]:
     """One trial in a folder of its own: its outcome, or the finding's sentence."""
-    rng = np.random.default_rng([seed, PARTS.index(part), number])
+    rng = np.random.default_rng(derive_seed(seed, "fuzz", part, number))
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")

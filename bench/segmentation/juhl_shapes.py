@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from sdm.core.grid import Grid
+from sdm.core.random import generator
 from sdm.engine.api import signed_distance_map
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.losses import clipped_sdf
@@ -66,10 +67,10 @@ def shapes(part: str, fine: int, coarse: int, device: torch.device | str) -> Ite
     """
     first, count = (0, TRAIN) if part == "train" else (TRAIN, TEST)
     fine_grid, coarse_grid = grid_of(fine), grid_of(coarse)
-    for number, family in enumerate(families()):
+    for family in families():
         theta = family.sample(count, seed=SEED, start=first, device="cpu")
         for row in range(count):
-            random = torch.Generator().manual_seed(SEED * 1000 + number * 100 + first + row)
+            random = generator(SEED, "noise of an image", family.name, first + row)
             mesh = family.mesh(theta[row].to(device))
             inside = signed_distance_map(mesh, fine_grid, device=device).values < 0
             share = functional.avg_pool3d(inside.float()[None, None], fine // coarse)[0, 0]
@@ -108,12 +109,12 @@ class ShapeBatches:
         self._maps = None if target is None else clipped_sdf(torch.stack([s.targets[target] for s in source]))
 
     def batch(self, count: int, *, seed: int, step: int, augment: str = "affine") -> Patch:
-        random = torch.Generator().manual_seed((seed * 1_000_003 + step) & (2**63 - 1))
+        random = generator(seed, "turn of volumes", step)
         # Every shape once in each round through the shuffled list.
         total = len(self._images)
         places = [step * count + row for row in range(count)]
-        orders = {p // total: torch.Generator().manual_seed(seed * 7919 + p // total) for p in places}
-        shuffled = {r: torch.randperm(total, generator=g) for r, g in orders.items()}
+        rounds = {p // total for p in places}
+        shuffled = {r: torch.randperm(total, generator=generator(seed, "order of volumes", r)) for r in rounds}
         chosen = torch.stack([shuffled[p // total][p % total] for p in places]).to(self.device)
         axes = (torch.randperm(3, generator=random) + 1).tolist()
         mirrored = [a + 1 for a in range(3) if torch.rand((), generator=random) < 0.5]

@@ -21,7 +21,7 @@ from sdm.bench.peers.warp import StockWarp
 from sdm.bench.stream.sizes import Bench
 from sdm.bench.stream.training import make_step, network
 from sdm.shapes import Family
-from sdm.stream import Batch
+from sdm.stream import Batch, Uniform
 
 # Longer than this for one map, and a library is out of the running [s].
 SLOWEST = 10.0
@@ -41,7 +41,7 @@ class PeerMaps(Dataset[tuple[Tensor, Tensor]]):
         return 1 << 40
 
     def __getitem__(self, item: int) -> tuple[Tensor, Tensor]:
-        theta = self._family.sample_at(torch.tensor([item]))
+        theta = Uniform().theta(self._family, 0, torch.tensor([item]))
         peer = peer_by_name(self._peer)
         return theta[0], measure(peer, self._family.mesh(theta[0]), self._grid)[None]
 
@@ -140,7 +140,7 @@ def compare_peers(bench: Bench, cores: list[int]) -> list[dict[str, Any]]:
 
 def _time_peer(name: str, family: Family, grid: Grid, core: int) -> dict[str, Any]:
     stay_on([core], 0)
-    peer, mesh = peer_by_name(name), family.mesh(family.sample(1, device="cpu")[0])
+    peer, mesh = peer_by_name(name), family.mesh(Uniform().theta(family, 0, torch.tensor([0]))[0])
     small = family.grid(FIRST)
     measure(peer, mesh, small)
     begin = time.perf_counter()

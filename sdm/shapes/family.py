@@ -16,6 +16,7 @@ from torch import Tensor
 from sdm.core.device import choose_device
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes import sampling
 
@@ -159,13 +160,14 @@ class Family(ABC):
 
         Args:
             index: (B,) int64, 0 or more; the result is on its device.
-            seed: Any whole number of 64 bits.
-            sampler: "uniform" or "sobol".
+            seed: Any whole number.
+            sampler: "uniform", "sobol" or "chebyshev".
 
-        A sample depends on (seed, number) alone, however the numbers are split into batches.
+        A sample depends on (family's name, sampler, seed, number) alone, however the numbers are split into batches.
         """
         numbers = sampling.as_index(index)
-        return self.from_unit(sampling.draw(sampler, seed, numbers, len(self.parameters)))
+        own = derive_seed(seed, "samples of a family", self.name, sampler)
+        return self.from_unit(sampling.draw(sampler, own, numbers, len(self.parameters)))
 
     def grid_samples(self, per_axis: int, *, device: torch.device | str | None = None) -> Tensor:
         """theta (per_axis^P, P) of the tensor grid over the box, its faces included: 625 for 5 and 4 parameters."""

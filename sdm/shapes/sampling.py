@@ -1,6 +1,7 @@
 """Points of the unit cube: each a pure function of a seed and its own number.
 
 - `uniform`: Philox4x32-10, a counter-based generator: independent numbers.
+- `chebyshev`: independent too, denser towards faces and corners.
 - `sobol`: a Sobol sequence under a random shift of its bits: evenly spread, so better for fitting smooth functions.
 - `grid`: the tensor grid.
 
@@ -9,7 +10,8 @@ The same numbers come out on every device, for every split into batches.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import torch
@@ -20,21 +22,18 @@ from sdm.errors import MeshError
 from sdm.kernels.shapes import counter_random
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
-SAMPLERS = ("uniform", "sobol")
 LARGEST_GRID = 1 << 28
 
 
 def draw(sampler: str, seed: int, index: Tensor, width: int) -> Tensor:
-    """`uniform` or `sobol` by name.
+    """Points (B,width) float32 of the sampler with this name: "uniform", "sobol" or "chebyshev".
 
     Raises:
         MeshError: There is no sampler of that name.
     """
-    if sampler == "uniform":
-        return uniform(seed, index, width)
-    if sampler == "sobol":
-        return sobol(seed, index, width)
-    raise MeshError(f"there is no sampler called {sampler!r}; use {' or '.join(SAMPLERS)}")
+    if sampler not in SAMPLERS:
+        raise MeshError(f"there is no sampler called {sampler!r}; use {', '.join(SAMPLERS)}")
+    return SAMPLERS[sampler](seed, index, width)
 
 
 def uniform(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
@@ -83,6 +82,24 @@ def sobol(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
                 device,
             )
     return values
+
+
+def chebyshev(seed: int, index: Tensor | Sequence[int], width: int) -> Tensor:
+    """Independent numbers in [0,1] with density 1 / (pi sqrt(x (1 - x))): denser at both ends.
+
+    Args and result as of `uniform`.
+
+    The density for which fits of smooth functions by polynomials are stable with the fewest samples (Cohen and
+    Migliorati, SMAI Journal of Computational Mathematics 2017); uniform samples leave the corners of a box to chance.
+    """
+    return ((1 - torch.cos(math.pi * uniform(seed, index, width).double())) / 2).float()
+
+
+SAMPLERS: dict[str, Callable[[int, Tensor, int], Tensor]] = {
+    "uniform": uniform,
+    "sobol": sobol,
+    "chebyshev": chebyshev,
+}
 
 
 def grid(per_axis: int, width: int) -> Tensor:

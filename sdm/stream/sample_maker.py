@@ -33,7 +33,7 @@ class Maker:
     Args:
         family: The shapes.
         grid: Where to measure.
-        seed: Any whole number of 64 bits.
+        seed: Any whole number.
         sampler: Which parameters, by name or as a `Sampler`.
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.

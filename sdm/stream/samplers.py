@@ -1,4 +1,4 @@
-"""Which parameters a sample has: each a pure function of (seed, global number), drawn on the host.
+"""Samplers: the parameters of each sample, a pure function of (seed, global number), drawn on the host.
 
 A batch's parameters are a few kilobytes; drawn on the host, they are the same bits whatever the device, and a family
 whose samples differ in mesh knows without asking a GPU which mesh each sample needs.
@@ -10,15 +10,20 @@ import hashlib
 import math
 from abc import ABC, abstractmethod
 from fractions import Fraction
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.shapes import Family, sampling
+from sdm.stream.held_out import is_held_out
 
 # Shares of a mixture are fractions with at most this denominator.
 FINEST_SHARE = 10_000
+# Draws for a sample until one is not held out. Only a family of very few different shapes needs more than three.
+MOST_ATTEMPTS = 16
 
 
 class Sampler(ABC):
@@ -32,46 +37,57 @@ class Sampler(ABC):
     def __str__(self) -> str: ...
 
     def size(self, family: Family) -> int | None:
-        """After how many samples they come again; None for never. Refuses a family that it has no parameters for."""
+        """Number of samples after which they come again; None for never.
+
+        Raises:
+            MeshError: The sampler has no parameters for this family.
+        """
         return None
 
+    def includes(self, family: Family, theta: Tensor) -> Tensor:
+        """True (B,) for the rows of theta (B,P), on the host, that some sample may be equal to.
 
-class Uniform(Sampler):
+        A subclass that gives held-out rows (`sdm.stream.held_out`) has to say so here.
+        """
+        return ~is_held_out(theta)
+
+
+class _Random(Sampler):
+    """Samples of the family by the sampler `name` of `Family.sample_at`, others instead of those that are held out."""
+
+    name: ClassVar[str]
+
+    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
+        """As `Sampler.theta`."""
+        theta = family.sample_at(index, seed=seed, sampler=self.name)
+        for attempt in range(MOST_ATTEMPTS):
+            rows = is_held_out(theta)
+            if not bool(rows.any()):
+                break
+            own = derive_seed(seed, "instead of held-out samples", attempt)
+            theta[rows] = family.sample_at(index[rows], seed=own, sampler=self.name)
+        return theta
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Uniform(_Random):
     """Independent and uniform over the family's box: the paper's online samples."""
 
-    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
-        """As `Sampler.theta`."""
-        return family.sample_at(index, seed=seed, sampler="uniform")
-
-    def __str__(self) -> str:
-        return "uniform"
+    name = "uniform"
 
 
-class Sobol(Sampler):
+class Sobol(_Random):
     """Evenly spread over the family's box, by a randomly shifted Sobol sequence."""
 
-    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
-        """As `Sampler.theta`."""
-        return family.sample_at(index, seed=seed, sampler="sobol")
-
-    def __str__(self) -> str:
-        return "sobol"
+    name = "sobol"
 
 
-class Chebyshev(Sampler):
-    """Independent, with density 1 / (pi sqrt(1 - x^2)) along each axis, scaled to [-1, 1]: denser at faces and corners.
+class Chebyshev(_Random):
+    """Independent, denser towards faces and corners of the family's box: see `sdm.shapes.sampling.chebyshev`."""
 
-    The density for which fits of smooth functions by polynomials are stable with the fewest samples (Cohen and
-    Migliorati, SMAI Journal of Computational Mathematics 2017); uniform samples leave the corners of a box to chance.
-    """
-
-    def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
-        """As `Sampler.theta`."""
-        unit = sampling.uniform(seed, index, len(family.parameters)).double()
-        return family.from_unit(((1 - torch.cos(math.pi * unit)) / 2).float())
-
-    def __str__(self) -> str:
-        return "chebyshev"
+    name = "chebyshev"
 
 
 class _Static(Sampler):
@@ -79,26 +95,27 @@ class _Static(Sampler):
 
     def __init__(self, shuffle: bool) -> None:
         self.shuffle = shuffle
-        self._order: tuple[tuple[int, int, int], Tensor] | None = None
+        self._order: tuple[tuple[int, int], Tensor] | None = None
 
-    def _places(self, count: int, seed: int, index: Tensor) -> Tensor:
-        """Which member of the set each sample is."""
+    def _places(self, family: Family, count: int, seed: int, index: Tensor) -> Tensor:
+        """The member (B,) int64 of the set that each sample is."""
         passes, places = index // count, index % count
         if not self.shuffle:
             return places
         found = torch.empty_like(places)
         for number in passes.unique().tolist():
             mine = passes == number
-            found[mine] = self._permutation(count, seed, number)[places[mine]]
+            own = derive_seed(seed, "order of a static set", family.name, number)
+            found[mine] = self._permutation(count, own)[places[mine]]
         return found
 
-    def _permutation(self, count: int, seed: int, number: int) -> Tensor:
-        key = (count, seed, number)
+    def _permutation(self, count: int, seed: int) -> Tensor:
+        key = (count, seed)
         # Samples come in order, so one pass is asked about many times in a row.
         known = self._order
         if known is None or known[0] != key:
             numbers = torch.arange(count, device="cpu")
-            draws = sampling.uniform(derived_seed(seed, "shuffle", number), numbers, 2).double()
+            draws = sampling.uniform(seed, numbers, 2).double()
             # Another thread may ask about another pass at any moment: what is kept is not read again.
             self._order = known = (key, torch.argsort(draws[:, 0] + draws[:, 1] * 2.0**-24, stable=True))
         return known[1]
@@ -130,10 +147,16 @@ class TensorGrid(_Static):
 
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
         """As `Sampler.theta`."""
-        place = self._places(self.size(family), seed, index)
+        place = self._places(family, self.size(family), seed, index)
         axis = torch.linspace(0, 1, self.per_axis, dtype=torch.float32, device="cpu")
         digits = [place // self.per_axis**k % self.per_axis for k in reversed(range(len(family.parameters)))]
         return family.from_unit(torch.stack([axis[d] for d in digits], 1))
+
+    def includes(self, family: Family, theta: Tensor) -> Tensor:
+        """As `Sampler.includes`."""
+        axis = torch.linspace(0, 1, self.per_axis, dtype=torch.float32, device="cpu")
+        values = family.from_unit(axis[:, None].expand(-1, len(family.parameters)).contiguous())
+        return (theta[:, None] == values).any(1).all(1)
 
     def __str__(self) -> str:
         return f"grid:{self.per_axis}" + ("" if self.shuffle else ":ordered")
@@ -160,7 +183,12 @@ class Table(_Static):
 
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
         """As `Sampler.theta`."""
-        return self.rows[self._places(self.rows.shape[0], seed, index)]
+        return self.rows[self._places(family, self.rows.shape[0], seed, index)]
+
+    def includes(self, family: Family, theta: Tensor) -> Tensor:
+        """As `Sampler.includes`."""
+        known = set(map(tuple, self.rows.tolist()))
+        return torch.tensor([tuple(row) in known for row in theta.tolist()], dtype=torch.bool, device="cpu")
 
     def __str__(self) -> str:
         digest = hashlib.sha256(self.rows.numpy().tobytes()).hexdigest()[:16]
@@ -202,8 +230,12 @@ class Mixture(Sampler):
             (self.online, "online", ~is_static, index - before),
         ):
             if bool(rows.any()):
-                theta[rows] = sampler.theta(family, derived_seed(seed, name), number[rows])
+                theta[rows] = sampler.theta(family, derive_seed(seed, "part of a mixture", name), number[rows])
         return theta
+
+    def includes(self, family: Family, theta: Tensor) -> Tensor:
+        """As `Sampler.includes`."""
+        return self.static.includes(family, theta) | self.online.includes(family, theta)
 
     def __str__(self) -> str:
         if (str(self.static), str(self.online)) == ("grid:5", "uniform"):
@@ -238,9 +270,3 @@ def as_sampler(sampler: Sampler | str) -> Sampler:
         f"there is no sampler called {sampler!r}; use uniform, sobol, chebyshev, grid:N, "
         "grid:N:ordered or mixture:SHARE"
     )
-
-
-def derived_seed(seed: int, *words: object) -> int:
-    """A seed of 64 bits for one purpose, unrelated to those for others."""
-    digest = hashlib.sha256(repr((int(seed) & (2**64 - 1), *words)).encode()).digest()
-    return int.from_bytes(digest[:8], "little")

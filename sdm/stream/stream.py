@@ -20,7 +20,7 @@ from sdm.stream.sample_maker import Maker, refuse_fork
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 
-VERSION = 1
+VERSION = 2
 
 
 class SDMStream(IterableDataset[Batch]):
@@ -30,7 +30,7 @@ class SDMStream(IterableDataset[Batch]):
         family: The shapes, for example `sdm.shapes.Cochlea()`.
         grid: Where to measure, for example `family.grid(64)`.
         batch_size: Samples of a batch on each rank.
-        seed: Any whole number of 64 bits.
+        seed: Any whole number.
         rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun, asked
             again by each `iter`, so that the process group may be made after the stream.
         world_size: Number of processes that share the stream.
@@ -185,7 +185,7 @@ class SDMStream(IterableDataset[Batch]):
         return self._maker.make(numbers)
 
     def validation(self, count: int = 64) -> ValidationSet:
-        """A fixed set of uniform samples from the same family, grid and seed that the stream itself never gives."""
+        """A fixed set of uniform samples from the same family, grid and seed that no stream gives: see `ValidationSet`."""
         self._refuse_fork()
         return ValidationSet(self._maker, count)
 

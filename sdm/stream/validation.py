@@ -10,10 +10,12 @@ import torch
 from torch.utils.data import Dataset
 
 from sdm.core.grid import Grid
+from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.stream.batch import Batch
+from sdm.stream.held_out import held_out_samples
 from sdm.stream.sample_maker import Maker
-from sdm.stream.samplers import Uniform, derived_seed
+from sdm.stream.samplers import Table
 
 # Samples that are looked at a time.
 CHUNK = 16
@@ -24,10 +26,15 @@ class ValidationSet(Dataset[Batch]):
 
     Args:
         maker: Makes them.
-        count: How many.
+        count: Number of samples.
 
-    They are uniform samples of a seed derived from the maker's, which its own samples do not have. `len` and `[i]`
-    give single samples, `batches` gives batches.
+    They are uniform samples that are held out: no stream whose sampler is of this package gives their parameters, for
+    any seed, nor does the maker's own. `len` and `[i]` give single samples, `batches` gives batches. Those of a folder
+    of meshes are the same meshes in other poses, sizes and warps: to validate on meshes that training has not seen,
+    make a family of their own.
+
+    Raises:
+        SDMError: No samples asked for, or a family of too few different shapes.
 
     Attributes:
         theta: (N,P) float32 parameters.
@@ -42,11 +49,11 @@ class ValidationSet(Dataset[Batch]):
     def __init__(self, maker: Maker, count: int) -> None:
         if count < 1:
             raise SDMError(f"a validation set of {count} samples was requested; give at least 1")
+        theta = held_out_samples(maker.family, count, derive_seed(maker.seed, "validation set"), maker.sampler)
         own = Maker(
             maker.family,
             maker.grid,
-            seed=derived_seed(maker.seed, "validation"),
-            sampler=Uniform(),
+            sampler=Table(theta, shuffle=False),
             device=maker.device,
             dtype=maker.dtype,
             truncate=maker.truncate,

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.deepsdf.infer.code_file import ShapeCode
 from sdm.deepsdf.infer.estimate_codes import estimate_codes
 from sdm.deepsdf.infer.scan import Scan
@@ -46,8 +47,11 @@ def encode_meshes(
     shapes = ShapeSet(meshes, model.device, spheres=spheres)
     every = torch.arange(len(shapes), device=model.device)
 
+    # Other samples than a training of the same seed has had.
+    own = derive_seed(seed, "code of a mesh")
+
     def draw(step: int) -> Samples:
-        return shapes.sample(every, points, seed=seed, step=step)
+        return shapes.sample(every, points, seed=own, step=step)
 
     found = estimate_codes(model, draw, steps=steps, **options)
     return [ShapeCode(code, sphere) for code, sphere in zip(found.codes, shapes.spheres, strict=True)]

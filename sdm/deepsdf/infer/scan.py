@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from sdm.core.mesh import as_tensor
+from sdm.core.random import derive_seed
 from sdm.deepsdf.samples import Samples
 from sdm.errors import SDMError
 from sdm.shapes.sampling import uniform
@@ -56,7 +57,7 @@ class Scan:
                 )
             self._normals = _unit(out)
         self._count = min(count, at.shape[1])
-        self._seed, self._offset = seed, offset
+        self._seed, self._offset = derive_seed(seed, "points of a scan"), offset
 
     def __call__(self, step: int) -> Samples:
         """The samples of a step, (B,N,3) and (B,N)."""

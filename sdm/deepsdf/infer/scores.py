@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.deepsdf.samples import UnitSphere, surface_points
 from sdm.engine.api import MeshIndex
 from sdm.metrics import dice
@@ -85,8 +86,10 @@ def score_shape(
     """
     sphere = sphere or UnitSphere.of(truth)
     own, index = MeshIndex(mesh, truth.device), MeshIndex(truth, truth.device)
-    found = surface_points(own.mesh, points, seed=seed)[0]
-    right, again = (surface_points(index.mesh, points, seed=seed + n)[0] for n in (1, 2))
+    found, right, again = (
+        surface_points(surface, points, seed=derive_seed(seed, "score of a shape", number))[0]
+        for number, surface in enumerate((own.mesh, index.mesh, index.mesh))
+    )
     there, back = index.signed_distance(found).abs().double(), own.signed_distance(right).abs().double()
     squares = float(there.square().mean() + back.square().mean()) / sphere.radius**2
     grid = Grid.around(truth, resolution=resolution)

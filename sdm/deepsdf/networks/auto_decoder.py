@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from sdm.core.random import torch_seed
+from sdm.core.random import generator
 from sdm.deepsdf.networks.decoders import make_decoder
 from sdm.deepsdf.train.settings import Settings
 
@@ -22,8 +22,8 @@ class AutoDecoder(nn.Module):
         super().__init__()
         self.settings = settings
         self.decoder = make_decoder(settings)
-        generator = torch.Generator("cpu").manual_seed(torch_seed(settings.seed))
-        start = torch.randn(count, settings.code_size, generator=generator, dtype=torch.float32, device="cpu")
+        random = generator(settings.seed, "DeepSDF codes")
+        start = torch.randn(count, settings.code_size, generator=random, dtype=torch.float32, device="cpu")
         self.codes = nn.Parameter(settings.code_deviation * start)
 
     def forward(self, shapes: Tensor, points: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,7 @@ from torch.nn.functional import dropout, grid_sample, linear, relu, silu
 from torch.nn.utils.parametrizations import weight_norm
 
 from sdm.core.device import plain_defaults
-from sdm.core.random import torch_seed
+from sdm.core.random import derive_seed
 from sdm.deepsdf.train.settings import Settings
 from sdm.training.random_numbers import own_random_numbers
 
@@ -112,5 +112,5 @@ class LocalDecoder(nn.Module):
 def make_decoder(settings: Settings) -> PublishedDecoder | LocalDecoder:
     """The network of these settings, with weights that are a function of the seed."""
     with own_random_numbers(), plain_defaults():
-        torch.manual_seed(torch_seed(settings.seed))
+        torch.manual_seed(derive_seed(settings.seed, "DeepSDF weights"))
         return PublishedDecoder(settings) if settings.variant == "published" else LocalDecoder(settings)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.deepsdf.samples.batch import Samples
 from sdm.deepsdf.samples.distribution import REACH, SampleDistribution
 from sdm.deepsdf.samples.surface_points import triangle_areas
@@ -107,12 +108,12 @@ class ShapeSet:
             shapes: (B,) int64 numbers of shapes on the device. On a CPU each must be there; on a GPU, where a look at
                 them would wait, a number out of range is taken for the nearest one that is there.
             points: Samples of each shape.
-            seed: Whole number.
+            seed: Any whole number.
             step: Number of the training step.
 
         Returns:
-            Points (B,points,3) and values (B,points): a pure function of (seed, step, shape), whatever the batch.
-            Surface points are stratified: one in each of equal parts of the area, in the order of the faces.
+            Points (B,points,3) and values (B,points): a pure function of (seed, step, shape, points), whatever the
+            batch. Surface points are stratified: one in each of equal parts of the area, in the order of the faces.
 
         Raises:
             SDMError: On a CPU, a number of a shape that is not there.
@@ -128,7 +129,7 @@ class ShapeSet:
             draw(
                 self._scene,
                 law,
-                seed & (2**64 - 1),
+                derive_seed(seed, "samples of shapes", points),
                 step * len(self),
                 as_warp(chosen, wp.int64),
                 points,

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes.sampling import uniform
 
@@ -16,7 +17,7 @@ def surface_points(mesh: TriangleMesh, count: int, *, seed: int = 0) -> tuple[Te
     Args:
         mesh: Any triangles.
         count: How many.
-        seed: Whole number; the points are a pure function of it.
+        seed: Any whole number; the points are a pure function of it.
 
     Returns:
         Points (count,3) and unit outward normals (count,3), float32 on the mesh's device.
@@ -29,7 +30,7 @@ def surface_points(mesh: TriangleMesh, count: int, *, seed: int = 0) -> tuple[Te
     total = areas.cumsum(0)
     if not bool(total[-1] > 0):
         raise MeshError(f"every triangle of {mesh.name} has zero area; points of its surface need some")
-    numbers = uniform(seed, torch.arange(count, device=mesh.device), 4)
+    numbers = uniform(derive_seed(seed, "surface points"), torch.arange(count, device=mesh.device), 4)
     # 24 random bits are too few to choose among millions of triangles, so two numbers make one.
     choice = (numbers[:, 0].double() + numbers[:, 1].double() * 2.0**-24) * total[-1]
     face = torch.searchsorted(total, choice, right=True).clamp(max=len(areas) - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from sdm.core.random import generator
 from sdm.errors import SDMError
 
 
@@ -37,17 +38,6 @@ class Batches:
     def __getitem__(self, step: int) -> Tensor:
         """The shapes (B,) int64 of this process in a step, on the host."""
         epoch, place = divmod(step, self.per_epoch)
-        generator = torch.Generator("cpu").manual_seed(mixed(self._seed, epoch))
-        order = torch.randperm(self._count, generator=generator, device="cpu")
+        random = generator(self._seed, "DeepSDF order", epoch)
+        order = torch.randperm(self._count, generator=random, device="cpu")
         return order[place * self._size : (place + 1) * self._size][self._rank :: self._world]
-
-
-def mixed(*numbers: int) -> int:
-    """One seed of 63 bits from several whole numbers."""
-    state = 0x9E3779B97F4A7C15
-    for number in numbers:
-        # The finaliser of SplitMix64, so that neighbouring numbers have nothing in common.
-        state = (state ^ (number & (2**64 - 1))) * 0xBF58476D1CE4E5B9 % 2**64
-        state = (state ^ state >> 27) * 0x94D049BB133111EB % 2**64
-        state ^= state >> 31
-    return state >> 1

@@ -13,10 +13,11 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from sdm.core.device import choose_device
+from sdm.core.random import derive_seed
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.samples import SampleSource, UnitSphere
 from sdm.deepsdf.train import checkpoint
-from sdm.deepsdf.train.batches import Batches, mixed
+from sdm.deepsdf.train.batches import Batches
 from sdm.deepsdf.train.checkpoint import CHECKPOINT
 from sdm.deepsdf.train.settings import Settings
 from sdm.errors import FormatError, SDMError
@@ -202,7 +203,7 @@ class Trainer:
     def _loss(self, shapes: Tensor, points: Tensor, values: Tensor, done: float) -> tuple[Tensor, Tensor]:
         """The loss of the data, and with that of the codes."""
         # Dropout draws from torch's own generator: started anew, so that a training that goes on goes on the same.
-        torch.manual_seed(mixed(self.settings.seed, self.step, self.rank))
+        torch.manual_seed(derive_seed(self.settings.seed, "DeepSDF dropout", self.step, self.rank))
         self.model.train()
         with bfloat16(self.device, self.settings.precision == "bf16" and self.device.type == "cuda"):
             loss, length = self._network(shapes, points, values)

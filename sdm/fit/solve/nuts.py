@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
+from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.prior import Prior
@@ -78,7 +79,7 @@ def sample_posterior(
     with warnings.catch_warnings(), torch.random.fork_rng():
         # Pyro's own use of torch.
         warnings.simplefilter("ignore")
-        torch.manual_seed(seed)
+        torch.manual_seed(derive_seed(seed, "draws of a posterior"))
         kernel = infer.NUTS(potential_fn=potential, step_size=0.5, adapt_mass_matrix=False, max_tree_depth=4)
         start = {"z": torch.zeros(size, dtype=torch.float64, device=backend.device)}
         chain = infer.MCMC(kernel, count, warmup_steps=warm_up, initial_params=start, disable_progbar=True)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
+from sdm.core.random import derive_seed
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
@@ -60,7 +61,7 @@ def simulate(backend: Backend, state: State, scanner: Scanner, *, seed: int, mar
         seed: Of the noise and of where the voxels lie: a pure function of it.
         margin: Bone around the shape's mean box [mm].
     """
-    generator = np.random.Generator(np.random.Philox(seed))
+    generator = np.random.default_rng(derive_seed(seed, "simulated image"))
     grid = _grid(state, scanner.spacing, margin, generator)
     renderer = Renderer(grid, backend, blur=scanner.blur, length=FINE / 4, fine=FINE)
     share = renderer(state, derivatives=False).share.cpu()
@@ -79,7 +80,7 @@ def random_state(backend: Backend, seed: int, *, turn: float = 0.2, shift: float
         shift: Standard deviation of the translation along each axis [mm].
         edge: Share of each range to leave out at each end.
     """
-    generator = np.random.Generator(np.random.Philox([seed, 0x5D]))
+    generator = np.random.default_rng(derive_seed(seed, "random state"))
     unit = edge + (1 - 2 * edge) * generator.random(len(backend.parameters))
     low, high = (np.array([getattr(p, end) for p in backend.parameters]) for end in ("low", "high"))
     base = State(

@@ -9,6 +9,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from sdm.core.random import derive_seed, generator
+
 Augment = Literal["none", "published", "affine", "strong", "scanner"]
 
 
@@ -77,10 +79,10 @@ def draw(seed: int, step: int, row: int, cases: int, kind: Augment, *, mirrors: 
     Returns:
         `place` (3,) in 0..1, `turn` (3,3), a rotation or reflection, and `seed`, of the patch's noise.
     """
-    random = torch.Generator("cpu").manual_seed(((seed * 1_000_003 + step) * 4099 + row) & (2**63 - 1))
+    random = generator(seed, "segmentation patch", step, row)
     uniform = torch.rand(12, generator=random, dtype=torch.float64, device="cpu")
     case = min(int(uniform[0] * cases), cases - 1)
-    own = int(torch.randint(2**62, (1,), generator=random, device="cpu"))
+    own = derive_seed(seed, "segmentation patch noise", step, row)
     if kind == "none":
         return Draw(case, uniform[1:4], torch.eye(3, dtype=torch.float64, device="cpu"), 1.0, 1.0, 0.0, own)
     if kind == "published":

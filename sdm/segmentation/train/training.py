@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from sdm.core.random import torch_seed
+from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.io.files.torch_file import load_torch, save_torch
 from sdm.segmentation.data.augment import Augment
@@ -118,7 +118,7 @@ def train(
     device = patches.device
     reduce = uses_bfloat16(device, bfloat16)
     with own_random_numbers(device):
-        torch.manual_seed(torch_seed(settings.seed))
+        torch.manual_seed(derive_seed(settings.seed, "segmentation weights and dropout"))
         model = settings.network().to(device)
         model = model.to(memory_format=layout(reduce))  # type: ignore[call-overload]
         optimizer = _optimizer(model, settings)

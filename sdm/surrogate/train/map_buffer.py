@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from sdm.core.random import torch_seed
+from sdm.core.random import generator
 from sdm.errors import SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.stream import SDMStream
@@ -65,6 +65,6 @@ class Replay:
 
     def draw(self, count: int, step: int) -> tuple[Tensor, Tensor]:
         """Parameters (count,4) and maps (count,1,80,64,40) float32, a function of what is stored, seed and step."""
-        generator = torch.Generator().manual_seed(torch_seed(self.seed * 1_000_003 + step))
-        rows = to_device(torch.randint(self.count, (count,), generator=generator), self.theta.device)
+        random = generator(self.seed, "surrogate batch", step)
+        rows = to_device(torch.randint(self.count, (count,), generator=random), self.theta.device)
         return self.theta[rows], self.maps[rows].float()

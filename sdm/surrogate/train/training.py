@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from sdm.core.device import choose_device
-from sdm.core.random import torch_seed
+from sdm.core.random import derive_seed, generator
 from sdm.errors import FormatError
 from sdm.io.files.atomic import try_to_write
 from sdm.io.files.torch_file import load_torch, save_torch
@@ -80,7 +80,7 @@ class Trainer:
         self.device = choose_device(device)
         self.family = Cochlea()
         with own_random_numbers():
-            torch.manual_seed(torch_seed(settings.seed))
+            torch.manual_seed(derive_seed(settings.seed, "surrogate weights"))
             self.model = begin(settings).to(self.device)
         self.ema = exponential_average(self.model, settings.ema)
         self._optimizer = torch.optim.AdamW(_groups(self.model), weight_decay=0.0, fused=self.device.type == "cuda")
@@ -145,8 +145,8 @@ class Trainer:
         with bfloat16(self.device, self.device.type == "cuda"):
             loss = self._fast(theta, exact)
         if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
-            generator = torch.Generator().manual_seed(torch_seed(settings.seed * 999_983 + self.step))
-            loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], generator).sqrt()
+            random = generator(settings.seed, "surrogate directions", self.step)
+            loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], random).sqrt()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)

@@ -10,20 +10,22 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from sdm.core.random import derive_seed
 from sdm.shapes import Cochlea, Family
-from sdm.stream import Batch, Maker, Uniform
+from sdm.stream import Batch, Maker
+from sdm.stream.held_out import held_out_samples
 from sdm.stream.sample_maker import grid_record
-from sdm.stream.samplers import Table, derived_seed
+from sdm.stream.samplers import Table
 from sdm.surrogate.networks.grid import GRID
 
 COUNT = 1000
-SEED = derived_seed(0, "surrogate validation")
+SEED = derive_seed(0, "surrogate validation set")
 
 
 def validation_theta(family: Family, count: int = COUNT) -> Tensor:
-    """Parameters (count,4) on the host: the 16 corners of the box, then uniform ones that no training stream has."""
+    """Parameters (count,4) on the host: the 16 corners of the box, then uniform ones that no stream gives."""
     corners = family.from_unit(torch.tensor(list(itertools.product((0.0, 1.0), repeat=len(family.parameters)))))
-    others = Uniform().theta(family, SEED, torch.arange(max(0, count - len(corners))))
+    others = held_out_samples(family, max(0, count - len(corners)), SEED)
     return torch.cat([corners, others])[:count]
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from sdm.core.random import torch_seed
+from sdm.core.random import generator
 from sdm.surrogate.networks.pod_chebyshev import decompose
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
 from sdm.surrogate.train.map_buffer import Replay
@@ -44,7 +44,7 @@ def warm_start(
     theta = replay.theta[: replay.count]
     own = [*model.trunk.parameters(), *model.coefficients.parameters()]
     optimizer = torch.optim.Adam(own, RATE, fused=theta.is_cuda)
-    generator = torch.Generator(theta.device).manual_seed(torch_seed(seed))
+    random = generator(seed, "surrogate warm start", device=theta.device)
     start = time.perf_counter()
 
     def guess(part: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ def warm_start(
             break
         for group in optimizer.param_groups:
             group["lr"] = RATE * warmup_cosine(share)
-        rows = torch.randint(len(theta), (min(BATCH, len(theta)),), generator=generator, device=theta.device)
+        rows = torch.randint(len(theta), (min(BATCH, len(theta)),), generator=random, device=theta.device)
         # Modes are orthogonal with mean square 1: this is the root mean square error of a coarse voxel [mm].
         loss = (guess_fast(theta[rows]) - wanted[rows]).square().sum(1).mean().sqrt()
         optimizer.zero_grad(set_to_none=True)

@@ -104,7 +104,7 @@ def test_family_samples():
     assert torch.equal(family.sample_at([3, 99], seed=2), theta[[3, 99]])
     assert family.grid_samples(5, device="cpu").shape == (625, 4)
     torch.testing.assert_close(family.from_unit(family.to_unit(theta)), theta)
-    with pytest.raises(MeshError, match="no sampler called 'halton'; use uniform or sobol"):
+    with pytest.raises(MeshError, match="no sampler called 'halton'; use uniform, sobol, chebyshev"):
         family.sample(1, sampler="halton")
     with pytest.raises(MeshError, match="sample numbers"):
         family.sample_at(torch.tensor([[1, 2]]))

@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from sdm import MeshError, TriangleMesh, signed_distance
+from sdm.core.random import derive_seed
 from sdm.deepsdf.samples import SampleDistribution, ShapeSet, UnitSphere, surface_points
 from sdm.deepsdf.samples.shape_set import REACH, STEP, _cube_around, _places
 from sdm.errors import SDMError
@@ -93,7 +94,7 @@ def test_samples_are_where_their_numbers_say() -> None:
     points = shapes.sample(chosen, count, seed=seed, step=step).points
     for row, shape in enumerate(chosen.tolist()):
         number = (step * len(shapes) + shape) * count + torch.arange(count)
-        u = uniform(seed, number, 8).double()
+        u = uniform(derive_seed(seed, "samples of shapes", count), number, 8).double()
         mesh = shapes.mesh(shape)
         corners = mesh.vertices[mesh.faces.long()].double()
         areas = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1).cumsum(0)

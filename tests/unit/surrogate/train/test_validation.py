@@ -9,7 +9,7 @@ import torch
 from sdm.shapes import Cochlea
 from sdm.surrogate.train.validation import validation_batches, validation_name, validation_theta
 
-NAME = "cochlea-1000-b7d1df382b93aa07"
+NAME = "cochlea-1000-dacd36cca946e5d3"
 
 
 def test_the_set_is_fixed_and_has_the_corners():
