@@ -185,7 +185,7 @@ class SDMStream(IterableDataset[Batch]):
         return self._maker.make(numbers)
 
     def validation(self, count: int = 64) -> ValidationSet:
-        """A fixed set of uniform samples from the same family, grid and seed that no stream gives: see `ValidationSet`."""
+        """A fixed set of uniform samples from the same family, grid and seed that no stream gives."""
         self._refuse_fork()
         return ValidationSet(self._maker, count)
 

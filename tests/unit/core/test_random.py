@@ -43,9 +43,9 @@ def test_half_of_the_bits_change():
 def test_neither_words_nor_whole_numbers_are_refused():
     for wrong in (0.5, None, b"a", ("a",)):
         with pytest.raises(TypeError):
-            derive_seed(0, wrong)
+            derive_seed(0, wrong)  # type: ignore[arg-type]
     with pytest.raises(TypeError):
-        derive_seed("0")
+        derive_seed("0")  # type: ignore[arg-type]
 
 
 def test_generators_start_from_it():
