@@ -7,14 +7,16 @@ import gc
 import importlib
 import io
 import os
-import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
+from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
+from sdm.cli.common.numbers import joined
+from sdm.cli.common.usage_error import UsageError, no_command, sentence
 
 # In the order of the help text.
 COMMANDS = (
@@ -44,13 +46,8 @@ BROKEN_PIPE = 141
 # takes a quarter of a second of the start.
 GARBAGE_THRESHOLDS = (10_000, 10, 10)
 
-# What tyro draws around its messages.
-FRAME = re.compile(r"\x1b\[[0-9;]*m|^[│|]|[│|]$")
-RULE = re.compile(r"^[─╭╰]")
-
-
-class _UsageError(Exception):
-    pass
+# Commands that launch kernels, which compile at the first time.
+WITH_KERNELS = ("compute", "generate", "train", "fit", "encode", "decode", "view", "demo")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,9 +64,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = gc.get_threshold()
     gc.set_threshold(*GARBAGE_THRESHOLDS)
     try:
-        code = _parse(words)()
+        command = _parse(words)
+        if words and words[0] in WITH_KERNELS and command is not _nothing:
+            announce_compiling()
+        code = command()
         sys.stdout.flush()
-    except _UsageError as error:
+    except UsageError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
         print("sdm: interrupted", file=sys.stderr)
@@ -79,10 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except Exception as error:
-        sentence = sentence_of(error)
-        if sentence is None:
+        reason = sentence_of(error)
+        if reason is None:
             raise
-        return _complain(sentence)
+        return _complain(reason)
     finally:
         gc.set_threshold(*thresholds)
     return DONE if code is None else code
@@ -111,7 +111,11 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     import tyro
     from tyro.extras import subcommand_cli_from_dict
 
+    if words[:1] == ["--version"]:
+        return _print_version
     brief = not (words and words[0] in COMMANDS)
+    if words and brief and not words[0].startswith("-"):
+        raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")
     modules = {name: importlib.import_module(f"sdm.cli.commands.{name}") for name in COMMANDS}
     commands = {name: _later(getattr(module, name), brief) for name, module in modules.items()}
     said = io.StringIO()
@@ -121,14 +125,14 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
                 commands,
                 prog="sdm",
                 description=DESCRIPTION,
-                args=words,
-                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                args=joined(words),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
             )
     except SystemExit as stop:
         if stop.code in (None, 0):
             return _nothing
         command = "sdm" if brief else f"sdm {words[0]}"
-        raise _UsageError(f"{_sentence(said.getvalue())}; see {command} --help") from None
+        raise UsageError(f"{sentence(said.getvalue())}; see {command} --help") from None
 
 
 def _later(command: Callable[..., int | None], brief: bool) -> Callable[..., Any]:
@@ -150,14 +154,7 @@ def _nothing() -> None:
     return None
 
 
-def _sentence(drawn: str) -> str:
-    """The text of tyro's message, without its frame and without what follows its first part."""
-    part: list[str] = []
-    for line in drawn.splitlines():
-        text = FRAME.sub("", FRAME.sub("", line).strip()).strip()
-        if not text or RULE.match(text):
-            if part:
-                break
-            continue
-        part.append(text)
-    return " ".join(part).rstrip(".") or "the arguments cannot be understood"
+def _print_version() -> None:
+    import sdm
+
+    print(f"sdm {sdm.__version__}")

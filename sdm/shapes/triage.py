@@ -5,6 +5,9 @@ from __future__ import annotations
 from sdm.core.mesh import TriangleMesh
 from sdm.inspect import inspect_mesh
 
+# The argument that takes open meshes, as a sentence names it.
+KEEP_OPEN = "open_meshes='keep'"
+
 
 def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | None:
     """Why the inside of a mesh is not what its maker meant, as a sentence; None for a mesh that is fine.
@@ -32,9 +35,9 @@ def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | No
     if report.boundary_edges:
         return (
             f"it has holes ({report.boundary_edges:,} edges of one face only), so its inside is not defined; close "
-            "them, or take it all the same by open_meshes='keep'"
+            f"them, or take it all the same by {KEEP_OPEN}"
         )
     return (
         f"its faces disagree which side is out along {report.disagreeing_edges:,} edges; make them consistent, or take "
-        "it all the same by open_meshes='keep'"
+        f"it all the same by {KEEP_OPEN}"
     )

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.numbers import numbers
+
 Ending = Literal["nii.gz", "nii", "npz", "nrrd", "zarr", "nvdb"]
 
 
@@ -19,14 +21,18 @@ def compute(
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 128)")] = None,
+    resolution: Annotated[
+        tuple[int, ...] | None, numbers(int, "N [N N]"), tyro.conf.arg(help_behavior_hint="(default: 128)")
+    ] = None,
     spacing: Annotated[
-        tuple[float, ...] | None, tyro.conf.arg(metavar="S [S S]", help_behavior_hint="(in place of --resolution)")
+        tuple[float, ...] | None,
+        numbers(float, "S [S S]"),
+        tyro.conf.arg(help_behavior_hint="(in place of --resolution)"),
     ] = None,
     grid_like: Annotated[
         Path | None, tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(in place of --resolution)")
     ] = None,
-    margin: float = 0.05,
+    margin: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.05,
     device: str = "auto",
     format: Annotated[  # noqa: A002
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
@@ -42,7 +48,7 @@ def compute(
     Args:
         meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them.
         out: File to write (its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb), or a folder.
-        resolution: Voxels along each axis, of a cube around the mesh.
+        resolution: Voxels along each axis: one number for a cube around the mesh, or three.
         spacing: Voxel size in the mesh's unit: one length, or one for each axis.
         grid_like: The grid of this NIfTI or NRRD image, or of another map.
         margin: Room around the mesh, as a share of the longest edge of its box.
@@ -64,10 +70,11 @@ def compute(
     both = [name for name, value in given.items() if value is not None]
     if len(both) > 1:
         raise GridError(f"{' and '.join(both)} each say what the grid is: give one of them")
-    if spacing is not None and len(spacing) not in (1, 3):
-        raise GridError(f"--spacing takes one length or three, not {len(spacing)}")
+    for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
+        if values is not None and len(values) not in (1, 3):
+            raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
     settings = Settings(
-        resolution=resolution,
+        resolution=resolution[0] if resolution is not None and len(resolution) == 1 else resolution,
         spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
         like=None if grid_like is None else read_grid(grid_like),
         like_image=grid_like,

@@ -21,8 +21,9 @@ def decode(
 ) -> None:
     """Turn a code of sdm encode into a mesh, a map or a picture, by how the output's name ends.
 
-    .ply is the surface, by marching cubes. .nii.gz, .nii, .npz, .nrrd, .zarr and .nvdb are the learned signed distance
-    map of the box around the shape's sphere, negative inside, in the shape's unit. .png is a picture by sphere tracing.
+    .ply, .stl, .obj, .off and .glb are the surface, by marching cubes. .nii.gz, .nii, .npz, .nrrd, .zarr and .nvdb are
+    the learned signed distance map of the box around the shape's sphere, negative inside, in the shape's unit. .png is
+    a picture by sphere tracing.
 
     Args:
         code: What sdm encode wrote.
@@ -38,26 +39,29 @@ def decode(
     from sdm.deepsdf import DeepSDF, decode_mesh, interpolation_strip, load_code, render, save_picture
     from sdm.errors import FormatError
     from sdm.io.maps.formats import FORMATS, check_file, check_target, is_map_name
-    from sdm.io.meshes.write import write_ply
+    from sdm.io.meshes.write import WRITERS, save_mesh
 
-    if to is not None and out.suffix != ".png":
+    if to is not None and out.suffix.lower() != ".png":
         raise FormatError(f"{out} does not end like a picture, but a strip of pictures was requested: use .png")
     refuse_inputs([out], [code, model, to])
-    if out.suffix in (".ply", ".png"):
+    ending = out.suffix.lower().removeprefix(".")
+    if ending == "png" or ending in WRITERS:
         check_file(out)
     elif is_map_name(out):
         check_target(out)
     else:
-        raise FormatError(f"cannot write {out.suffix or out.name}: use one of .ply, .png, .{', .'.join(FORMATS)}")
+        raise FormatError(
+            f"cannot write {out.suffix or out.name}: use one of .{', .'.join([*WRITERS, 'png', *FORMATS])}"
+        )
     shape, found = load_code(code), DeepSDF.load(model, device)
     if to is not None:
         picture = interpolation_strip(found, shape.code, load_code(to).code, count=count, size=resolution)
         save_picture(picture, out)
-    elif out.suffix == ".png":
+    elif ending == "png":
         save_picture(render(found, shape.code, size=resolution), out)
-    elif out.suffix == ".ply":
+    elif ending in WRITERS:
         mesh = decode_mesh(found, shape.code, sphere=shape.sphere, resolution=resolution)
-        write_ply(mesh, out)
+        save_mesh(mesh, out)
         print(f"{out}: {len(mesh):,} triangles")
         return
     else:

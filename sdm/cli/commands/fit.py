@@ -17,8 +17,8 @@ def fit(
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    mesh: Path | None = None,
-    picture: Path | None = None,
+    mesh: Annotated[Path | None, tyro.conf.arg(metavar="FILE.ply", help_behavior_hint="(default: none)")] = None,
+    picture: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     blur: float = 0.2,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
@@ -26,7 +26,9 @@ def fit(
     turn: float = 0.5,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
     triangles: int = 20_000,
-    weights: Path | None = None,
+    weights: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the package's)")
+    ] = None,
     device: str = "auto",
 ) -> None:
     """Fit the cochlea family to a CT image: shape parameters and pose with 90 % intervals.

@@ -198,13 +198,15 @@ def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:
 def _family(known: dict[str, Any], skip_bad: bool) -> Family:
     from sdm.dataset.family_registry import family_from
     from sdm.errors import MeshError
+    from sdm.shapes.triage import KEEP_OPEN
 
     family = family_from(known)
     rejected: tuple[tuple[str, str], ...] = getattr(family, "rejected", ())
     for name, reason in rejected:
-        print(f"sdm: {name} is not used: {reason}", file=sys.stderr)
+        print(f"sdm: {name} is not used: {reason.replace(KEEP_OPEN, '--open-meshes keep')}", file=sys.stderr)
     if rejected and not skip_bad:
+        files = "1 file" if len(rejected) == 1 else f"{len(rejected)} files"
         raise MeshError(
-            f"{len(rejected)} files of {known['folder']} cannot be used: mend them, or go on without them by --skip-bad"
+            f"{files} of {known['folder']} cannot be used: mend what is said, or go on without by --skip-bad"
         )
     return family

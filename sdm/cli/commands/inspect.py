@@ -1,4 +1,4 @@
-"""`sdm inspect`: what a mesh is like, before anything is computed from it."""
+"""`sdm inspect`: properties of a mesh, and its problems."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def inspect(mesh: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="M
     Lengths, areas and volumes are in the mesh's own unit. Problems are reported, not repaired, and the exit code is 0.
 
     Args:
-        mesh: Mesh file: STL, PLY, OBJ, OFF, GLB, or whatever else trimesh reads.
+        mesh: Mesh file (STL, PLY, OBJ, OFF, GLB, ...).
         json: Print JSON instead of a table.
     """
     from sdm.inspect import inspect_mesh

@@ -11,7 +11,7 @@ import tyro
 def view(
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP_OR_MESH")],
     *,
-    level: float = 0.0,
+    level: Annotated[float, tyro.conf.arg(metavar="DISTANCE")] = 0.0,
     resolution: int = 96,
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.png", help_behavior_hint="(default: a window)")

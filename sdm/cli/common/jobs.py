@@ -28,7 +28,7 @@ class Settings:
     """Settings that are the same for all meshes.
 
     Args:
-        resolution: Voxels along each axis; None for the default.
+        resolution: Voxels along each axis, one number or three; None for the default.
         spacing: Voxel size in place of it: one length or three.
         like: The grid itself in place of it.
         like_image: The file that it is of, which is not written over.
@@ -38,7 +38,7 @@ class Settings:
         resume: Whether maps of the same triangles that are there on the same grid are left.
     """
 
-    resolution: int | None
+    resolution: int | tuple[int, ...] | None
     spacing: float | tuple[float, ...] | None
     like: Grid | None
     like_image: Path | None

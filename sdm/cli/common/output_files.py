@@ -56,7 +56,10 @@ def targets_in(out: Path, sources: list[Path], ending: str) -> list[Path]:
     names = [source.stem if times[source.stem] == 1 else source.name for source in sources]
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
-        raise FormatError(f"several files are called {twice}, and so would be what is written: use a folder for each")
+        raise FormatError(
+            f"several files are called {twice}, and so would be what is written: give them one at a time, each with a "
+            "name of its own to write to"
+        )
     return [out / f"{name}.{ending}" for name in names]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import sdm
 from sdm.cli import COMMANDS, app, main
 from sdm.errors import GridError
 
@@ -87,7 +88,14 @@ def test_help_tells_units_and_conventions(capsys):
         (["compute", "a.stl"], "--out"),
         (["compute", "a.stl", "-o"], "-o"),
         (["compute", "a.stl", "-o", "x.npz", "--resolution", "many"], "--resolution"),
-        (["compute", "a.stl", "-o", "x.npz", "--spacing", "1", "x"], "--spacing"),
+        (["compute", "a.stl", "-o", "x.npz", "--spacing", "x"], "--spacing takes a number, not 'x'"),
+        (["compute", "a.stl", "-o", "x.npz", "--resolution", "64,x"], "--resolution takes a whole number, not 'x'"),
+        (["compute", "a.stl", "-o", "x.npz", "--spacing"], "--spacing"),
+        (["compute", "a.stl", "-o", "x.npz", "--resoluton", "5"], "perhaps --resolution is meant"),
+        (["view", "a.stl", "--resolution", "64.5"], "--resolution takes a whole number, not '64.5'"),
+        (["generate", "cuboid", "-o", "x", "--count", "ten"], "--count takes a whole number, not 'ten'"),
+        (["comput", "x"], "there is no command comput; did you mean compute"),
+        (["xyz"], "there is no command xyz: use one of inspect, compute"),
         (["compute", "a.stl", "-o", "x.npz", "--format", "tif"], "tif"),
         (["compute", "a.stl", "-o", "x.npz", "--orient", "up"], "up"),
         (["compute", "a.stl", "-o", "x.npz", "--wrong"], "--wrong"),
@@ -102,6 +110,28 @@ def test_wrong_arguments_are_one_sentence(words, expected, capsys):
     assert line.endswith("--help")
     assert expected in line
     assert "│" not in line
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_wrong_arguments_whatever_the_terminal_shows(encoding):
+    program = [sys.executable, "-m", "sdm.cli", "compute", "a.stl", "-o", "x.npz", "--margin", "wide"]
+    done = subprocess.run(
+        program, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONIOENCODING": encoding}
+    )
+    assert done.stderr == "sdm: --margin takes a number, not 'wide'; see sdm compute --help\n"
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"sdm {sdm.__version__}\n"
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, "train deepsdf", "train sdmnn", "train segmentation"])
+def test_help_shows_no_types_of_python(name, capsys):
+    assert main([*name.split(), "--help"]) == 0
+    said = capsys.readouterr().out
+    assert "{None" not in said
+    assert "default: None" not in said
 
 
 def run_instead(monkeypatch, error: BaseException) -> int:

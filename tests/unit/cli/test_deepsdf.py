@@ -35,7 +35,9 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_mesh_becomes_a_code_and_the_code_a_mesh_where_it_was(work: Path, tmp_path: Path) -> None:
     model, code, out = work / "model" / "model.pt", tmp_path / "new.npz", tmp_path / "new.ply"
     assert main(["encode", str(work / "new.ply"), "-m", str(model), "-o", str(code), "--steps", "60"]) == 0
-    assert main(["decode", str(code), "-m", str(model), "-o", str(out), "--resolution", "48"]) == 0
+    for target in (out.with_suffix(".stl"), out.with_suffix(".obj"), out):
+        assert main(["decode", str(code), "-m", str(model), "-o", str(target), "--resolution", "48"]) == 0
+        assert len(sdm.load_mesh(target)) > 0
     away = sdm.signed_distance(sdm.load_mesh(work / "new.ply"), sdm.load_mesh(out).vertices)
     assert away.abs().mean() < 0.15
 
@@ -101,8 +103,8 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply", "--to", "{short}"], "does not end like a picture"),
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
         (
-            ["decode", "{new}", "-m", "{model}", "-o", "x.stl"],
-            "cannot write .stl: use one of .ply, .png, .nii.gz",
+            ["decode", "{new}", "-m", "{model}", "-o", "x.vtk"],
+            "cannot write .vtk: use one of .ply, .stl, .obj, .off, .glb, .png, .nii.gz",
         ),
         (
             ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],

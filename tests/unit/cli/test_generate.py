@@ -85,7 +85,10 @@ def test_meshes_with_holes_are_kept_if_one_says_so(tmp_path, folder, capsys):
     trimesh.Trimesh(whole.vertices, whole.faces[5:], process=False).export(folder / "zopen.ply")
     out = tmp_path / "d.zarr"
     assert run(folder, *SMALL, "-o", out) == 2
-    assert "zopen.ply is not used: it has holes" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "zopen.ply is not used: it has holes" in said
+    assert "by --open-meshes keep" in said
+    assert "sdm: 1 file of" in said
     assert run(folder, *SMALL, "--open-meshes", "keep", "-o", out) == 0
     assert SDMDataset(out).manifest["source"]["open_meshes"] == "keep"
     assert SDMDataset(out).theta[:, 0].max() > 2
