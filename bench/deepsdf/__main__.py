@@ -118,7 +118,7 @@ def run_evaluate(options: argparse.Namespace) -> None:
         "noisy": lambda: evaluation.completion(model, shapes.test, searched("noisy"), resolution),
     }
     chosen = {name: parts[name] for name in parts if name in options.parts}
-    about = {"class": options.shapes, "settings": model.settings.as_dict(), "training": training_of(options.out)}
+    about = {"class": options.shapes, "settings": model.settings.record(), "training": training_of(options.out)}
     in_turn(chosen, options, about, options.budget_s)
 
 
@@ -168,7 +168,7 @@ def run_recipe(options: argparse.Namespace) -> None:
     }
     for seed in range(options.seeds):
         parts |= {f"{name} {seed}": partial(study, name, seed) for name in sources}
-    in_turn(parts, options, {"class": options.shapes, "settings": settings.as_dict(), "shapes": len(found)}, None)
+    in_turn(parts, options, {"class": options.shapes, "settings": settings.record(), "shapes": len(found)}, None)
 
 
 def approximate_of(shapes: ShapeSet, options: argparse.Namespace) -> ApproximateSamples:

@@ -43,7 +43,7 @@ def as_type(value: Any, hint: Any) -> Any:
     Raises:
         TypeError: It is something else.
     """
-    if hint is Any or (hint in (None, NoneType) and value is None):
+    if hint is Any or (value is None and (hint is None or hint is NoneType)):
         return value
     if get_origin(hint) is not None:
         return _as_generic(value, hint, get_args(hint))

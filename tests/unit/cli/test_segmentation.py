@@ -292,7 +292,7 @@ def test_networks_are_told_positions(trained, tmp_path, capsys):
     words = ["train", "segmentation", "--data", data, "--out", str(tmp_path), *QUICK, "--steps", "2"]
     assert main([*words, "--position", "--budget-s", "0"]) == 0
     capsys.readouterr()
-    assert "with other settings: remove it to begin anew" in refused([*words, "--resume"], capsys)
+    assert "with other settings: give those, or another file, or remove it" in refused([*words, "--resume"], capsys)
     assert main([*words, "--position", "--resume"]) == 0
     segment = ["segment", images, "--out", str(tmp_path / "out"), "--model", str(tmp_path / "model.pt")]
     assert main([*segment, "--mirrors"]) == 0
