@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from sdm.fit import FitResult
+    from sdm.fit import FitOptions, FitResult
 
 
 def fit(
@@ -74,7 +74,7 @@ def fit(
             write_surface(*surface, mesh)
         if picture is not None:
             draw_fit(scan.values, scan.grid, *surface, picture)
-    _print(result)
+    _print(result, options)
 
 
 def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
@@ -94,13 +94,18 @@ def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
             raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
 
 
-def _print(result: FitResult) -> None:
+def _print(result: FitResult, options: FitOptions) -> None:
     ends = result.posterior.intervals(0.9).tolist()
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=False):
         unit = "" if parameter.unit == "1" else f" {parameter.unit}"
         print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
     place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
     print(f"centre {place} mm")
+    # Coverage where that is not so: sdm/fit/README.md, "Limits".
+    print(
+        f"intervals take for granted a blur of {options.blur:g} mm (--blur), white noise and even intensities: "
+        "elsewhere they are too narrow"
+    )
     diagnosis = result.diagnosis
     print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())

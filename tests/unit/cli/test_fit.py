@@ -33,7 +33,9 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     middle = (mesh.vertices.amin(0) + mesh.vertices.amax(0)) / 2
     assert torch.linalg.vector_norm(middle.double() - truth.translation) < 1.5
     assert (tmp_path / "fit.png").stat().st_size > 10_000
-    assert "90 % within" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "90 % within" in said
+    assert "intervals take for granted a blur of" in said
 
 
 def test_noise_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
