@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.ops
 from sdm.bench.common.degenerate_meshes import filled_t_junctions, thin_soup
 from sdm.bench.common.oracles import rational
+from sdm.engine.plan_override import plan_override
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 
@@ -25,11 +25,23 @@ LINE = [
     [-0.6884263753890991, -1.0960768461227417, 1.3099365234375],
 ]
 BETWEEN = [[-1.0409536361694336, -0.388257771730423, 1.5128222703933716]]
-POINT_METHODS = ["search", "lists"]
-MAP_METHODS = ["cells", "search", "auto"]
 # Soups that every kind of map got wrong while such triangles had the inside tests of all others, beside any others.
 MAP_SEEDS = [*range(50), 134, 397, 492, 586, 593, 615, 623, 640, 670, 690]
 BATCH_SEEDS = [*range(25), 63, 106, 107, 128, 156, 169, 310, 383, 425, 454]
+
+
+@pytest.fixture(params=["search", "lists"])
+def points_method(request):
+    """Both ways to query points."""
+    with plan_override(points_method=request.param):
+        yield
+
+
+@pytest.fixture(params=["cells", "search", "auto"])
+def map_method(request):
+    """All ways to compute maps."""
+    with plan_override(method=request.param):
+        yield
 
 
 def loose(corner: np.ndarray) -> strategies.Arrays:
@@ -61,10 +73,9 @@ def grid_in_line(corner: np.ndarray, rng: np.random.Generator, voxels: int) -> s
     return sdm.Grid(origin, [spacing] * 3, [voxels] * 3, direction=[[float(x) for x in row] for row in axes])
 
 
-@pytest.mark.parametrize("method", POINT_METHODS)
+@pytest.mark.usefixtures("points_method")
 @pytest.mark.parametrize("faces", [[[0, 1, 2]], [[0, 1, 2], [3, 4, 5]], [[3, 4, 5], [0, 1, 2]]])
-def test_a_point_beyond_a_collinear_triangle(monkeypatch, method, faces):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+def test_a_point_beyond_a_collinear_triangle(faces):
     vertices, faces, points = np.array(LINE, np.float32), np.array(faces), np.array(BETWEEN, np.float32)
     value = sdm.signed_distance(sdm.TriangleMesh(vertices, faces), points, device="cpu")
     truth = rational.distance(vertices, faces, points)
@@ -72,9 +83,8 @@ def test_a_point_beyond_a_collinear_triangle(monkeypatch, method, faces):
     np.testing.assert_allclose(value.abs(), truth, rtol=0, atol=4 * ROUNDING * 1.7)
 
 
-@pytest.mark.parametrize("method", POINT_METHODS)
-def test_points_on_a_filled_t_junction(monkeypatch, method):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+@pytest.mark.usefixtures("points_method")
+def test_points_on_a_filled_t_junction():
     rng = np.random.default_rng(3)
     for seed in range(10):
         vertices, faces = filled_t_junctions(12, seed)
@@ -85,9 +95,8 @@ def test_points_on_a_filled_t_junction(monkeypatch, method):
         assert_exact(vertices, faces, points, index.signed_distance(points))
 
 
-@pytest.mark.parametrize("method", MAP_METHODS)
-def test_maps_of_a_filled_t_junction(monkeypatch, method):
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
+@pytest.mark.usefixtures("map_method")
+def test_maps_of_a_filled_t_junction():
     rng = np.random.default_rng(3)
     for seed in range(4):
         vertices, faces = filled_t_junctions(12, seed)
@@ -97,9 +106,8 @@ def test_maps_of_a_filled_t_junction(monkeypatch, method):
         assert_exact(vertices, faces, grid.points().reshape(-1, 3).numpy(), field.values)
 
 
-@pytest.mark.parametrize("method", POINT_METHODS)
-def test_points_about_thin_soups(monkeypatch, method):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+@pytest.mark.usefixtures("points_method")
+def test_points_about_thin_soups():
     for seed in range(150):
         rng = np.random.default_rng(seed)
         corner = thin_soup(rng, int(rng.integers(1, 6)))
@@ -107,9 +115,8 @@ def test_points_about_thin_soups(monkeypatch, method):
         assert_exact(*mesh, points, sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device="cpu"))
 
 
-@pytest.mark.parametrize("method", MAP_METHODS)
-def test_maps_of_thin_soups(monkeypatch, method):
-    monkeypatch.setattr(sdm.engine.ops, "DENSE_METHOD", method)
+@pytest.mark.usefixtures("map_method")
+def test_maps_of_thin_soups():
     for seed in MAP_SEEDS:
         rng = np.random.default_rng(seed)
         corner = thin_soup(rng, int(rng.integers(1, 6)))
@@ -164,11 +171,10 @@ def thin_meshes(draw: st.DrawFn) -> strategies.Arrays:
     return strategies.Arrays(((mesh.vertices + offset) * draw(strategies.scales)).astype(np.float32), mesh.faces)
 
 
-@pytest.mark.parametrize("method", POINT_METHODS)
+@pytest.mark.usefixtures("points_method")
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=thin_meshes(), seed=strategies.seeds)
-def test_any_thin_mesh(monkeypatch, method, mesh, seed):
-    monkeypatch.setattr(sdm.engine.ops, "POINTS_METHOD", method)
+def test_any_thin_mesh(mesh, seed):
     points = points_in_line(mesh.vertices[mesh.faces], np.random.default_rng(seed), 40)
     values = sdm.signed_distance(sdm.TriangleMesh(*mesh), points, device="cpu")
     assert_exact(*mesh, points, values)
