@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64, Integer
+from jaxtyping import Bool, Int64, Integer
 
 from sdm.inspect.positions import runs
 
@@ -29,6 +29,18 @@ class Edges:
     components: int
     component_of_edge: Integer[np.ndarray, " E"]
     split_vertices: int
+
+    @property
+    def disagreeing(self) -> Bool[np.ndarray, " E"]:
+        """Whether the faces of each edge disagree which side is out."""
+        return np.abs(self.chain) > self.uses % 2
+
+    @property
+    def open_components(self) -> Bool[np.ndarray, " C"]:
+        """Whether the directed edges of each piece leave something over."""
+        found = np.zeros(self.components, dtype=bool)
+        found[self.component_of_edge[self.chain != 0]] = True
+        return found
 
 
 def edges_of(faces: Int64[np.ndarray, "F 3"], vertices: int) -> Edges:
@@ -65,12 +77,12 @@ def edges_of(faces: Int64[np.ndarray, "F 3"], vertices: int) -> Edges:
 def _pieces(face: np.ndarray, edge: np.ndarray, faces: int) -> tuple[np.ndarray, int]:
     """Number the faces that edges connect alike. `face` and `edge` (n,) list each face of each edge, by edge."""
     same = edge[1:] == edge[:-1]
-    label = _label(face[:-1][same], face[1:][same], faces)
+    piece = label(face[:-1][same], face[1:][same], faces)
     has_edge = np.zeros(faces, dtype=bool)
     has_edge[face] = True
     if not has_edge.any():
         return np.full(faces, -1), 0
-    used, number = np.unique(label[has_edge], return_inverse=True)
+    used, number = np.unique(piece[has_edge], return_inverse=True)
     component = np.full(faces, -1)
     component[has_edge] = number
     return component, len(used)
@@ -86,15 +98,17 @@ def _split_vertices(
     same = edge[1:] == edge[:-1]
     one = np.concatenate([low[:-1][same], high[:-1][same]])
     other = np.concatenate([low[1:][same], high[1:][same]])
-    label = _label(one, other, len(vertex))
+    bunch = label(one, other, len(vertex))
     corners = np.repeat(proper, 3)
-    _, sample = np.unique(label[corners], return_index=True)
+    _, sample = np.unique(bunch[corners], return_index=True)
     bunches = np.bincount(vertex[corners][sample]) if len(sample) else np.zeros(0, dtype=np.int64)
     return int((bunches > 1).sum())
 
 
-def _label(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
-    """Connected components of a graph of `count` nodes: the number of each node's component, (count,)."""
+def label(
+    one: Integer[np.ndarray, " n"], other: Integer[np.ndarray, " n"], count: int
+) -> Integer[np.ndarray, " count"]:
+    """Connected components of a graph of `count` nodes, of connected pairs (n,): the number of each node's component."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

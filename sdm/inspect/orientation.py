@@ -1,92 +1,110 @@
-"""Orientation of closed meshes: outward or inside out."""
+"""Orientation of meshes: outward or inside out, as a whole and part by part."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Integer
+from jaxtyping import Bool, Float64, Int64
 
 from sdm.core.mesh import TriangleMesh
+from sdm.inspect.agreement import agreeing_turns
+from sdm.inspect.edges import edges_of
+from sdm.inspect.nesting import Nesting
+from sdm.inspect.parts import Parts, parts_of
+from sdm.inspect.positions import first_at_position
 
-# Solid angles that the search for inside-out components may cost.
-MOST_SOLID_ANGLES = 20_000_000
-# A signed volume below this share of what it is the sum of is rounding: the mesh encloses nothing.
-VOLUME_ROUNDING = 1e-12
-CHUNK = 1 << 18
+# A part is inside another if that one's winding number about it is more than this.
+INSIDE = 0.5
 
 
 def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Turn an inside-out mesh: every face, if the mesh is closed and its signed volume is negative.
+    """Turn faces so that they face outward, where closed or nearly closed parts say which side that is.
 
-    Nothing else is ever touched, so that cavities stay cavities: an open mesh, one whose volume is positive, and one
-    that encloses nothing come back as they are, as the same object. A mesh in which only some components are inside
-    out is named by `inspect_mesh`, and is the user's to mend.
+    1. Where faces that share an edge disagree, the fewer (by area) are turned: faces agree over every edge of exactly
+       two. One-sided surfaces stay as they are.
+    2. Then each part is judged by the volume that it encloses, gaps closed by flat caps: one that is inside no other
+       and whose volume is negative is turned, with all that is inside it.
+
+    So cavities stay cavities: a shell inside another keeps its meaning beside that one. Sheets and parts that are wide
+    open (flat caps over their gaps would be more than a third of their own area) have no inside to face, and are only
+    made to agree. Parts are what edges hold together.
 
     Args:
-        mesh: Any mesh, on any device; nothing is copied to the host but one number.
+        mesh: Any mesh, on any device; looked at on the host.
+
+    Returns:
+        The same object if nothing is to be turned; else a mesh with the same vertices, and turned faces.
     """
-    # `sdm inspect` needs nothing of Warp, whose start takes a third of a second.
-    from sdm.topology.boundary_edges import boundary_edges
-
-    if boundary_edges(mesh.vertices, mesh.faces).shape[0] > 0:
+    vertices, faces = mesh.numpy()
+    turn = outward_turns(vertices[faces].astype(np.float64), first_at_position(vertices)[faces.astype(np.int64)])
+    if not turn.any():
         return mesh
-    corners = mesh.vertices.detach()[mesh.faces.long()].double()
-    # Volumes about a point near the mesh lose no digits to a far origin.
-    corners = corners - corners[:1, :1]
-    volumes = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum(1)
-    return mesh.flipped() if bool(volumes.sum() < -VOLUME_ROUNDING * volumes.abs().sum()) else mesh
+    turned = torch.from_numpy(np.where(turn[:, None], faces[:, ::-1], faces)).to(mesh.device)
+    return TriangleMesh(mesh.vertices, turned, mesh.name, check=False)
 
 
-def inside_out(
-    corners: Float64[np.ndarray, "F 3 3"],
-    component: Integer[np.ndarray, " F"],
-    volume: Float64[np.ndarray, " C"],
-    closed: Bool[np.ndarray, " C"],
-) -> tuple[int, int]:
-    """Count the closed components that face inward without being a cavity of the others.
+def outward_turns(corners: Float64[np.ndarray, "F 3 3"], merged: Int64[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
+    """The faces (F,) that `orient_outward` turns, of corners (F,3,3) and vertex indices that tell positions apart."""
+    edges = edges_of(merged, int(merged.max()) + 1)
+    part, count = edges.component, edges.components
+    turn = np.zeros(len(merged), dtype=bool)
+    if count == 0:
+        return turn
+    gaps = edges.open_components
+    if edges.disagreeing.any():
+        uneven = np.zeros(count, dtype=bool)
+        uneven[edges.component_of_edge[edges.disagreeing]] = True
+        mended = np.flatnonzero((part >= 0) & uneven[part])
+        area = np.linalg.norm(np.cross(*np.moveaxis(corners[mended, 1:] - corners[mended, :1], 1, 0)), axis=1)
+        turn[mended], patch, patches = agreeing_turns(merged[mended], area)
+        # Where more than two faces meet, nobody knows which of them belong together: each patch is a part of its own.
+        part, gaps = part.copy(), np.concatenate([gaps, np.ones(patches, dtype=bool)])
+        part[mended] = count + patch
+        names, number = np.unique(part[part >= 0], return_inverse=True)
+        part[part >= 0] = number
+        gaps, count = gaps[names], len(names)
+        corners = np.where(turn[:, None, None], corners[:, ::-1], corners)
+        merged = np.where(turn[:, None], merged[:, ::-1], merged)
+    parts = parts_of(corners, merged, part, gaps)
+    if not parts.reversed.any():
+        return turn
+    return turn ^ ((part >= 0) & to_turn(corners, parts)[part])
+
+
+def to_turn(corners: Float64[np.ndarray, "F 3 3"], parts: Parts) -> Bool[np.ndarray, " C"]:
+    """The parts (C,) to turn: those that face inward and are inside no other, with all that is inside them."""
+    wrong = np.zeros(len(parts.volume), dtype=bool)
+    nesting = Nesting(corners, parts.part, parts.nearly_closed, parts.caps == 0)
+    for suspect in np.flatnonzero(parts.reversed):
+        times = [nesting.winding(outer, suspect) for outer in nesting.around(suspect)]
+        wrong[suspect] = all(found is not None and abs(found) < INSIDE for found in times)
+    outermost = np.flatnonzero(wrong)
+    for outer in outermost:
+        for inner in nesting.within(outer):
+            if not wrong[inner] and abs(nesting.winding(outer, inner) or 0.0) > INSIDE:
+                wrong[inner] = True
+    return wrong
+
+
+def inside_out(corners: Float64[np.ndarray, "F 3 3"], parts: Parts) -> tuple[int, int]:
+    """Count the parts that face inward without being a cavity of the others.
 
     Args:
         corners: (F,3,3) float64.
-        component: (F,) component of each face, -1 for none.
-        volume: (C,) signed volume of each component, 0 for those that enclose nothing.
-        closed: (C,) whether each is closed.
+        parts: The parts.
 
     Returns:
-        How many are inside out, and how many could not be judged because it would take too long. A component that
-        faces inward is a cavity, and right, where the winding number of the others is above 0.5.
+        How many are inside out, and how many could not be judged because it would take too long. A part that faces
+        inward is a cavity, and right, where the winding number of the others is above 0.5.
     """
-    suspects = np.flatnonzero(closed & (volume < 0))
+    suspects = np.flatnonzero(parts.reversed)
     if len(suspects) == 0:
         return 0, 0
-    order = np.argsort(component, kind="stable")
-    begin = np.searchsorted(component[order], np.arange(len(volume)))
-    end = np.searchsorted(component[order], np.arange(len(volume)), side="right")
-    first = np.searchsorted(component[order], 0)
-    low = np.minimum.reduceat(corners[order[first:]].min(1), begin - first)
-    high = np.maximum.reduceat(corners[order[first:]].max(1), begin - first)
-    size = end - begin
-
-    wrong = cost = 0
+    nesting = Nesting(corners, parts.part, parts.nearly_closed, parts.caps == 0)
+    wrong = 0
     for position, suspect in enumerate(suspects):
-        point = corners[order[begin[suspect]], 0]
-        # Outside its own box a closed component has winding number zero.
-        near = ~closed | ((low <= point) & (point <= high)).all(1)
-        near[suspect] = False
-        cost += int(size[near].sum())
-        if cost > MOST_SOLID_ANGLES:
+        times = [nesting.winding(outer, suspect) for outer in nesting.around(suspect)]
+        if None in times:
             return wrong, len(suspects) - position
-        winding = sum(_winding(point, corners[order[begin[c] : end[c]]]) for c in np.flatnonzero(near))
-        wrong += winding < 0.5
+        wrong += sum(found for found in times if found is not None) < INSIDE
     return wrong, 0
-
-
-def _winding(point: np.ndarray, corners: np.ndarray) -> float:
-    """Winding number of triangles (F,3,3) about a point (3,), by solid angles (van Oosterom and Strackee 1983)."""
-    total = 0.0
-    for begin in range(0, len(corners), CHUNK):
-        a, b, c = np.moveaxis(corners[begin : begin + CHUNK] - point, 1, 0)
-        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-        volume = (a * np.cross(b, c)).sum(1)
-        below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
-        total += float(np.arctan2(volume, below).sum())
-    return total / (2 * np.pi)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+# In Python and in commands.
+AUTO = 'orient="auto" (--orient auto)'
+
 
 def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
     """Sentences about a report's numbers, the gravest first.
@@ -13,21 +16,7 @@ def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
         facts: The fields of a `MeshReport` without its problems.
         unjudged: Components that face inward and were not compared with the others.
     """
-    found = []
-    pieces, wrong = facts["components"], facts["inside_out_components"]
-    if facts["closed"] and facts["volume"] < 0:
-        found.append(
-            f"the mesh is inside out: it is closed, but its volume is {facts['volume']:.6g}, so that nothing counts "
-            'as inside; orient="auto" (--orient auto) turns it'
-        )
-    elif facts["closed"] and facts["volume"] == 0:
-        found.append("the mesh is closed but encloses no volume, so nothing is inside")
-    elif wrong:
-        verb, content = ("is", "it holds") if wrong == 1 else ("are", "they hold")
-        found.append(
-            f"{wrong} of {pieces} components {verb} inside out, so that what {content}"
-            ' counts as outside; turn the faces in a mesh editor, since orient="auto" turns whole meshes only'
-        )
+    found = sign_problems(facts)
     if unjudged:
         found.append(f"{_count(unjudged, 'component')} facing inward could not be told from cavities in short time")
     if facts["boundary_edges"]:
@@ -35,10 +24,10 @@ def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
             f"the mesh is open: {_count(facts['boundary_edges'], 'edge')} of one face only; near the gaps the inside "
             "follows the generalised winding number and may be ambiguous"
         )
-    if facts["disagreeing_edges"]:
+    if facts["disagreeing_edges"] and not facts["disagreeing_pairs"]:
         found.append(
-            f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}; make the "
-            "orientation consistent, or the sign cannot be trusted there"
+            f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')} where more than two "
+            "meet; the sign may be wrong there"
         )
     if facts["nonmanifold_edges"]:
         found.append(f"{_count(facts['nonmanifold_edges'], 'edge')} of more than two faces; distances are not affected")
@@ -52,6 +41,30 @@ def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
         )
     if facts["degenerate_faces"]:
         found.append(f"{_count(facts['degenerate_faces'], 'face')} of zero area; they count as segments or points")
+    return found
+
+
+def sign_problems(facts: Mapping[str, Any]) -> list[str]:
+    """Sentences about what makes the sign of a map something else than was meant, the gravest first."""
+    found = []
+    pieces, wrong = facts["components"], facts["inside_out_components"]
+    if facts["disagreeing_pairs"]:
+        found.append(
+            f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}: the sign is not to "
+            f"be trusted near {'it' if facts['disagreeing_edges'] == 1 else 'them'}; "
+            f"{AUTO} makes faces agree where that is possible"
+        )
+    if facts["inside_out"]:
+        why = f"it is closed, but its volume is {facts['volume']:.6g}" if facts["closed"] else "its faces look inward"
+        found.append(f"the mesh is inside out: {why}, so that nothing counts as inside; {AUTO} turns it")
+    elif wrong:
+        verb, content, them = ("is", "it holds", "it") if wrong == 1 else ("are", "they hold", "them")
+        found.append(
+            f"{wrong:,} of {pieces:,} components {verb} inside out, so that what {content} counts as outside; "
+            f"{AUTO} turns {them}"
+        )
+    elif facts["closed"] and facts["volume"] == 0:
+        found.append("the mesh is closed but encloses no volume, so nothing is inside")
     return found
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.inspect.degenerate import zero_area
-from sdm.inspect.edges import Edges, edges_of
-from sdm.inspect.orientation import VOLUME_ROUNDING, inside_out
-from sdm.inspect.positions import first_and_group, first_at_position
-from sdm.inspect.problems import problems_of
+from sdm.inspect.duplicates import first_copies
+from sdm.inspect.edges import edges_of
+from sdm.inspect.orientation import inside_out, to_turn
+from sdm.inspect.parts import parts_of
+from sdm.inspect.positions import first_at_position
+from sdm.inspect.problems import problems_of, sign_problems
 
 
 @dataclass(frozen=True)
@@ -32,11 +34,14 @@ class MeshReport:
             not closed, or encloses no volume.
         manifold: Around every edge there are at most two faces, and around every vertex one fan of them.
         components: Pieces that edges hold together.
-        inside_out_components: Closed pieces that face inward and are not cavities.
+        inside_out: All that encloses a volume, closed or nearly, is inside out.
+        inside_out_components: Closed and nearly closed pieces that face inward and are not cavities.
         degenerate_faces: Faces whose area is exactly zero, repeated vertices included.
         duplicate_faces: Faces with the same three positions as an earlier one, in any order.
         boundary_edges: Edges of one face.
-        disagreeing_edges: Edges whose faces do not agree which side is out.
+        disagreeing_edges: Edges whose faces do not agree which side is out; of several copies of a face that face the
+            same way one counts.
+        disagreeing_pairs: Those of them with two faces, of which one is turned or the surface is one-sided.
         nonmanifold_edges: Edges of three faces or more.
         nonmanifold_vertices: Vertices at which separate fans of faces meet.
         volume: Signed volume in cubic units, negative if inside out; None for meshes that are not closed.
@@ -54,16 +59,23 @@ class MeshReport:
     outward: bool | None
     manifold: bool
     components: int
+    inside_out: bool
     inside_out_components: int
     degenerate_faces: int
     duplicate_faces: int
     boundary_edges: int
     disagreeing_edges: int
+    disagreeing_pairs: int
     nonmanifold_edges: int
     nonmanifold_vertices: int
     volume: float | None
     area: float
     problems: list[str]
+
+    @property
+    def sign_problems(self) -> list[str]:
+        """Those of the problems for which the sign of a map is probably not what was meant."""
+        return sign_problems(asdict(self))
 
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, ready for JSON."""
@@ -85,16 +97,18 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
     edges = edges_of(merged, len(vertices))
     corners = vertices[faces]
     low, high = mesh.bounds
-    area, volumes = _sizes(corners, edges)
+    exact = corners.astype(np.float64)
+    parts = parts_of(exact, merged, edges.component, edges.open_components)
 
-    piece_closed = np.ones(edges.components, dtype=bool)
-    piece_closed[edges.component_of_edge[edges.chain != 0]] = False
     closed = not edges.chain.any()
-    volume = float(volumes.sum())
-    wrong, unjudged = inside_out(corners.astype(np.float64), edges.component, volumes, piece_closed)
-    disagreeing = int((np.abs(edges.chain) > edges.uses % 2).sum())
+    volume = float(parts.volume.sum())
+    wrong, unjudged = inside_out(exact, parts)
     nonmanifold = int((edges.uses > 2).sum())
     boundary = int((edges.uses == 1).sum())
+    first, same_side = first_copies(merged, len(vertices))
+    distinct = (first == np.arange(len(faces))) | ~same_side
+    single = edges if distinct.all() else edges_of(merged[distinct], len(vertices))
+    disagreeing = int(single.disagreeing.sum())
 
     facts: dict[str, Any] = {
         "name": mesh.name,
@@ -107,35 +121,16 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         "outward": (volume > 0 and wrong == 0) if closed and volume != 0 else None,
         "manifold": nonmanifold == 0 and edges.split_vertices == 0,
         "components": edges.components,
+        "inside_out": wrong > 0 and bool(to_turn(exact, parts)[parts.volume != 0].all()),
         "inside_out_components": wrong,
         "degenerate_faces": int(zero_area(corners).sum()),
-        "duplicate_faces": _duplicates(merged, len(vertices)),
+        "duplicate_faces": int((first != np.arange(len(faces))).sum()),
         "boundary_edges": boundary,
         "disagreeing_edges": disagreeing,
+        "disagreeing_pairs": int((single.disagreeing & (single.uses == 2)).sum()),
         "nonmanifold_edges": nonmanifold,
         "nonmanifold_vertices": edges.split_vertices,
         "volume": volume if closed else None,
-        "area": area,
+        "area": float(parts.area.sum()),
     }
     return MeshReport(**facts, problems=problems_of(facts, unjudged))
-
-
-def _sizes(corners: np.ndarray, edges: Edges) -> tuple[float, np.ndarray]:
-    """Total area, and the signed volume of each component (C,)."""
-    # A first corner as the origin costs no digits where the mesh is far from its coordinates' zero.
-    local = corners.astype(np.float64) - corners[0, 0].astype(np.float64)
-    a, b, c = np.moveaxis(local, 1, 0)
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-    volumes = (a * np.cross(b, c)).sum(1) / 6
-    own = edges.component >= 0
-    component, volumes = edges.component[own], volumes[own]
-    total = np.bincount(component, volumes, minlength=edges.components)
-    rounding = VOLUME_ROUNDING * np.bincount(component, np.abs(volumes), minlength=edges.components)
-    return area, np.where(np.abs(total) > rounding, total, 0.0)
-
-
-def _duplicates(faces: np.ndarray, vertices: int) -> int:
-    a, b, c = np.sort(faces, axis=1).T
-    _, pair = first_and_group(a * vertices + b)
-    groups, _ = first_and_group(pair * vertices + c)
-    return len(faces) - len(groups)
