@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sdm.dataset import SDMDataset
     from sdm.engine.api import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
     from sdm.engine.distance_transform import euclidean_distance_transform
-    from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError
+    from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save, save_mesh
     from sdm.runtime import graphs as cuda_graphs  # noqa: F401
@@ -61,6 +61,7 @@ _HOMES = {
     "MeshReport": "inspect",
     "SDMDataset": "dataset",
     "SDMError": "errors",
+    "SDMWarning": "errors",
     "SDMStream": "stream",
     "TriangleMesh": "core.mesh",
     "euclidean_distance_transform": "engine.distance_transform",
@@ -86,6 +87,7 @@ __all__ = [
     "SDMDataset",
     "SDMError",
     "SDMStream",
+    "SDMWarning",
     "TriangleMesh",
     "euclidean_distance_transform",
     "inspect_mesh",

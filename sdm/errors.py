@@ -1,4 +1,4 @@
-"""Errors that are the user's to mend: one sentence that says what is wrong, where, and what to do."""
+"""Errors and warnings that are the user's to mend: one sentence that says what is wrong, where, and what to do."""
 
 
 class SDMError(ValueError):
@@ -19,3 +19,7 @@ class DeviceError(SDMError):
 
 class FormatError(SDMError):
     """A file that cannot be read or written in the format that was requested."""
+
+
+class SDMWarning(UserWarning):
+    """A result that is probably not what was meant: a mesh inside out, or in another unit than its grid."""

@@ -29,7 +29,7 @@ import warp as wp
 
 import sdm
 from sdm.bench.common.meshes import torus
-from sdm.engine import ops
+from sdm.engine import map_check, ops
 from sdm.kernels import launch
 
 PACKAGE = Path(sdm.__file__).resolve().parent
@@ -75,6 +75,8 @@ def without_launches(instead: Callable[..., None] | None = None) -> Iterator[Non
         mock.patch.object(wp.array, "zero_", _nothing),
         # No kernel has written the scales, which the host reads on a CPU.
         mock.patch.object(ops, "scales_of", lambda _, meshes: [1.0] * meshes),
+        # Nor has any the values and neighbours that a map's check looks at.
+        mock.patch.object(map_check, "doubts_about", return_value=[]),
     ):
         yield
 

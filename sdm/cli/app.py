@@ -8,8 +8,9 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
+from sdm.errors import SDMWarning
 
 # In the order of the help text.
 COMMANDS = (
@@ -67,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = _parse(words)
         if words and words[0] in WITH_KERNELS and command is not _nothing:
             announce_compiling()
-        code = command()
+        with _warnings_in_a_line():
+            code = command()
         sys.stdout.flush()
     except UsageError as error:
         return _complain(str(error))
@@ -86,6 +89,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         gc.set_threshold(*thresholds)
     return DONE if code is None else code
+
+
+@contextmanager
+def _warnings_in_a_line() -> Iterator[None]:
+    """Print what the library warns of as commands do, each time, and without the line of the source."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SDMWarning)
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, SDMWarning):
+                print(f"sdm: warning: {message}", file=sys.stderr)
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def _open_streams() -> None:

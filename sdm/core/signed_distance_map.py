@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,8 @@ class SDM:
             `grid.origin + grid.spacing * (i,j,k)`.
         grid: Where the values live.
         ambiguous_voxels: How many voxels have a winding number within a quarter of 0.5, so that the mesh does
-            not clearly say whether they are inside. 0 for closed meshes; None where nobody counted.
+            not clearly say whether they are inside. 0 for closed meshes; None where nobody counted. `inside_voxels`
+            is the number of negative values.
 
     `numpy.asarray(field)` and `field[i, j, k]` are its values. `torch.save` keeps it, and `torch.load` takes it once
     `sdm.SDM` was used in the process.
@@ -47,8 +50,39 @@ class SDM:
         for name, value in (("values", values), ("grid", grid), ("ambiguous_voxels", ambiguous_voxels)):
             object.__setattr__(self, name, value)
 
+    @cached_property
+    def inside_voxels(self) -> int:
+        """Number of voxels with a negative value, counted when it is first read, which waits for the device."""
+        self._check()
+        return self._count_inside()
+
+    def _count_inside(self) -> int:
+        if self.values.device.type != "cpu":
+            return int((self.values < 0).sum())
+        # Layer by layer, as a small map takes torch's threads longer to share than one to count.
+        return sum(int(np.count_nonzero(layer < 0)) for layer in self.values.detach().numpy())
+
+    def checked_by(self, check: Callable[[Grid, int], None]) -> SDM:
+        """This map, with a check that is called once, with its grid and the number of its inside voxels.
+
+        Now if the map is on the host, else when values or counts of it are first read there.
+        """
+        self.__dict__["_pending"] = check
+        if self.values.device.type == "cpu":
+            self._check()
+        return self
+
+    def _check(self) -> None:
+        check = self.__dict__.pop("_pending", None)
+        if check is not None:
+            check(self.grid, self._count_inside())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     def numpy(self) -> Float32[np.ndarray, "nx ny nz"]:
         """The values on the host, (nx,ny,nz) float32."""
+        self._check()
         return self.values.detach().to("cpu", torch.float32).numpy()
 
     @property
@@ -63,7 +97,9 @@ class SDM:
 
     def to(self, device: torch.device | str) -> SDM:
         """The same map on another device."""
-        return SDM(self.values.to(device), self.grid, self.ambiguous_voxels)
+        moved = SDM(self.values.to(device), self.grid, self.ambiguous_voxels)
+        check = self.__dict__.pop("_pending", None)
+        return moved if check is None else moved.checked_by(check)
 
     def cpu(self) -> SDM:
         """The same map on the host."""

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
-import numpy as np
 import torch
 from jaxtyping import Float32, Int32
 from torch import Tensor
@@ -19,15 +18,15 @@ from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.map_check import MapCheck, quiet
 from sdm.engine.maps import LARGEST_SLAB, batch_maps, index_map, is_recordable, mesh_map, put_together, slabs_of
+from sdm.engine.mesh_lists import are_meshes, box_of
 from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
 from sdm.errors import GridError, MeshError
 from sdm.inspect import orient_outward
 from sdm.topology.boundary_edges import boundary_edges
 
 Orient = Literal["keep", "auto"]
-# Parts of a batch of vertices.
-_ARRAYS = (Tensor, np.ndarray, list, int, float, np.number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,9 @@ class MeshIndex:
             Gradients flow to its vertices where they require them.
         device: `"cuda"`, `"cuda:1"`, `"cpu"`; by default the mesh's own if that is a GPU, else a GPU if there is
             one, else the CPU.
-        orient: `"auto"` turns an inside-out closed mesh; `"keep"` takes every mesh as it is.
+        orient: `"auto"` makes faces agree and turns parts that are inside out, see `sdm.inspect.orient_outward`;
+            `"keep"` takes every mesh as it is.
+        warn: Raise an `SDMWarning`, one at most, if a whole map is probably not what was meant.
 
     Raises:
         DeviceError: The device is not there.
@@ -62,12 +63,20 @@ class MeshIndex:
     Queries may run on any torch stream; between streams the caller orders the work, as for any tensor.
     """
 
-    def __init__(self, mesh: MeshLike, device: str | torch.device | None = None, *, orient: Orient = "keep") -> None:
+    def __init__(
+        self,
+        mesh: MeshLike,
+        device: str | torch.device | None = None,
+        *,
+        orient: Orient = "keep",
+        warn: bool = True,
+    ) -> None:
         if not isinstance(mesh, TriangleMesh):
             mesh = as_mesh(mesh)
         _refuse_forward_mode(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
         self.mesh = _oriented(mesh, orient).to(self.device)
+        self._check = MapCheck() if warn else None
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()
 
@@ -132,7 +141,7 @@ class MeshIndex:
         with memory_guard(grid.nbytes, self.device, _described(grid)):
             if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
                 values, ambiguous = index_map(self._structure, grid)
-                return SDM(values, grid, 0 if self.closed else int(ambiguous))
+                return self._checked(SDM(values, grid, 0 if self.closed else int(ambiguous)))
             unclear = []
 
             def slabs() -> Iterator[tuple[int, int, Tensor]]:
@@ -143,7 +152,10 @@ class MeshIndex:
 
             values = put_together(slabs(), grid.shape[0])[0]
         # Of a closed mesh it is known without a look at the device, which would wait for it.
-        return SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear))
+        return self._checked(SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear)))
+
+    def _checked(self, field: SDM) -> SDM:
+        return field if self._check is None else self._check.attach(field, self.mesh)
 
     def slabs(
         self, grid: GridLike, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
@@ -189,7 +201,8 @@ def signed_distance_map(
         resolution: That number, by name.
         margin: Room around the mesh in that cube, as a share of the longest edge of the mesh's box; 0.05 by default.
         device: Where to compute; by default a GPU if there is one. The values stay there.
-        orient: `"auto"` turns an inside-out closed mesh; `"keep"` takes every mesh as it is.
+        orient: `"auto"` makes faces agree and turns parts that are inside out, see `sdm.inspect.orient_outward`;
+            `"keep"` takes every mesh as it is.
 
     Returns:
         The map, negative inside: every value is the distance to the closest point over all triangles, to within
@@ -202,6 +215,11 @@ def signed_distance_map(
         GridError: The map does not fit into memory, or nothing says what its grid is.
         MeshError: What is given is no mesh, or one that cannot be used.
 
+    Warns:
+        SDMWarning: The map is probably not what was meant: a mesh or a part of it inside out, faces that disagree, no
+            volume, or a box outside the grid, as of LPS coordinates or another unit. On a GPU when something of the
+            map is first read on the host; never for maps that gradients flow through.
+
     Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, and up to 128 more where
     slices are thick (`sdm.engine.thick_slices`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more
     for finer ones, at most a 14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU
@@ -212,13 +230,17 @@ def signed_distance_map(
     if not isinstance(grid, Grid) or resolution is not None or margin is not None:
         grid = as_grid(grid, mesh, resolution, margin)
     where = choose_device(device, mesh.vertices)
-    mesh = _oriented(mesh, orient).to(where)
+    measured = _oriented(mesh, orient)
+    mesh = measured.to(where)
     if is_recordable(mesh.vertices, grid.nbytes):
         _refuse_forward_mode(mesh.vertices)
         with memory_guard(grid.nbytes, mesh.device, _described(grid)):
             values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
-        return SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
-    return MeshIndex(mesh, where).signed_distance_map(grid)
+        field = SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
+    else:
+        field = MeshIndex(mesh, where, warn=False).signed_distance_map(grid)
+    # What is on the host already need not be copied there to be looked at.
+    return MapCheck().attach(field, measured)
 
 
 @overload
@@ -296,7 +318,7 @@ def signed_distance_maps(
     Meshes that differ: `signed_distance_maps([mesh, ...], grid)` with one grid, one for each mesh, or voxels along each
     axis of a cube around each, gives a list of maps, each that of `signed_distance_map`.
     """
-    if not isinstance(grid, Grid) and _are_meshes(vertices):
+    if not isinstance(grid, Grid) and are_meshes(vertices):
         return _maps_of(vertices, faces if grid is None else grid, resolution, margin, device)
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch, shared = vertices, faces
@@ -311,19 +333,9 @@ def signed_distance_maps(
     if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
         raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
     if not isinstance(grid, Grid) or resolution is not None or margin is not None:
-        grid = as_grid(grid, _box_of(batch, shared), resolution, margin)
+        grid = as_grid(grid, box_of(batch, shared), resolution, margin)
     with memory_guard(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
         return batch_maps(batch, shared, grid, None)
-
-
-def _are_meshes(given: Any) -> bool:
-    """True for a list of meshes, and not of arrays that are a batch of vertices."""
-    return isinstance(given, list | tuple) and any(not isinstance(each, _ARRAYS) for each in given if not _is_row(each))
-
-
-def _is_row(each: Any) -> bool:
-    # A pair may be (vertices, faces); other tuples are rows of nested ones.
-    return isinstance(each, tuple) and len(each) != 2
 
 
 def _maps_of(
@@ -337,17 +349,11 @@ def _maps_of(
     if several and len(grids) != len(meshes):
         raise GridError(f"{len(meshes)} meshes and {len(grids)} grids were given: give one grid, or one for each mesh")
     of_each = grids if several else [grids] * len(meshes)
-    return [
-        signed_distance_map(mesh, grid, resolution=resolution, margin=margin, device=device)
-        for mesh, grid in zip(meshes, of_each, strict=True)
-    ]
-
-
-def _box_of(batch: Float32[Tensor, "b v 3"], faces: Int32[Tensor, "f 3"]) -> TriangleMesh:
-    """A triangle with the box of a batch of meshes."""
-    used = batch.detach()[:, faces.reshape(-1).long()]
-    low, high = used.amin((0, 1)), used.amax((0, 1))
-    return TriangleMesh(torch.stack([low, high, low]), [[0, 1, 2]], "the batch")
+    with quiet():
+        return [
+            signed_distance_map(mesh, grid, resolution=resolution, margin=margin, device=device)
+            for mesh, grid in zip(meshes, of_each, strict=True)
+        ]
 
 
 def _oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:

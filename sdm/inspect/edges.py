@@ -32,12 +32,12 @@ class Edges:
 
     @property
     def disagreeing(self) -> Bool[np.ndarray, " E"]:
-        """Whether the faces of each edge disagree which side is out."""
+        """Marks of the edges (E,) whose faces disagree which side is out."""
         return np.abs(self.chain) > self.uses % 2
 
     @property
     def open_components(self) -> Bool[np.ndarray, " C"]:
-        """Whether the directed edges of each piece leave something over."""
+        """Marks of the pieces (C,) whose directed edges leave something over."""
         found = np.zeros(self.components, dtype=bool)
         found[self.component_of_edge[self.chain != 0]] = True
         return found
@@ -108,7 +108,7 @@ def _split_vertices(
 def label(
     one: Integer[np.ndarray, " n"], other: Integer[np.ndarray, " n"], count: int
 ) -> Integer[np.ndarray, " count"]:
-    """Connected components of a graph of `count` nodes, of connected pairs (n,): the number of each node's component."""
+    """Connected components of a graph, given its edges (n,) by their two nodes: the number of each node's component."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -38,19 +38,19 @@ class Nesting:
         self._high = np.maximum.reduceat(self._corners[first:].max(1), self._begin - first)
         self._left = MOST_SOLID_ANGLES
 
-    def around(self, inner: int) -> Int64[np.ndarray, " n"]:
+    def around(self, inner: int | np.integer) -> Int64[np.ndarray, " n"]:
         """The other solid parts that part `inner` may be inside."""
         near = self._solid & (~self._closed | self._touches(inner))
         near[inner] = False
         return np.flatnonzero(near)
 
-    def within(self, outer: int) -> Int64[np.ndarray, " n"]:
+    def within(self, outer: int | np.integer) -> Int64[np.ndarray, " n"]:
         """The other parts, sheets too, that may be inside part `outer`."""
         near = self._touches(outer)
         near[outer] = False
         return np.flatnonzero(near)
 
-    def winding(self, outer: int, inner: int) -> float | None:
+    def winding(self, outer: int | np.integer, inner: int | np.integer) -> float | None:
         """Mean winding number of a part about some faces of another; None once that has taken too long."""
         size = self._end[inner] - self._begin[inner]
         faces = self._begin[inner] + np.unique(np.linspace(0, size - 1, SAMPLES).astype(np.int64))
@@ -60,7 +60,7 @@ class Nesting:
             return None
         return float(np.mean([winding_number(point, triangles) for point in self._corners[faces].mean(1)]))
 
-    def _touches(self, one: int) -> np.ndarray:
+    def _touches(self, one: int | np.integer) -> np.ndarray:
         return ((self._low <= self._high[one]) & (self._low[one] <= self._high)).all(1)
 
 

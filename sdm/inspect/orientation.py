@@ -1,50 +1,26 @@
-"""Orientation of meshes: outward or inside out, as a whole and part by part."""
+"""Orientation of parts: outward, inside out, or a cavity of others."""
 
 from __future__ import annotations
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float64, Int64
 
-from sdm.core.mesh import TriangleMesh
 from sdm.inspect.agreement import agreeing_turns
 from sdm.inspect.edges import edges_of
 from sdm.inspect.nesting import Nesting
 from sdm.inspect.parts import Parts, parts_of
-from sdm.inspect.positions import first_at_position
 
 # A part is inside another if that one's winding number about it is more than this.
 INSIDE = 0.5
 
 
-def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Turn faces so that they face outward, where closed or nearly closed parts say which side that is.
-
-    1. Where faces that share an edge disagree, the fewer (by area) are turned: faces agree over every edge of exactly
-       two. One-sided surfaces stay as they are.
-    2. Then each part is judged by the volume that it encloses, gaps closed by flat caps: one that is inside no other
-       and whose volume is negative is turned, with all that is inside it.
-
-    So cavities stay cavities: a shell inside another keeps its meaning beside that one. Sheets and parts that are wide
-    open (flat caps over their gaps would be more than a third of their own area) have no inside to face, and are only
-    made to agree. Parts are what edges hold together.
+def outward_turns(corners: Float64[np.ndarray, "F 3 3"], merged: Int64[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
+    """The faces that `orient_outward` turns.
 
     Args:
-        mesh: Any mesh, on any device; looked at on the host.
-
-    Returns:
-        The same object if nothing is to be turned; else a mesh with the same vertices, and turned faces.
+        corners: (F,3,3) float64.
+        merged: (F,3) vertex indices that tell positions apart.
     """
-    vertices, faces = mesh.numpy()
-    turn = outward_turns(vertices[faces].astype(np.float64), first_at_position(vertices)[faces.astype(np.int64)])
-    if not turn.any():
-        return mesh
-    turned = torch.from_numpy(np.where(turn[:, None], faces[:, ::-1], faces)).to(mesh.device)
-    return TriangleMesh(mesh.vertices, turned, mesh.name, check=False)
-
-
-def outward_turns(corners: Float64[np.ndarray, "F 3 3"], merged: Int64[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
-    """The faces (F,) that `orient_outward` turns, of corners (F,3,3) and vertex indices that tell positions apart."""
     edges = edges_of(merged, int(merged.max()) + 1)
     part, count = edges.component, edges.components
     turn = np.zeros(len(merged), dtype=bool)

@@ -11,8 +11,8 @@ from sdm.inspect.edges import label
 
 # A signed volume below this share of what it is the sum of is rounding: the part encloses nothing.
 VOLUME_ROUNDING = 1e-12
-# A part is nearly closed, so that it has an inside, while its caps are at most this share of its own area. A box without
-# its lid has 1/5, a hemisphere 1/2, a sheet 1.
+# A part is nearly closed, so that it has an inside, while its caps are at most this share of its own area. A box
+# without its lid has 1/5, a hemisphere 1/2, a sheet 1.
 MOST_CAPS = 1 / 3
 
 
@@ -34,12 +34,12 @@ class Parts:
 
     @property
     def nearly_closed(self) -> Bool[np.ndarray, " C"]:
-        """Whether each has an inside: closed, or open by little."""
+        """Marks of the parts (C,) that have an inside: closed, or open by little."""
         return (self.area > 0) & (self.caps <= MOST_CAPS * self.area)
 
     @property
     def reversed(self) -> Bool[np.ndarray, " C"]:
-        """Whether each has an inside and faces it."""
+        """Marks of the parts (C,) that have an inside and face it."""
         return self.nearly_closed & (self.volume < 0)
 
 
@@ -84,7 +84,7 @@ def parts_of(
 def borders_of(
     merged: Int64[np.ndarray, "F 3"], part: Integer[np.ndarray, " F"], gaps: Bool[np.ndarray, " C"]
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """What is left of the directed edges of each part with gaps, edge by edge.
+    """Border edges of each part with gaps: those left over of its directed edges.
 
     Returns:
         The part, the lower vertex, the higher, and how often the edge leads up, less how often back: (n,) each.

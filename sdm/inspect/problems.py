@@ -7,6 +7,7 @@ from typing import Any
 
 # In Python and in commands.
 AUTO = 'orient="auto" (--orient auto)'
+NOTHING_INSIDE = "the mesh is closed but encloses no volume, so nothing is inside"
 
 
 def problems_of(facts: Mapping[str, Any], unjudged: int) -> list[str]:
@@ -64,7 +65,7 @@ def sign_problems(facts: Mapping[str, Any]) -> list[str]:
             f"{AUTO} turns {them}"
         )
     elif facts["closed"] and facts["volume"] == 0:
-        found.append("the mesh is closed but encloses no volume, so nothing is inside")
+        found.append(NOTHING_INSIDE)
     return found
 
 

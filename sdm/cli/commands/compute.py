@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -38,6 +39,8 @@ def compute(
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
     ] = None,
     orient: Literal["keep", "auto"] = "keep",
+    scale: float = 1.0,
+    mesh_space: Literal["ras", "lps"] = "ras",
     resume: bool = False,
 ) -> int | None:
     """Compute the exact signed distance maps of meshes: negative inside, in the mesh's own unit of length.
@@ -54,7 +57,10 @@ def compute(
         margin: Room around the mesh, as a share of the longest edge of its box.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
-        orient: auto turns a closed mesh that is inside out; keep takes meshes as they are.
+        orient: auto makes faces agree and turns parts that are inside out; keep takes meshes as they are.
+        scale: Multiply the vertices by this first: 1000 for a mesh in metres and an image in millimetres.
+        mesh_space: lps for a mesh in left-posterior-superior coordinates, whose x and y are negated first; images and
+            maps are in ras, right-anterior-superior.
         resume: Skip meshes whose map is there already: on the same grid, and made from the same mesh (checksum stored
             in the map). Other files under its name are replaced.
     """
@@ -62,7 +68,7 @@ def compute(
     from sdm.cli.common.jobs import Settings, run
     from sdm.cli.common.output_files import plan
     from sdm.core.device import choose_device
-    from sdm.errors import GridError
+    from sdm.errors import GridError, MeshError
     from sdm.io import grid_like as read_grid
     from sdm.io.maps.api import is_placed
 
@@ -73,6 +79,8 @@ def compute(
     for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
         if values is not None and len(values) not in (1, 3):
             raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
+    if not (math.isfinite(scale) and scale > 0):
+        raise MeshError(f"--scale is {scale:g}: give a positive number to multiply the vertices by")
     settings = Settings(
         resolution=resolution[0] if resolution is not None and len(resolution) == 1 else resolution,
         spacing=spacing[0] if spacing is not None and len(spacing) == 1 else spacing,
@@ -81,6 +89,8 @@ def compute(
         margin=margin,
         device=choose_device(device),
         orient=orient,
+        scale=scale,
+        mesh_space=mesh_space,
         resume=resume,
     )
     if grid_like is not None and not is_placed(grid_like):

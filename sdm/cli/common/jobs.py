@@ -16,10 +16,11 @@ from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import MeshIndex
+from sdm.engine.map_check import doubts_about
 from sdm.errors import SDMError
 from sdm.inspect import orient_outward
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
-from sdm.io.maps.api import made_from
+from sdm.io.maps.api import VoxelCounts, made_from
 from sdm.io.maps.record import digest_of
 
 
@@ -34,7 +35,9 @@ class Settings:
         like_image: The file that it is of, which is not written over.
         margin: Room around the mesh, as a share of its box.
         device: Where to compute.
-        orient: Whether closed meshes that are inside out are turned.
+        orient: Whether faces that disagree, and parts that are inside out, are turned.
+        scale: What the vertices are multiplied by.
+        mesh_space: `"lps"` negates their x and y.
         resume: Whether maps of the same triangles that are there on the same grid are left.
     """
 
@@ -46,6 +49,8 @@ class Settings:
     device: torch.device
     orient: Literal["keep", "auto"]
     resume: bool
+    scale: float = 1.0
+    mesh_space: Literal["ras", "lps"] = "ras"
 
     def grid(self, mesh: TriangleMesh) -> Grid:
         """The grid of a mesh's map."""
@@ -90,19 +95,16 @@ def run(jobs: list[tuple[Path, Path]], settings: Settings) -> int | None:
 def _compute(source: Path, target: Path, settings: Settings, progress: FileProgress) -> None:
     start = time.perf_counter()
     check_target(target)
-    mesh = load_mesh(source)
+    mesh = _placed(load_mesh(source), settings)
     grid = settings.grid(mesh)
-    mesh = mesh.to(settings.device)
-    outward = orient_outward(mesh)
-    turned = outward is not mesh
-    measured = outward if settings.orient == "auto" else mesh
+    measured = orient_outward(mesh) if settings.orient == "auto" else mesh
     digest = digest_of(measured)
     if settings.resume and _finished(target, grid, digest):
         progress.print(f"{mesh.name}: {target} is there already")
         return
     refuse_inputs([target], [settings.like_image])
-    index = MeshIndex(measured, settings.device)
-    ambiguous = write_streamed(index, grid, target, progress=progress.share, made_from=digest)
+    index = MeshIndex(measured, settings.device, warn=False)
+    counts = write_streamed(index, grid, target, progress=progress.share, made_from=digest)
     seconds = time.perf_counter() - start
 
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
@@ -110,8 +112,21 @@ def _compute(source: Path, target: Path, settings: Settings, progress: FileProgr
         f"{mesh.name}: {len(mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
         f"{seconds:.2f} s on {settings.device}, written to {target}"
     )
-    for warning in _warnings(index.closed, turned, ambiguous, settings.orient, grid):
-        progress.print(f"sdm: warning: {mesh.name} {warning}", warn=True)
+    said = [] if measured is mesh else [_turned(mesh, measured)]
+    doubts = doubts_about(measured, grid, counts.inside)
+    said += [f": {doubt}" for doubt in doubts] + _about_gaps(index.closed, counts, bool(doubts), grid)
+    for warning in said:
+        progress.print(f"sdm: warning: {mesh.name}{warning}", warn=True)
+
+
+def _placed(mesh: TriangleMesh, settings: Settings) -> TriangleMesh:
+    """The mesh in the grid's unit and space."""
+    if settings.scale == 1 and settings.mesh_space == "ras":
+        return mesh
+    side = -1.0 if settings.mesh_space == "lps" else 1.0
+    factors = torch.tensor([side, side, 1.0], dtype=torch.float64) * settings.scale
+    # Half a turn about z: faces look where they looked.
+    return TriangleMesh(mesh.vertices.double() * factors, mesh.faces, mesh.name)
 
 
 def _finished(target: Path, grid: Grid, digest: str) -> bool:
@@ -122,18 +137,25 @@ def _finished(target: Path, grid: Grid, digest: str) -> bool:
         return False
 
 
-def _warnings(closed: bool, turned: bool, ambiguous: int, orient: str, grid: Grid) -> list[str]:
-    found = []
-    if turned and orient == "auto":
-        found.append("was inside out and has been turned")
-    elif turned:
-        found.append("is inside out, so nothing counts as inside: --orient auto turns it")
-    if not closed and ambiguous:
-        share = 100 * ambiguous / grid.size
-        found.append(
-            f"is not closed: whether {ambiguous:,} voxels ({share:.2g} %) are inside is ambiguous; "
+def _turned(mesh: TriangleMesh, measured: TriangleMesh) -> str:
+    """Said of a mesh some of whose faces were turned."""
+    count = int((mesh.faces != measured.faces.to(mesh.device)).any(1).sum())
+    if count == len(mesh):
+        return " was inside out and has been turned"
+    return f": {count:,} of its {len(mesh):,} faces looked inward, or disagreed with others, and have been turned"
+
+
+def _about_gaps(closed: bool, counts: VoxelCounts, doubtful: bool, grid: Grid) -> list[str]:
+    """Said of a mesh that is not closed, where there is anything to add to the doubts about it."""
+    if closed:
+        return []
+    if counts.ambiguous:
+        share = 100 * counts.ambiguous / grid.size
+        text = (
+            f" is not closed: whether {counts.ambiguous:,} voxels ({share:.2g} %) are inside is ambiguous; "
             "the sign follows the generalised winding number (sdm inspect tells more)"
         )
-    elif not closed:
-        found.append("is not closed, but no voxel is ambiguous")
-    return found
+        return [text]
+    if doubtful:
+        return []
+    return [" is not closed, but no voxel is ambiguous" if counts.inside else " is not closed, and no voxel is inside"]

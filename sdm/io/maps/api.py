@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
@@ -22,6 +22,13 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from sdm.engine.api import MeshIndex
+
+
+class VoxelCounts(NamedTuple):
+    """Counts of a map's voxels, as in `SDM`: those that are inside, and those that are ambiguous."""
+
+    inside: int
+    ambiguous: int
 
 
 def save(field: SDM, path: str | Path) -> None:
@@ -108,7 +115,7 @@ def write_streamed(
     *,
     progress: Callable[[float], Any] | None = None,
     made_from: str | None = None,
-) -> int:
+) -> VoxelCounts:
     """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
 
     Args:
@@ -119,7 +126,7 @@ def write_streamed(
         made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
 
     Returns:
-        How many voxels are ambiguous, as in `SDM`: 0 for closed meshes.
+        How many voxels are inside, and how many are ambiguous: of a closed mesh none.
 
     Raises:
         FormatError: As `save`, before anything is computed.
@@ -133,20 +140,21 @@ def write_streamed(
         _save(field, target, made_from)
         if progress is not None:
             progress(1.0)
-        return field.ambiguous_voxels or 0
-    unclear = torch.zeros((), dtype=torch.int64, device=index.device)
+        return VoxelCounts(field.inside_voxels, field.ambiguous_voxels or 0)
+    inside, unclear = torch.zeros(2, dtype=torch.int64, device=index.device)
     with replacing(target) as part:
         layer_bytes = 4 * grid.shape[1] * grid.shape[2]
         slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes, ambiguous=unclear)
-        told = _told(slabs, grid.shape[0], progress)
+        told = _told(slabs, grid.shape[0], progress, inside)
         chosen.module.write_slabs(told, grid, part, lambda: int(unclear), made_from)
-    return int(unclear)
+    return VoxelCounts(int(inside), int(unclear))
 
 
 def _told(
-    slabs: Iterator[tuple[int, int, Tensor]], layers: int, progress: Callable[[float], Any] | None
+    slabs: Iterator[tuple[int, int, Tensor]], layers: int, progress: Callable[[float], Any] | None, inside: Tensor
 ) -> Iterator[tuple[int, int, Tensor]]:
     for begin, end, values in slabs:
+        inside += (values < 0).sum()
         yield begin, end, values
         del values
         if progress is not None:

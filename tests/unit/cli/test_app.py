@@ -226,3 +226,11 @@ def test_closed_streams(closed, tmp_path):
     assert done.returncode == 3
     assert "Traceback" not in done.stderr
     assert (tmp_path / "out").read_text() == "x\n"
+
+
+def test_warnings_of_the_library_are_a_line(monkeypatch, capsys):
+    from sdm.engine.map_check import warn
+
+    monkeypatch.setattr(app, "_parse", lambda words: lambda: warn("ball.ply: it is inside out"))
+    assert main(["view"]) == main(["view"]) == 0
+    assert capsys.readouterr().err == 2 * "sdm: warning: ball.ply: it is inside out\n"

@@ -9,14 +9,17 @@ import time
 import nibabel as nib
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from sdm.cli import main
 from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.io import FORMATS, load, load_mesh, save
 
 BALL = trimesh.creation.icosphere(1)
+AT = np.array([-40, -30, 50])
 SMALL = ["--resolution", "12", "--device", "cpu"]
 
 
@@ -105,7 +108,7 @@ def test_a_folder_of_meshes(folder, tmp_path, capsys):
     assert "bad.off cannot be read" in failure
     assert total == "sdm: 1 of 4 meshes failed; the others are done"
     turned, opened = sorted(warnings, key=lambda line: "open.ply" in line)
-    assert "turned.obj is inside out" in turned
+    assert "turned.obj: the mesh is inside out" in turned
     assert "--orient auto" in turned
     assert "open.ply is not closed" in opened
     assert f"{load(out / 'open.nii.gz').ambiguous_voxels:,} voxels" in opened
@@ -119,6 +122,87 @@ def test_inside_out_meshes_can_be_turned(folder, tmp_path, capsys):
     assert "was inside out and has been turned" in capsys.readouterr().err
     assert run(folder / "turned.obj", "-o", turned, *SMALL) == 0
     assert (load(turned).values > 0).all()
+
+
+@pytest.fixture
+def image(tmp_path):
+    """An image in RAS, over a ball of 20 mm at (-40, -30, 50)."""
+    grid = Grid((-72, -62, 18), (4, 4, 4), (17, 17, 17))
+    save(SDM(torch.zeros(grid.shape), grid), tmp_path / "ct.nii.gz")
+    return tmp_path / "ct.nii.gz"
+
+
+@pytest.mark.parametrize(
+    ("factors", "words", "mends"),
+    [
+        ((-1, -1, 1), "--mesh-space lps", ["--mesh-space", "lps"]),
+        ((1e-3, 1e-3, 1e-3), "--scale 1000", ["--scale", "1000"]),
+        ((1e3, 1e3, 1e3), "--scale 0.001", ["--scale", "0.001"]),
+        ((-1e-3, -1e-3, 1e-3), "outside the grid's", ["--scale", "1000", "--mesh-space", "lps"]),
+    ],
+)
+def test_meshes_that_miss_the_image(factors, words, mends, image, tmp_path, capsys):
+    ball = trimesh.creation.icosphere(2, radius=20)
+    out, mesh = tmp_path / "map.npz", tmp_path / "ball.ply"
+    trimesh.Trimesh((ball.vertices + AT) * factors, ball.faces, process=False).export(mesh)
+    assert run(mesh, "-o", out, "--grid-like", image) == 0
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert "ball.ply: no voxel is inside" in said
+    assert words in said
+    assert load(out).inside_voxels == 0
+    assert run(mesh, "-o", out, "--grid-like", image, *mends) == 0
+    assert capsys.readouterr().err == ""
+    assert 480 < load(out).inside_voxels < 530
+    # A stream of slabs counts them too.
+    assert run(mesh, "-o", tmp_path / "map.zarr", "--grid-like", image) == 0
+    assert capsys.readouterr().err == said
+
+
+def test_a_reversed_ball_with_a_hole(image, tmp_path, capsys):
+    ball = trimesh.creation.icosphere(2, radius=20)
+    out, mesh = tmp_path / "map.npz", tmp_path / "ball.ply"
+    trimesh.Trimesh(ball.vertices + AT, ball.faces[1:, ::-1], process=False).export(mesh)
+    assert run(mesh, "-o", out, "--grid-like", image) == 0
+    said = capsys.readouterr().err
+    assert "--orient auto" in said
+    assert "no voxel is ambiguous" not in said
+    assert load(out).inside_voxels == 0
+    assert run(mesh, "-o", out, "--grid-like", image, "--orient", "auto") == 0
+    said = capsys.readouterr().err
+    assert "was inside out and has been turned" in said
+    assert "not closed" in said
+    assert 480 < load(out).inside_voxels < 530
+
+
+def test_inspect_and_compute_say_the_same(tmp_path, capsys):
+    ball = trimesh.creation.icosphere(2)
+    flip = np.random.default_rng(0).random(len(ball.faces)) < 0.5
+    far = np.concatenate([ball.vertices, ball.vertices + 4])
+    cases = {
+        "half": (ball.vertices, np.where(flip[:, None], ball.faces[:, ::-1], ball.faces)),
+        "parts": (far, np.concatenate([ball.faces, ball.faces[:, ::-1] + len(ball.vertices)])),
+        "hole": (ball.vertices, ball.faces[1:, ::-1]),
+        "flat": (ball.vertices, np.concatenate([ball.faces[:5], ball.faces[:5, ::-1]])),
+    }
+    for name, (vertices, faces) in cases.items():
+        path = tmp_path / f"{name}.ply"
+        trimesh.Trimesh(vertices, faces, process=False).export(path)
+        assert run(path, "-o", tmp_path / "map.npz", *SMALL) == 0
+        said = capsys.readouterr().err.splitlines()[0].partition(f"{name}.ply: ")[2]
+        assert said
+        assert main(["inspect", str(path)]) == 0
+        assert f"- {said}" in capsys.readouterr().out.splitlines()
+        assert run(path, "-o", tmp_path / "map.npz", *SMALL, "--orient", "auto") == 0
+        again = capsys.readouterr().err
+        assert (said in again) == (name == "flat")
+        assert ("turned" in again) == (name != "flat")
+
+
+def test_a_scale_that_is_none_is_refused(folder, tmp_path, capsys):
+    for scale in ("0", "-1", "nan"):
+        assert run(folder / "a.stl", "-o", tmp_path / "a.npz", "--scale", scale) == 2
+        assert "--scale" in capsys.readouterr().err
 
 
 def test_several_meshes_and_a_format(folder, tmp_path):

@@ -126,7 +126,7 @@ def test_sheets_are_left_alone():
     x, y = np.meshgrid(np.arange(6.0), np.arange(6.0), indexing="ij")
     vertices = np.stack([x, y, 0.3 * np.sin(x + 2 * y)], -1).reshape(-1, 3)
     corner = (6 * np.arange(5)[:, None] + np.arange(5)).reshape(-1, 1)
-    faces = np.concatenate([corner + [0, 6, 1], corner + [1, 6, 7]])
+    faces = np.concatenate([corner + np.array(three) for three in ([0, 6, 1], [1, 6, 7])])
     for sheet in (faces, faces[:, ::-1]):
         mesh = TriangleMesh(vertices, sheet)
         assert orient_outward(mesh) is mesh
@@ -180,7 +180,7 @@ def test_a_moebius_strip_is_left_alone_and_named():
 
 
 def test_a_part_that_overlaps_another_is_outward_by_itself():
-    mesh = balls((1, ZERO, True), (1, (1.0, 0.0, 0.0), False))
+    mesh = balls((1, ZERO, True), (1, (0.9, 0.1, 0.2), False))
     assert inspect_mesh(mesh).inside_out_components == 1
     assert inspect_mesh(orient_outward(mesh)).sign_problems == []
 

@@ -1,0 +1,88 @@
+"""Check of maps that are probably not what was meant: one warning, which says what it looks like and what to do.
+
+It costs nothing on the way: on a CPU it runs once a map is there, and for most meshes ends with a count of the negative
+values and a quick look, remembered from call to call; on a GPU it waits until something of the map is read on the host.
+Maps that gradients flow through, streams, batches and slabs are never checked.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.core.signed_distance_map import SDM
+from sdm.errors import SDMWarning
+from sdm.inspect.placement import placement_problems
+from sdm.inspect.problems import NOTHING_INSIDE
+from sdm.inspect.quick_look import look_at
+from sdm.runtime.operators import is_eager
+
+PACKAGE = str(Path(__file__).parents[1])
+
+
+def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int) -> list[str]:
+    """Sentences about why a map is probably not what was meant, the gravest first; none for most.
+
+    Args:
+        mesh: The mesh as it was measured.
+        grid: Where.
+        inside_voxels: How many values are negative.
+    """
+    found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
+    if found or inside_voxels:
+        return found
+    return placement_problems(*mesh.bounds, grid)
+
+
+class _Quiet(threading.local):
+    on: bool = False
+
+
+_quiet = _Quiet()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Maps that this thread makes meanwhile are not checked."""
+    before, _quiet.on = _quiet.on, True
+    try:
+        yield
+    finally:
+        _quiet.on = before
+
+
+class MapCheck:
+    """Check of maps that one caller makes of a mesh, wherever its vertices move: it warns once."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def attach(self, field: SDM, mesh: TriangleMesh) -> SDM:
+        """Check a map of a mesh now if it is on the host, else when it is read, and keep the mesh until then."""
+        if self._said or _quiet.on or not is_eager(mesh.vertices) or mesh.vertices.is_inference():
+            return field
+        states = mesh.vertices._version, mesh.faces._version
+
+        def check(grid: Grid, inside_voxels: int) -> None:
+            # Of vertices that were moved in place since, nobody knows how they faced.
+            if not self._said and states == (mesh.vertices._version, mesh.faces._version):
+                found = doubts_about(mesh, grid, inside_voxels)
+                self._said = bool(found)
+                if found:
+                    warn(f"{mesh.name}: {'; '.join(found)}")
+
+        return field.checked_by(check)
+
+
+def warn(message: str) -> None:
+    """Warn whoever called the library, wherever in it this is."""
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_code.co_filename.startswith(PACKAGE):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, SDMWarning, stacklevel=level)

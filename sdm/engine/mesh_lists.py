@@ -1,0 +1,32 @@
+"""Lists of meshes that differ, told from batches of vertices, and the box of a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int32
+from torch import Tensor
+
+from sdm.core.mesh import TriangleMesh
+
+# Parts of a batch of vertices.
+_ARRAYS = (Tensor, np.ndarray, list, int, float, np.number)
+
+
+def are_meshes(given: Any) -> bool:
+    """True for a list of meshes, and not of arrays that are a batch of vertices."""
+    return isinstance(given, list | tuple) and any(not isinstance(each, _ARRAYS) for each in given if not _is_row(each))
+
+
+def _is_row(each: Any) -> bool:
+    # A pair may be (vertices, faces); other tuples are rows of nested ones.
+    return isinstance(each, tuple) and len(each) != 2
+
+
+def box_of(batch: Float32[Tensor, "b v 3"], faces: Int32[Tensor, "f 3"]) -> TriangleMesh:
+    """A triangle with the box of a batch of meshes."""
+    used = batch.detach()[:, faces.reshape(-1).long()]
+    low, high = used.amin((0, 1)), used.amax((0, 1))
+    return TriangleMesh(torch.stack([low, high, low]), [[0, 1, 2]], "the batch")

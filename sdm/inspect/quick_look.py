@@ -1,0 +1,116 @@
+"""Quick look at how faces face: for most meshes it tells that there is nothing to say."""
+
+from __future__ import annotations
+
+from weakref import ref
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
+
+from sdm.core.mesh import TriangleMesh
+from sdm.inspect.edges import label
+from sdm.inspect.orientation import outward_turns
+from sdm.inspect.positions import first_at_position
+from sdm.inspect.report import inspect_mesh
+
+# A volume below this share of what the area could enclose is none.
+LEAST_VOLUME = 1e-9
+
+
+class MeshLook:
+    """Findings about how a mesh's faces face, made when they are asked for.
+
+    Args:
+        mesh: The mesh, on any device.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._faces = ref(mesh.faces)
+        self._states = _states(mesh)
+        self._plain: bool | None = None
+        self._problems: list[str] | None = None
+        # Of the faces alone: whoever keeps a mesh keeps its vertices, and so this.
+        self._outward: list[Tensor] | None = None
+
+    def is_of(self, mesh: TriangleMesh) -> bool:
+        """True if the look was at this mesh, and torch has written nothing into it since."""
+        return self._states is not None and self._faces() is mesh.faces and self._states == _states(mesh)
+
+    def is_plain(self, mesh: TriangleMesh) -> bool:
+        """True if faces agree and every part faces outward, which is found by less than `inspect_mesh`."""
+        if self._plain is None:
+            self._plain = _is_plain(mesh)
+        return self._plain
+
+    def problems(self, mesh: TriangleMesh) -> list[str]:
+        """The `sign_problems` of `inspect_mesh`."""
+        if self._problems is None:
+            self._problems = [] if self.is_plain(mesh) else inspect_mesh(mesh).sign_problems
+        return self._problems
+
+    def outward_faces(self, mesh: TriangleMesh) -> Tensor | None:
+        """The faces (F,3) of `orient_outward`; None if they are the mesh's own."""
+        if self._outward is None:
+            self._outward = [] if self.is_plain(mesh) else _turned(mesh)
+        return self._outward[0] if self._outward else None
+
+
+_known: WeakIdKeyDictionary = WeakIdKeyDictionary()
+
+
+def look_at(mesh: TriangleMesh) -> MeshLook:
+    """The findings about a mesh, remembered as long as its vertices live and nothing is written into it."""
+    known: MeshLook | None = _known.get(mesh.vertices)
+    if known is None or not known.is_of(mesh):
+        known = MeshLook(mesh)
+        _known[mesh.vertices] = known
+    return known
+
+
+def _states(mesh: TriangleMesh) -> tuple[int, int] | None:
+    if mesh.vertices.is_inference() or mesh.faces.is_inference():
+        return None
+    return mesh.vertices._version, mesh.faces._version
+
+
+def _turned(mesh: TriangleMesh) -> list[Tensor]:
+    vertices, faces = mesh.numpy()
+    turn = outward_turns(vertices[faces].astype(np.float64), first_at_position(vertices)[faces.astype(np.int64)])
+    if not turn.any():
+        return []
+    return [torch.from_numpy(np.where(turn[:, None], faces[:, ::-1], faces)).to(mesh.device)]
+
+
+def _is_plain(mesh: TriangleMesh) -> bool:
+    """True if no edge is left over twice and no part encloses less than nothing, nor nothing if it is closed."""
+    # `sdm inspect` needs nothing of Warp, whose start takes a third of a second.
+    from sdm.topology.boundary_edges import boundary_edges
+    from sdm.topology.face_pairing import pairing_of
+
+    pairing = pairing_of(mesh.faces, mesh.vertices.shape[0])
+    edges = boundary_edges(mesh.vertices, mesh.faces)
+    # They are sorted.
+    if bool((edges[1:] == edges[:-1]).all(1).any()):
+        return False
+    vertices, faces = mesh.numpy()
+    around = pairing.neighbours
+    if pairing.unmatched.shape[0]:
+        merged = first_at_position(vertices)[faces].astype(np.int32)
+        around = pairing_of(torch.from_numpy(merged), len(vertices)).neighbours
+    other = around.cpu().numpy()[:, :3] // 3
+    shared = other >= 0
+    part = label(np.repeat(np.arange(len(faces)), 3)[shared.reshape(-1)], other[shared], len(faces))
+    volume, area = _sizes(vertices[faces].astype(np.float64), part)
+    least = LEAST_VOLUME * area**1.5
+    return bool((volume > -least if edges.shape[0] else volume > least).all())
+
+
+def _sizes(corners: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed volume of each part about its middle, and its area."""
+    count = np.bincount(part)
+    middle = np.stack([np.bincount(part, corners[:, :, k].mean(1)) for k in range(3)], 1) / count[:, None]
+    a, b, c = np.moveaxis(corners - middle[part][:, None], 1, 0)
+    normal = np.cross(b - a, c - a)
+    return np.bincount(part, (a * normal).sum(1)) / 6, np.bincount(part, np.linalg.norm(normal, axis=1)) / 2
