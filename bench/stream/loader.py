@@ -25,7 +25,7 @@ from sdm.stream import Batch, Uniform
 
 # Longer than this for one map, and a library is out of the running [s].
 SLOWEST = 10.0
-# Grid that every library is first requested: it loads, compiles, and leaves the slow ones out.
+# Grid that every library is first tried on: it loads, compiles, and leaves the slow ones out.
 FIRST = 12
 # Seconds of the measurement at least, on a GPU's machine, and the fewest steps.
 SECONDS, FEWEST = 12.0, 3

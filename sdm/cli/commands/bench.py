@@ -32,7 +32,7 @@ def bench(
         peers: Only peers whose name holds one of these words, for example sdm warp libigl.
         device: cpu, cuda or cuda:N; by default a GPU if there is one.
         runs: Timed calls for each figure; the median counts.
-        budget_s: About how many seconds one peer may take for one mesh and grid; slower ones are requested less.
+        budget_s: About how many seconds one peer may take for one mesh and grid; slower ones answer fewer points.
         quick: Small choices: under a minute on two cores.
         out: Also write results.json, tables and log-log plots to this folder; only the results if it ends with .json.
         add: Python files with a class for each mesh or peer of yours to compare too; bench/README.md has an example.

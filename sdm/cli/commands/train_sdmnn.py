@@ -95,7 +95,7 @@ def sdmnn(
     curves = out / name
     target = out / f"{name}.safetensors"
     refuse_inputs([target], [start])
-    # The checkpoint is gone on with without being requested.
+    # An unfinished training is gone on with by itself.
     with training_folder(curves):
         trainer = Trainer(
             settings,

@@ -46,7 +46,7 @@ def write_slabs(
 ) -> None:
     """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come.
 
-    `ambiguous_voxels` is requested the count after the last slab.
+    `ambiguous_voxels` is called for the count after the last slab.
     """
     layers = min(slab_layers(grid), CHUNK, grid.shape[0])
     array = zarr.create_array(

@@ -30,7 +30,7 @@ def decompose(maps: Tensor, modes: int) -> tuple[Tensor, Tensor, Tensor]:
     """
     count = maps.shape[0]
     if not 0 < modes < count:
-        raise SDMError(f"{modes} modes were requested of {count} maps; give 1 to {count - 1}, or more maps")
+        raise SDMError(f"{modes} modes of {count} maps were requested; give 1 to {count - 1}, or more maps")
     mean = torch.zeros(maps.shape[1], dtype=torch.float64, device=maps.device)
     for part in maps.split(CHUNK):
         mean += part.double().sum(0)

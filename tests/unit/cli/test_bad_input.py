@@ -106,7 +106,7 @@ def test_inspect_too(name, place, capsys):
 
 
 def test_a_zarr_larger_than_memory_is_not_refused(place, monkeypatch):
-    """It is requested its first slab, which is all that has to fit."""
+    """Only the first slab is made, which is all that has to fit."""
     from sdm.engine.api import MeshIndex
 
     class Asked(Exception):
