@@ -87,6 +87,14 @@ def _empty(fresh: Path, manifest: dict[str, Any]) -> None:
     )
 
 
+def sizes_of(manifest: dict[str, Any], name: str) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...] | None]:
+    """Shape, chunks and shards of an array of samples."""
+    rows = {"sdm": tuple(manifest["recipe"]["grid"]["shape"]), "theta": (len(manifest["parameters"]),)}
+    row = rows.get(name, (4, 4))
+    whole = (manifest["shard"], *row)
+    return (manifest["count"], *row), (1, *row) if name == "sdm" else whole, whole if name == "sdm" else None
+
+
 def mend_arrays(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """Write again what the arrays' own `zarr.json` must say, where it says something else; the arrays' names."""
     mended = []

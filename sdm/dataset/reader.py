@@ -116,13 +116,15 @@ class SDMDataset(Dataset[Batch]):
             raise FormatError(f"{name} of {self.path} is damaged: {mend} ({one_line(error)})") from error
 
     def _open(self, name: str) -> zarr.Array:
+        damage = f"{self.path} cannot be read: its array {name} is damaged; sdm generate --verify mends it"
         try:
-            return zarr.open_array(self.path / name, mode="r")
+            array = zarr.open_array(self.path / name, mode="r")
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise FormatError(
-                f"{self.path} cannot be read: its array {name} is damaged; sdm generate --verify mends it "
-                f"({one_line(error)})"
-            ) from error
+            raise FormatError(f"{damage} ({one_line(error)})") from error
+        # Of other sizes Zarr would read something else, or ask for any amount of memory.
+        if (array.shape, array.chunks, array.shards) != layout.sizes_of(self.manifest, name):
+            raise FormatError(f"{damage} (its sizes are not those of the manifest)")
+        return array
 
     def _array(self) -> zarr.Array:
         # Open files and threads of a parent are not those of its children.

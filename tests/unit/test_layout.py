@@ -17,7 +17,7 @@ TOPS = ("sdm", "kernels", "bench", "tests")
 FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
 # Folders whose docstrings do not keep to that yet.
 UNNAMED = (
-    "sdm/dataset", "sdm/fit", "sdm/io", "sdm/shapes", "sdm/stream",
+    "sdm/dataset", "sdm/fit", "sdm/shapes", "sdm/stream",
 )  # fmt: skip
 # Modules of one name that differ plainly, besides those that `is_plain` knows.
 TWINS = {

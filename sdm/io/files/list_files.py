@@ -1,4 +1,4 @@
-"""What a user sees in a folder."""
+"""Visible entries of a folder."""
 
 from __future__ import annotations
 

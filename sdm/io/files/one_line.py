@@ -1,4 +1,4 @@
-"""What other libraries say, fit for the middle of a sentence."""
+"""Messages of other libraries, fit for the middle of a sentence."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def load_torch(
 
 
 def _cause(error: BaseException) -> BaseException:
-    """What the file said, behind what torch's writer says as it gives up; else the error itself."""
+    """Error of the file, behind what torch's writer says as it gives up; else the error itself."""
     before: BaseException | None = error
     while before is not None:
         if isinstance(before, OSError):

@@ -84,7 +84,7 @@ def grid_like(path: str | Path) -> Grid:
 
 
 def is_placed(path: str | Path) -> bool:
-    """Whether an image says how it lies in space: a NIfTI image with neither qform nor sform does not.
+    """True if an image says how it lies in space: a NIfTI image with neither qform nor sform does not.
 
     Raises:
         FormatError: As `load`.
@@ -96,7 +96,7 @@ def is_placed(path: str | Path) -> bool:
 
 
 def made_from(path: str | Path) -> str | None:
-    """What `write_streamed` was told that a map is made from; None where it was not, and of other images.
+    """Digest of the mesh that a map is made from, if `write_streamed` was told; else None, as for other images.
 
     Raises:
         FormatError: As `load`.
@@ -170,7 +170,7 @@ def _readable(path: Path, formats: dict[str, Format]) -> Format:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Whatever a library says about a damaged file, in one sentence."""
+    """Errors of libraries about a damaged file, in one sentence."""
     try:
         yield
     except GridError as error:

@@ -69,7 +69,7 @@ def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:
 
 
 def is_map_name(path: Path) -> bool:
-    """Whether a file's name ends like a map."""
+    """True if a file's name ends like a map."""
     return _named(path, FORMATS) is not None
 
 
@@ -109,7 +109,7 @@ def check_file(path: Path) -> None:
 
 
 def _is_map(path: Path) -> bool:
-    """Whether a Zarr folder is a map that `sdm.io.maps.zarr` wrote: nothing else is to be replaced."""
+    """True if a Zarr folder is a map that `sdm.io.maps.zarr` wrote: nothing else is to be replaced."""
     try:
         found = json.loads((path / METADATA).read_bytes())
         return found["node_type"] == "array" and KEY in found["attributes"]
@@ -118,7 +118,7 @@ def _is_map(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there. A name that the system does not allow names nothing."""
+    """True if a folder is there. A name that the system does not allow names nothing."""
     try:
         return path.is_dir()
     except OSError:

@@ -26,6 +26,8 @@ from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_c
 # NIfTI-1 counts voxels with 16 bits.
 LARGEST_NIFTI_1 = 32767
 COMMENT = 6
+# Of a record of ours among the comments.
+BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
 
 
@@ -60,14 +62,14 @@ def read_grid(path: Path) -> Grid:
 
 
 def is_placed(path: Path) -> bool:
-    """Whether the image says how it lies in space. Where it does not, nibabel and ITK place it differently."""
+    """True if the image says how it lies in space. Where it does not, nibabel and ITK place it differently."""
     header = opened(path).header
     return int(header["qform_code"]) > 0 or int(header["sform_code"]) > 0
 
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
-    kept = (_said(extension.get_content()) for extension in opened(path).header.extensions)
+    kept = (_said(extension.get_content(), path) for extension in opened(path).header.extensions)
     return next((found for found in kept if found is not None), None)
 
 
@@ -108,7 +110,7 @@ def _geometry(image: Any, path: Path) -> tuple[Grid, int | None, Any]:
     if len(shape) < 3 or any(n != 1 for n in shape[3:]):
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
     for extension in image.header.extensions:
-        kept = _said(extension.get_content())
+        kept = _said(extension.get_content(), path)
         exact = None if kept is None else from_record(kept, str(path))
         if exact is not None and exact[0].shape != shape[:3]:
             _check_length(image, path)
@@ -124,15 +126,18 @@ def _check_length(image: Any, path: Path) -> None:
         raise FormatError(f"{path} is damaged: {needed:,} bytes are needed for its shape, and it has others")
 
 
-def _said(content: Any) -> Any:
+def _said(content: Any, path: Path) -> Any:
     try:
         found = json.loads(content)
     except (TypeError, ValueError):
+        if isinstance(content, bytes) and content.lstrip().startswith(BEGIN):
+            # Without it, values would be read that nothing vouches for.
+            raise FormatError(f"{path} is damaged: its sdm record is no JSON") from None
         return None
     # Other software keeps its comments here too.
     return found.get(KEY) if isinstance(found, dict) else None
 
 
 def _close(exact: np.ndarray, rounded: np.ndarray) -> bool:
-    """Whether an affine is another's float32 rounding: then nobody has moved the image since it was written."""
+    """True if an affine is another's float32 rounding: then nobody has moved the image since it was written."""
     return bool(np.allclose(exact, rounded, rtol=2e-7, atol=1e-6 * np.abs(exact[:3, :3]).max()))

@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
-from sdm.io.maps.nrrd_data import read_values
+from sdm.io.maps.nrrd_data import read_header, read_values
 from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_checksum
 
 SPACE = "right-anterior-superior"
@@ -50,6 +50,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
 
 def read(path: Path) -> SDM:
     """Read a map, or any image of three dimensions: values become float32."""
+    read_header(path)
     with path.open("rb") as file:
         header = nrrd.read_header(file)
         grid, count, kept = _geometry(header, path)
@@ -60,12 +61,12 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone, also from a detached header (`.nhdr`). Left and posterior axes are turned to RAS+."""
-    return _geometry(nrrd.read_header(str(path)), path)[0]
+    return _geometry(read_header(path), path)[0]
 
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
-    header = nrrd.read_header(str(path))
+    header = read_header(path)
     return json.loads(header[KEY]) if KEY in header else None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import math
+import re
 import zlib
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -15,20 +16,38 @@ import numpy as np
 from sdm.errors import FormatError
 
 BLOCK = 1 << 20
+# Of a header with a list of files, which pynrrd does not know.
+LIST, LONGEST_HEADER = re.compile(rb"^data ?file: *LIST\b", re.IGNORECASE | re.MULTILINE), 1 << 14
+SEVERAL = "has its values in several files, which are not read: join them into one"
 GZIP, BZIP2 = ("gzip", "gz"), ("bzip2", "bz2")
 # Bytes of the widest type of a voxel, and of what may be skipped before the first one.
 WIDEST, LONGEST_SKIP = 8, 1 << 20
+
+
+def read_header(path: Path) -> Any:
+    """The header of an NRRD file, whose values lie in it or in one other file.
+
+    Raises:
+        FormatError: It names a list of files.
+    """
+    with path.open("rb") as file:
+        if LIST.search(file.read(LONGEST_HEADER)):
+            raise FormatError(f"{path} {SEVERAL}")
+    return nrrd.read_header(str(path))
 
 
 def read_values(file: IO[bytes], header: Any, path: Path) -> np.ndarray:
     """Values (nx,ny,nz) of a header that was read from `file`, which stands behind it.
 
     Raises:
-        FormatError: They lie elsewhere in the file system, or unpack to more than the header declares.
+        FormatError: They lie elsewhere in the file system, or in several files, or unpack to more than the header
+            declares.
     """
     beside = header.get("datafile", header.get("data file"))
     if beside is None:
         return _decode(file, header, path)
+    if "%" in str(beside):
+        raise FormatError(f"{path} {SEVERAL}")
     name = PurePosixPath(str(beside))
     if name.is_absolute() or ".." in name.parts:
         raise FormatError(f"{path} has its values in {str(beside)[:100]!r}: only files beside it are read")

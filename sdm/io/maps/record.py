@@ -48,7 +48,7 @@ def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = Non
 
 
 def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:
-    """A record with the checksum of itself and of values (nx,ny,nz) float32."""
+    """A record with the checksum of itself and of values (nx,ny,nz) float32, which may be none."""
     return {**kept, CHECKSUM: _checksum(kept, values)}
 
 

@@ -14,9 +14,10 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import KEY, from_record, record
+from sdm.io.maps.record import KEY, from_record, record, verify, with_checksum
 
 CHUNK = 128
+NO_VALUES = np.zeros(0, np.float32)
 # The engine gives slabs of a multiple of this many layers, and so chunks have it too.
 LAYERS = 32
 # Bytes of the slabs that a map is written in: what is in memory at a time.
@@ -65,7 +66,8 @@ def write_slabs(
         array[begin:end] = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
         # Let go of this slab before the next one is computed.
         del values
-    array.attrs[KEY] = record(grid, ambiguous_voxels(), made_from)
+    # Chunks have checksums of their own.
+    array.attrs[KEY] = with_checksum(record(grid, ambiguous_voxels(), made_from), NO_VALUES)
 
 
 def read(path: Path) -> SDM:
@@ -98,4 +100,6 @@ def _open(path: Path) -> zarr.Array:
 
 
 def _geometry(array: zarr.Array, path: Path) -> tuple[Grid, int | None]:
-    return from_record(array.attrs.get(KEY), str(path))
+    kept = array.attrs.get(KEY)
+    verify(kept, NO_VALUES, str(path))
+    return from_record(kept, str(path))

@@ -102,7 +102,7 @@ def _read_ragged(
 
 
 def _step(chosen: bool, dtype: str, count_dtype: str) -> tuple[bool, int, int, Literal["big", "little"], bool]:
-    """What a property adds to a row: whether it is the one, bytes of a value and of a length, and how that is read."""
+    """Layout of a property in a row: True for the wanted one, bytes of a value and of a length, the length's type."""
     width = np.dtype(dtype).itemsize
     if not count_dtype:
         return chosen, width, 0, "little", False

@@ -54,7 +54,7 @@ class Element:
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What the header of a PLY file says.
+    """Header of a PLY file.
 
     Args:
         ascii: Whether numbers are text.

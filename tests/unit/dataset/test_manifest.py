@@ -160,6 +160,19 @@ def test_flipped_bits_of_parameters(copy, bit):
     assert damaged(copy) == []
 
 
+@pytest.mark.parametrize("name", ["sdm", "theta"])
+@pytest.mark.parametrize("size", [6, 99999999999])
+def test_sizes_of_arrays_that_are_not_the_manifests(copy, name, size):
+    """No memory is asked for by what a damaged description says."""
+    document = json.loads((copy / name / "zarr.json").read_text())
+    document["chunk_grid"]["configuration"]["chunk_shape"][0] = size
+    (copy / name / "zarr.json").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=f"its array {name} is damaged; sdm generate --verify mends it"):
+        SDMDataset(copy)[0]
+    assert layout.mend_arrays(copy, read_manifest(copy)) == [name]
+    assert len(SDMDataset(copy)[0].theta) == len(FAMILY.parameters)
+
+
 def test_flipped_bits_of_transforms(tmp_path):
     family = MeshFolder([demo_mesh(rings=9, segments=6, cap_rings=2)])
     path = generate(family, family.grid(6), 3, tmp_path / "d.zarr", shard=2, device="cpu")

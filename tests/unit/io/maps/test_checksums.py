@@ -14,7 +14,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, SDMError
-from sdm.io import FORMATS, load, save
+from sdm.io import FORMATS, grid_like, load, save
 from sdm.io.maps.record import CHECKSUM, KEY
 
 SHAPE = (9, 8, 7)
@@ -76,6 +76,16 @@ def test_a_damaged_record_is_found(tmp_path):
     data = path.read_bytes()
     path.write_bytes(data.replace(b'"ambiguous_voxels":3', b'"ambiguous_voxels":0'))
     with pytest.raises(FormatError, match="is not what sdm wrote"):
+        load(path)
+
+
+@pytest.mark.parametrize("ending", ["nii", "nrrd"])
+def test_a_record_that_is_no_json_is_found(ending, tmp_path):
+    """Its checksum is lost with it, so the values may be anything."""
+    path = tmp_path / f"map.{ending}"
+    save(FIELD, path)
+    path.write_bytes(path.read_bytes().replace(b'"direction":[[', b'"direction":[<'))
+    with pytest.raises(FormatError, match="is damaged"):
         load(path)
 
 
@@ -191,3 +201,28 @@ def test_an_nrrd_reads_no_file_elsewhere(field, tmp_path):
             load(tmp_path / "in" / "a.nrrd")
     nrrd_with(tmp_path / "in" / "a.nrrd", "raw", b"", f"{field}: own.raw\n")
     np.testing.assert_array_equal(load(tmp_path / "in" / "a.nrrd").numpy().ravel("F"), values)
+
+
+@pytest.mark.parametrize(
+    "field", ["data file: LIST\n../secret", "DataFile:LIST\nown.raw", "data file: own%d.raw 1 2 1"]
+)
+def test_an_nrrd_of_several_files(field, tmp_path):
+    (tmp_path / "own.raw").write_bytes(np.zeros(1000, "<f4").tobytes())
+    nrrd_with(tmp_path / "a.nrrd", "raw", b"", f"{field}\n")
+    with pytest.raises(FormatError, match="has its values in several files, which are not read: join them"):
+        load(tmp_path / "a.nrrd")
+
+
+def test_a_damaged_record_of_a_zarr_is_found(tmp_path):
+    path = tmp_path / "map.zarr"
+    save(FIELD, path)
+    text = (path / "zarr.json").read_text()
+    document = json.loads(text)
+    document["attributes"][KEY]["origin"][0] += 1e-3
+    (path / "zarr.json").write_text(json.dumps(document))
+    for call in (load, grid_like):
+        with pytest.raises(FormatError, match="is not what sdm wrote"):
+            call(path)
+    del document["attributes"][KEY][CHECKSUM]
+    (path / "zarr.json").write_text(json.dumps(document))
+    assert torch.equal(load(path).values, VALUES)

@@ -1,0 +1,47 @@
+"""A few trials of every part of the fuzzer: the same ones always, by number."""
+
+from __future__ import annotations
+
+import pytest
+
+from sdm.bench.fuzz.__main__ import PARTS, fuzz, run_trial
+from sdm.bench.fuzz.trial import Finding, one_sentence
+from sdm.errors import FormatError
+
+TRIALS = {"numerics": 6, "mesh_files": 120, "map_files": 80, "datasets": 25, "models": 40}
+LONG = 60.0
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_nothing_is_found(part):
+    report = fuzz([part], seed=1, minutes=LONG, trials=TRIALS[part])[part]
+    assert report["trials"] == TRIALS[part]
+    assert not report["findings"]
+    # Much of the damage is refused, or nothing was damaged.
+    assert part == "numerics" or report["refused"] > TRIALS[part] // 4
+
+
+def test_a_trial_is_its_number():
+    first = [run_trial("map_files", 3, number) for number in range(4)]
+    assert [run_trial("map_files", 3, number) for number in (3, 1)] == [first[3], first[1]]
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (KeyError("x"), "part: KeyError: 'x'"),
+        (MemoryError(), "part: out of memory"),
+        (FormatError("two\nlines"), "refused, but not in one sentence"),
+        (FormatError(" "), "refused, but not in one sentence"),
+        (Finding("wrong"), "wrong"),
+    ],
+)
+def test_what_is_a_finding(error, said):
+    with pytest.raises(Finding, match=said), one_sentence("part"):
+        raise error
+
+
+def test_a_refusal_is_an_outcome():
+    with one_sentence("part") as outcome:
+        raise FormatError("damaged")
+    assert outcome[0].refused
