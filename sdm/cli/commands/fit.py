@@ -55,6 +55,7 @@ def fit(
     """
     import sdm
     from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.common.progress import StageProgress
     from sdm.fit import FitOptions, fit_shape
     from sdm.fit.model.backends import make_backends
 
@@ -63,7 +64,15 @@ def fit(
     scan = sdm.load(image)
     first, finish = make_backends(backend, triangles=triangles, weights=weights, device=device)
     options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
-    result = fit_shape(scan.values, scan.grid, first, finish=finish, options=options)
+    with StageProgress() as progress:
+        result = fit_shape(
+            scan.values,
+            scan.grid,
+            first,
+            finish=finish,
+            options=options,
+            report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
+        )
     result.save(out)
     result.require()
     if mesh is not None or picture is not None:
@@ -110,5 +119,9 @@ def _print(result: FitResult, options: FitOptions) -> None:
     print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
     print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
+    print(
+        f"intervals take for granted a blur of {options.blur:g} mm (--blur), white noise, even intensities and voxels "
+        "that mix inside and outside; where one of these does not hold they are too narrow"
+    )
     for sentence in diagnosis.warnings:
         print(f"sdm: {sentence}", file=sys.stderr)

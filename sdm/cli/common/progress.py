@@ -61,6 +61,13 @@ class _Bar:
         return progress, progress.add_task("", total=None)
 
 
+class StageProgress(_Bar):
+    """Names of the steps of work whose length is not known, beside the time that it has taken."""
+
+    def __init__(self) -> None:
+        super().__init__(elapsed=True, transient=True)
+
+
 class FileProgress(_Bar):
     """Progress over `total` files, each with the share of it that is done."""
 

@@ -75,6 +75,12 @@ class Appearance:
         """One step of expectation-maximisation at a fixed share of inside."""
         raise NotImplementedError
 
+    def with_means(self, image: Tensor, share: Tensor) -> Appearance:
+        """The same step for the means alone: weights and variances are held."""
+        new = self.update(image, share)
+        inside, outside = replace(self.inside, means=new.inside.means), replace(self.outside, means=new.outside.means)
+        return replace(self, inside=inside, outside=outside)
+
     def evidence(self, image: Tensor, share: Tensor) -> Evidence:
         """How likely the image is at a share of inside (N,), and how that changes."""
         raise NotImplementedError

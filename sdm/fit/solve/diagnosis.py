@@ -12,7 +12,7 @@ from torch.nn.functional import avg_pool3d, max_pool3d
 from sdm.core.grid import Grid
 from sdm.fit.model.appearance import Appearance
 from sdm.fit.model.prior import Prior
-from sdm.fit.solve.solver import Point
+from sdm.fit.solve.solver import Outcome, Point
 
 # An answer is trusted from here on. A right shape explains more than 0.95 of what is around it, the best of wrong
 # ones (balls, tubes, blocks) less than 0.8: tests/unit/fit/solve/test_no_cochlea.py.
@@ -23,6 +23,10 @@ HOPELESS = 0.5
 LEAST_CONTRAST = 0.7
 # Nats that a shape must gain over no shape for each of its unknowns, beyond what the BIC asks.
 LEAST_GAIN = 5.0
+# A search that stops no further than this from its optimum, in posterior standard deviations, has an answer.
+MOST_LEFT = 1.0
+# Misfit at the surface, in standard deviations of the noise, from which intervals are told to be too narrow.
+MOST_MISFIT = 0.5
 # Half-width of the neighbourhood that has to be explained [mm].
 AROUND = 1.0
 
@@ -36,6 +40,8 @@ class Diagnosis:
         explained: Share of the structure in the shape's neighbourhood that it explains, at most 1: noise is left out.
         contrast: Difference of the mean intensities in standard deviations of the noise.
         gain: Gain in log-likelihood over no shape at all [nats].
+        misfit: Root mean square of the residuals of voxels that the surface cuts, less the noise, in standard
+            deviations of the noise: 0 where the model describes the image.
         seen: Whether gain and contrast say that there is something.
         problems: Why the answer is not to be trusted, one sentence each; none if it is.
         warnings: What a reader should know of a trusted answer, one sentence each.
@@ -45,6 +51,7 @@ class Diagnosis:
     explained: float
     contrast: float
     gain: float
+    misfit: float
     seen: bool
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -60,8 +67,9 @@ class Diagnosis:
         return not self.problems
 
 
-def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool, names: list[str]) -> Diagnosis:
+def diagnose(image: Tensor, grid: Grid, found: Outcome, prior: Prior, names: list[str]) -> Diagnosis:
     """Look at an estimate with the eyes of someone who does not believe it."""
+    at, converged = found.point, found.converged
     noise = noise_of(image)
     explained = explained_share(image, grid, at, noise)
     inside, outside = at.appearance.inside, at.appearance.outside
@@ -70,8 +78,11 @@ def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool
     unknowns = len(at.gradient) + 1 + 3 * len(inside.means)
     needed = unknowns * (0.5 * math.log(image.numel()) + LEAST_GAIN)
     problems = []
-    if not converged:
-        problems.append("the fit did not converge; its values are unreliable")
+    if not converged and not found.left <= MOST_LEFT:
+        problems.append(
+            "the fit did not converge; its values are unreliable. If the scanner's blur is known, name it "
+            "(--blur, FitOptions.blur)"
+        )
     seen = math.isfinite(gain) and gain >= needed and contrast >= LEAST_CONTRAST
     if not seen:
         problems.append(
@@ -85,12 +96,20 @@ def diagnose(image: Tensor, grid: Grid, at: Point, prior: Prior, converged: bool
         )
     if _at_border(at.share):
         problems.append("the shape reaches the image's border: take a larger part of the image")
-    ends = [
+    warnings = [
         f"{name} is at an end of its range, so its interval is one-sided"
         for name, value, low, high in zip(names, at.state.theta, prior.low, prior.high, strict=True)
         if float(value - low) < 1e-6 or float(high - value) < 1e-6
     ]
-    return Diagnosis(converged, explained, contrast, gain, seen, tuple(problems), tuple(ends))
+    if not converged and found.left <= MOST_LEFT:
+        warnings.append(f"the steps stopped {found.left:.2f} posterior standard deviations from the optimum")
+    misfit = surface_misfit(image, at, noise)
+    if misfit > MOST_MISFIT:
+        warnings.append(
+            f"the image differs from the model at the surface by {misfit:.1f} times its noise, so the intervals are "
+            "too narrow: the scanner's blur may be another (--blur, FitOptions.blur), or intensities uneven"
+        )
+    return Diagnosis(converged, explained, contrast, gain, misfit, seen, tuple(problems), tuple(warnings))
 
 
 def noise_of(image: Tensor) -> float:
@@ -112,6 +131,16 @@ def explained_share(image: Tensor, grid: Grid, at: Point, noise: float) -> float
         float((_smooth(values)[near] ** 2).mean()) - rest for values in (image - image[near].mean(), image - expected)
     )
     return 1 - max(0.0, left) / total if total > rest else 0.0
+
+
+def surface_misfit(image: Tensor, at: Point, noise: float) -> float:
+    """Residuals of the voxels that the surface cuts, beyond the noise, in standard deviations of the noise."""
+    expected = at.share * at.appearance.inside.mean + (1 - at.share) * at.appearance.outside.mean
+    cut = (at.share > 0.05) & (at.share < 0.95)
+    if not bool(cut.any()):
+        return 0.0
+    beyond = float(((image - expected)[cut] ** 2).mean()) - noise**2
+    return math.sqrt(max(0.0, beyond)) / max(noise, 1e-12 + 1e-6 * float(image.abs().max()))
 
 
 def gain_over_nothing(image: Tensor, at: Point) -> float:

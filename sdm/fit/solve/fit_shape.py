@@ -145,7 +145,7 @@ def _fit(
     small, wide = coarser(values, grid)
     start = _begin(small, wide, rough, prior, options)
     steps = {"start": start.steps}
-    hopeless = diagnose(small, wide, start.point, prior, start.converged, names).hopeless
+    hopeless = diagnose(small, wide, start, prior, names).hopeless
 
     def stage(name: str, renderer: Render, start: State, appearance: Appearance, tolerance: float) -> Outcome:
         found = minimise(
@@ -174,7 +174,7 @@ def _fit(
             anchored = Anchored(renderer, exactly, found.point.state)
             found = stage(name, anchored, found.point.state, found.point.appearance, tolerance)
     at = found.point
-    diagnosis = diagnose(values, grid, at, prior, found.converged, names)
+    diagnosis = diagnose(values, grid, found, prior, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
     after = _counts(rough, backend, finish or exact)
     return FitResult(

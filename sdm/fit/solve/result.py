@@ -103,6 +103,7 @@ class FitResult:
             },
             "objective": self.objective,
             "converged": diagnosis.converged,
+            "misfit": diagnosis.misfit,
             "explained": diagnosis.explained,
             "contrast": diagnosis.contrast,
             "gain_nats": diagnosis.gain,

@@ -50,10 +50,19 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Where the steps ended, whether they had converged, after how many steps, and the objective at each."""
+    """Where the steps ended.
+
+    Args:
+        point: The last state.
+        converged: The next step would have been shorter than the tolerance.
+        left: Length of the next step in posterior standard deviations.
+        steps: How many were tried.
+        objectives: At the start and after each step that was taken, each with the appearance estimated there.
+    """
 
     point: Point
     converged: bool
+    left: float
     steps: int
     objectives: tuple[float, ...]
 
@@ -62,7 +71,26 @@ def evaluate(
     renderer: Render, image: Tensor, state: State, appearance: Appearance, prior: Prior, em_steps: int = EM_STEPS
 ) -> Point:
     """The objective at a state, and its first two derivatives."""
-    rendered = renderer(state)
+    return differentiate(renderer(state), image, state, appearance, prior, em_steps)
+
+
+def held_objective(rendered: Rendered, image: Tensor, state: State, appearance: Appearance, prior: Prior) -> float:
+    """The objective at a state with the noise and the weights of another one; mean intensities follow the state.
+
+    Steps are judged by it. The partial volume model's variances are moments of the residuals, no maximum of the
+    likelihood, so the objective with variances estimated at each state is not the one whose gradient is known: where
+    the residuals are misfit rather than noise a step that goes down by the one can go up by the other.
+    """
+    voxels, share = image.flatten(), rendered.share.flatten()
+    for _ in range(EM_STEPS):
+        appearance = appearance.with_means(voxels, share)
+    return prior.penalty(state) - appearance.evidence(voxels, share).log_likelihood
+
+
+def differentiate(
+    rendered: Rendered, image: Tensor, state: State, appearance: Appearance, prior: Prior, em_steps: int
+) -> Point:
+    """The objective at a state that is rendered, with the appearance estimated there, and its first two derivatives."""
     assert rendered.by_step is not None  # noqa: S101 - for the type checker
     voxels, share = image.flatten(), rendered.share.flatten()
     for _ in range(em_steps):
@@ -118,25 +146,32 @@ def minimise(
     """
     at = evaluate(renderer, image, start, appearance, prior, em_steps=2 * EM_STEPS)
     objectives, damping = [at.objective], DAMPING
-    shortest, waited = float("inf"), 0
+    shortest, waited, length = float("inf"), 0, _length(at, prior)
     for number in range(1, most_steps + 1):
-        newton = _step(at, prior, 0.0)
-        length = float((newton @ at.curvature @ newton).clamp_min(0).sqrt())
         waited = 0 if length < 0.5 * shortest or length > FLAT else waited + 1
         shortest = min(shortest, length)
         if length < tolerance or waited > PATIENCE:
-            return Outcome(at, True, number - 1, tuple(objectives))
-        there = evaluate(renderer, image, at.state.moved(_step(at, prior, damping)), at.appearance, prior)
-        if there.objective < at.objective + (ROUGHNESS if length < FLAT else 0.0):
-            at, damping = there, max(damping / 10, 1e-9)
+            return Outcome(at, True, length, number - 1, tuple(objectives))
+        state = at.state.moved(_step(at, prior, damping))
+        rendered = renderer(state)
+        held = held_objective(rendered, image, state, at.appearance, prior)
+        if held < at.objective + (ROUGHNESS if length < FLAT else 0.0):
+            at, damping = differentiate(rendered, image, state, at.appearance, prior, EM_STEPS), max(damping / 10, 1e-9)
             objectives.append(at.objective)
+            length = _length(at, prior)
         elif damping >= MOST_DAMPING:
-            return Outcome(at, False, number, tuple(objectives))
+            return Outcome(at, False, length, number, tuple(objectives))
         else:
             damping = max(10 * damping, DAMPING)
         if report is not None:
             report(number, at)
-    return Outcome(at, False, most_steps, tuple(objectives))
+    return Outcome(at, False, length, most_steps, tuple(objectives))
+
+
+def _length(at: Point, prior: Prior) -> float:
+    """Length of the full step from a point in posterior standard deviations."""
+    newton = _step(at, prior, 0.0)
+    return float((newton @ at.curvature @ newton).clamp_min(0).sqrt())
 
 
 def _step(at: Point, prior: Prior, damping: float) -> Tensor:
