@@ -110,15 +110,11 @@ def _print(result: FitResult, options: FitOptions) -> None:
         print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
     place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
     print(f"centre {place} mm")
-    # Coverage where that is not so: sdm/fit/README.md, "Limits".
-    print(
-        f"intervals take for granted a blur of {options.blur:g} mm (--blur), white noise and even intensities: "
-        "elsewhere they are too narrow"
-    )
     diagnosis = result.diagnosis
     print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
     print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
+    # Coverage where that is not so: sdm/fit/README.md, "Limits".
     print(
         f"intervals take for granted a blur of {options.blur:g} mm (--blur), white noise, even intensities and voxels "
         "that mix inside and outside; where one of these does not hold they are too narrow"
