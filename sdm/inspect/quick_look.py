@@ -20,7 +20,7 @@ LEAST_VOLUME = 1e-9
 
 
 class MeshLook:
-    """Findings about how a mesh's faces face, made when they are asked for.
+    """Findings about how a mesh's faces face, made when they are needed.
 
     Args:
         mesh: The mesh, on any device.

@@ -34,7 +34,7 @@ class ValidationSet(Dataset[Batch]):
     make a family of their own.
 
     Raises:
-        SDMError: No samples asked for, or a family of too few different shapes.
+        SDMError: No samples requested, or a family of too few different shapes.
 
     Attributes:
         theta: (N,P) float32 parameters.
