@@ -280,7 +280,13 @@ def signed_distance(
 
 @overload
 def signed_distance_maps(
-    vertices: Sequence[MeshLike], faces: GridLike | Sequence[Grid], /, *, device: str | torch.device | None = None
+    vertices: Sequence[MeshLike],
+    faces: GridLike | Sequence[Grid] | None = None,
+    /,
+    *,
+    resolution: int | None = None,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
 ) -> list[SDM]: ...
 @overload
 def signed_distance_maps(

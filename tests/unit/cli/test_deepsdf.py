@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -165,3 +166,16 @@ def test_a_place_that_cannot_be_is_refused_before_the_work(
     ):
         assert main([*words, "--device", "cpu"]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_pickle_given_as_a_model_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Torch's own warning about such files is not shown."""
+    from sdm.deepsdf import ShapeCode, save_code
+    from sdm.deepsdf.samples import UnitSphere
+
+    save_code(ShapeCode(torch.zeros(3), UnitSphere((0.0, 0.0, 0.0), 1.0)), tmp_path / "code.npz")
+    (tmp_path / "model.pt").write_bytes(pickle.dumps({"a": 1}))
+    words = ["decode", str(tmp_path / "code.npz"), "-m", str(tmp_path / "model.pt"), "-o", str(tmp_path / "x.ply")]
+    assert main(words) == 2
+    said = capfd.readouterr().err
+    assert said == f"sdm: {tmp_path / 'model.pt'} is no DeepSDF model, or it is damaged; train it again\n"

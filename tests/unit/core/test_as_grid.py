@@ -11,7 +11,7 @@ from sdm.bench.common.meshes import cube
 
 VERTICES, FACES = cube()
 # Twice as long along x.
-MESH = sdm.TriangleMesh(VERTICES * np.float32([2, 1, 1]), FACES)
+MESH = sdm.TriangleMesh(VERTICES * np.array([2, 1, 1], np.float32), FACES)
 AROUND = sdm.Grid.around(MESH, resolution=9)
 
 
