@@ -20,9 +20,9 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.map_check import MapCheck, quiet
 from sdm.engine.maps import LARGEST_SLAB, batch_maps, index_map, is_recordable, mesh_map, put_together, slabs_of
-from sdm.engine.mesh_lists import are_meshes, box_of
+from sdm.engine.mesh_lists import are_meshes, box_of, grids_of
 from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
-from sdm.errors import GridError, MeshError
+from sdm.errors import MeshError
 from sdm.inspect import orient_outward
 from sdm.topology.boundary_edges import boundary_edges
 
@@ -325,7 +325,8 @@ def signed_distance_maps(
     axis of a cube around each, gives a list of maps, each that of `signed_distance_map`.
     """
     if not isinstance(grid, Grid) and are_meshes(vertices):
-        return _maps_of(vertices, faces if grid is None else grid, resolution, margin, device)
+        grids = faces if grid is None else grid
+        return _maps_of(vertices, grids, resolution=resolution, margin=margin, device=device)
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
     batch, shared = vertices, faces
     # A stream's are as they should be, batch after batch.
@@ -344,22 +345,10 @@ def signed_distance_maps(
         return batch_maps(batch, shared, grid, None)
 
 
-def _maps_of(
-    meshes: Sequence[MeshLike],
-    grids: Any,
-    resolution: int | None,
-    margin: float | None,
-    device: str | torch.device | None,
-) -> list[SDM]:
-    several = isinstance(grids, list | tuple) and any(isinstance(grid, Grid) for grid in grids)
-    if several and len(grids) != len(meshes):
-        raise GridError(f"{len(meshes)} meshes and {len(grids)} grids were given: give one grid, or one for each mesh")
-    of_each = grids if several else [grids] * len(meshes)
+def _maps_of(meshes: Sequence[MeshLike], grids: Any, **options: Any) -> list[SDM]:
+    of_each = zip(meshes, grids_of(meshes, grids), strict=True)
     with quiet():
-        return [
-            signed_distance_map(mesh, grid, resolution=resolution, margin=margin, device=device)
-            for mesh, grid in zip(meshes, of_each, strict=True)
-        ]
+        return [signed_distance_map(mesh, grid, **options) for mesh, grid in of_each]
 
 
 def _oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:
