@@ -69,7 +69,8 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
     """The slot of the triangle of `mesh` nearest to p (scaled coordinates).
 
     `guess` is any slot of the mesh; a near one, such as the answer for a neighbouring point, saves most of the way.
-    There is always an answer: if every squared distance overflows, it is the guess.
+    Of those that float64 finds equally near it is the one with the smallest face. There is always an answer: if every
+    squared distance overflows, it is the guess.
     """
     base = nodes_of(tree, mesh)
     leaves = 1 << tree.depth
@@ -99,7 +100,7 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
                         if exact2 < wp.float64(0.0):
                             exact2 = exact_distance2(tree, best, best_part, p)
                         e2 = exact_distance2(tree, slot, part, p)
-                        wins = e2 < exact2
+                        wins = e2 < exact2 or (e2 == exact2 and tree.face[slot] < tree.face[best])
                     if wins:
                         best = slot
                         best_part = part

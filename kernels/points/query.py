@@ -22,6 +22,7 @@ from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import launch, threads
+from sdm.kernels.points.closest import Hits, name_faces
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.groups import (
     COUNTS,
@@ -41,16 +42,6 @@ from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
 from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class Hits:
-    """Closest points, if `wanted`."""
-
-    points: wp.array(dtype=wp.vec3)
-    faces: wp.array(dtype=wp.int32)  # -1 for a point that is not finite
-    barycentric: wp.array(dtype=wp.vec3)
-    wanted: wp.int32
 
 
 @wp.kernel
@@ -86,14 +77,12 @@ def answer(
     hits: Hits,
 ):
     """Write what is asked of point i, whose nearest triangle is in a slot."""
-    unscale = tree.frame[UNSCALE]
     hit = exact_hit(tree, slot, tree.frame[SCALE] * wp.vec3d(point))
-    distance = float(wp.sqrt(hit.distance2) * unscale)
+    distance = float(wp.sqrt(hit.distance2) * tree.frame[UNSCALE])
     values[i] = wp.where(inside, -distance, distance)
     if hits.wanted != 0:
-        hits.points[i] = wp.vec3(unscale * hit.point)
-        hits.faces[i] = tree.face[slot]
-        hits.barycentric[i] = wp.vec3(hit.barycentric)
+        # For `name_faces`.
+        hits.faces[i] = slot
 
 
 @wp.kernel
@@ -145,9 +134,7 @@ def _query(
             if not is_finite(point):
                 values[i] = float(wp.nan)
                 if hits.wanted != 0:
-                    hits.points[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
                     hits.faces[i] = -1
-                    hits.barycentric[i] = wp.vec3(wp.nan, wp.nan, wp.nan)
             elif slot < 0 or side == UNKNOWN:
                 if slot < 0:
                     if guess < 0:
@@ -239,6 +226,8 @@ def query_points(
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
     inputs = [plan.run, tree, winding, points, order, groups, slots, sides, values, wanted]
     launch(_query, -(-count // plan.run), inputs, device)
+    if hits is not None:
+        name_faces(tree, points, order, wanted)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array) -> None:
