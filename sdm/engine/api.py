@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, overload
 
 import torch
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
@@ -18,33 +17,17 @@ from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
-from sdm.engine.map_check import MapCheck, quiet
+from sdm.engine.closest_points import Closest
+from sdm.engine.map_check import MapCheck, checked, quiet
 from sdm.engine.maps import LARGEST_SLAB, batch_maps, index_map, is_recordable, mesh_map, put_together, slabs_of
 from sdm.engine.mesh_lists import are_meshes, box_of, grids_of
 from sdm.engine.ops import map_slab, points_closest, points_distance, points_winding
+from sdm.engine.repeated_faces import CROWDED, RepeatedFaces, repeated_faces
 from sdm.errors import MeshError
 from sdm.inspect import orient_outward
 from sdm.topology.boundary_edges import boundary_edges
 
 Orient = Literal["keep", "auto"]
-
-
-@dataclass(frozen=True, eq=False)
-class Closest:
-    """Closest points of a query: their places, faces and barycentric coordinates.
-
-    Args:
-        points: (N,3) float32, in the mesh's unit.
-        faces: (N,) int32, the face that each lies on; -1 for a query point that is not finite. Of the faces that meet
-            in a closest point on an edge or a corner it is the one whose plane faces the query point most (the largest
-            |cos| of the angle between its normal and the way there), and of those that do so alike, to within 1e-6,
-            the one with the smallest number. So at an edge of two faces its normal tells the side, however acute.
-        barycentric: (N,3) float32, its barycentric coordinates on that face.
-    """
-
-    points: Float32[Tensor, "*n 3"]
-    faces: Int32[Tensor, "*n"]
-    barycentric: Float32[Tensor, "*n 3"]
 
 
 class MeshIndex:
@@ -84,7 +67,18 @@ class MeshIndex:
         self._build()
 
     def _build(self) -> None:
-        self._structure = build(self.mesh.vertices.detach()[None], self.mesh.faces, self._edges)
+        mesh, edges = self.mesh, self._edges
+        self._repeated: RepeatedFaces | None = None
+        # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
+        if self.device.type == "cpu" and (
+            len(mesh) >= CROWDED * mesh.vertices.shape[0]
+            or (edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any()))
+        ):
+            self._repeated = repeated_faces(mesh)
+        if self._repeated is not None:
+            mesh, edges = self._repeated.distinct, None
+        self._measured = mesh
+        self._structure = build(mesh.vertices.detach()[None], mesh.faces, edges)
 
     @property
     def closed(self) -> bool:
@@ -114,7 +108,7 @@ class MeshIndex:
     def signed_distance(self, points: Any, *, return_closest: Literal[True]) -> tuple[Tensor, Closest]: ...
     def signed_distance(self, points: Any, *, return_closest: bool = False) -> Tensor | tuple[Tensor, Closest]:
         """As `sdm.signed_distance`, on this index."""
-        return _at_points(self.mesh, points, return_closest, self._structure)
+        return _at_points(self._measured, points, return_closest, self._structure, self._repeated)
 
     def distances_in(self, cube: Sequence[float], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.
@@ -125,7 +119,8 @@ class MeshIndex:
                 division by eights keeps apart, this is faster than in the mesh's box: no group has points of two.
             points: Anywhere; the values are those of `signed_distance` wherever they are.
         """
-        return points_distance(self.mesh.vertices, self.mesh.faces, points, self._structure, cube)
+        values = points_distance(self._measured.vertices, self._measured.faces, points, self._structure, cube)
+        return values if self._repeated is None else self._repeated.signed(values, points)
 
     def winding_number(self, points: Any) -> Float32[Tensor, "*n"]:
         """Generalised winding number of the mesh about points (...,3): (...) float32, more than 0.5 inside.
@@ -134,6 +129,8 @@ class MeshIndex:
         within 4e-4 near 0.25, 0.5 and 0.75, and elsewhere on the right side of them.
         """
         at = _as_points(points, self.device)
+        if self._repeated is not None:
+            return self._repeated.winding(at.reshape(-1, 3)).reshape(at.shape[:-1])
         values = points_winding(self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._structure)
         return values.reshape(at.shape[:-1])
 
@@ -144,7 +141,7 @@ class MeshIndex:
         with memory_guard(grid.nbytes, self.device, _described(grid)):
             if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
                 values, ambiguous = index_map(self._structure, grid)
-                return self._checked(SDM(values, grid, 0 if self.closed else int(ambiguous)))
+                return checked(self._check, SDM(values, grid, 0 if self.closed else int(ambiguous)), self._measured)
             unclear = []
 
             def slabs() -> Iterator[tuple[int, int, Tensor]]:
@@ -155,10 +152,8 @@ class MeshIndex:
 
             values = put_together(slabs(), grid.shape[0])[0]
         # Of a closed mesh it is known without a look at the device, which would wait for it.
-        return self._checked(SDM(values, grid, 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear)))
-
-    def _checked(self, field: SDM) -> SDM:
-        return field if self._check is None else self._check.attach(field, self.mesh)
+        count = 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear)
+        return checked(self._check, SDM(values, grid, count), self._measured)
 
     def slabs(
         self, grid: GridLike, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
@@ -183,7 +178,9 @@ class MeshIndex:
             yield begin, end, values[0]
 
     def _slab(self, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
-        return map_slab(self.mesh.vertices[None], self.mesh.faces, self._structure, grid, begin, end)
+        mesh = self._measured
+        found = map_slab(mesh.vertices[None], mesh.faces, self._structure, grid, begin, end)
+        return found if self._repeated is None else self._repeated.signed_slab(found[0], grid, begin)
 
 
 def signed_distance_map(
@@ -241,9 +238,11 @@ def signed_distance_map(
             values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
         field = SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
     else:
-        field = MeshIndex(mesh, where, warn=False).signed_distance_map(grid)
-    # What is on the host already need not be copied there to be looked at.
-    return MapCheck().attach(field, measured)
+        index = MeshIndex(mesh, where, warn=False)
+        field = index.signed_distance_map(grid)
+        # Copies of a triangle are looked at once.
+        measured = measured if index._repeated is None else index._measured
+    return checked(MapCheck(), field, measured)
 
 
 @overload
@@ -381,13 +380,20 @@ def _refuse_forward_mode(tensor: Tensor) -> None:
 
 
 def _at_points(
-    mesh: TriangleMesh, points: Any, return_closest: bool, structure: AccelerationStructure | None
+    mesh: TriangleMesh,
+    points: Any,
+    return_closest: bool,
+    structure: AccelerationStructure | None,
+    repeated: RepeatedFaces | None = None,
 ) -> Tensor | tuple[Tensor, Closest]:
     at = _as_points(points, mesh.device)
     shape, at = at.shape[:-1], at.reshape(-1, 3)
     if not return_closest and not (at.requires_grad or mesh.vertices.requires_grad):
-        return points_distance(mesh.vertices, mesh.faces, at, structure).reshape(shape)
+        values = points_distance(mesh.vertices, mesh.faces, at, structure)
+        return (values if repeated is None else repeated.signed(values, at)).reshape(shape)
     values, point, face, barycentric = points_closest(mesh.vertices, mesh.faces, at, structure)
+    if repeated is not None:
+        values, face = repeated.signed(values, at), repeated.faces(face)
     values = values.reshape(shape)
     if not return_closest:
         return values

@@ -65,7 +65,12 @@ class MapCheck:
 
     def attach(self, field: SDM, mesh: TriangleMesh) -> SDM:
         """Check a map of a mesh now if it is on the host, else when it is read, and keep the mesh until then."""
-        if self._said or _quiet.on or not is_eager(mesh.vertices) or mesh.vertices.is_inference():
+        if (
+            self._said
+            or _quiet.on
+            or not is_eager(mesh.vertices)
+            or any(t.is_inference() for t in (mesh.vertices, mesh.faces))
+        ):
             return field
         states = mesh.vertices._version, mesh.faces._version
 
@@ -78,6 +83,11 @@ class MapCheck:
                     warn(f"{mesh.name}: {'; '.join(found)}")
 
         return field.checked_by(check)
+
+
+def checked(check: MapCheck | None, field: SDM, mesh: TriangleMesh) -> SDM:
+    """The map of a mesh, with a check attached if there is one."""
+    return field if check is None else check.attach(field, mesh)
 
 
 def warn(message: str) -> None:

@@ -17,6 +17,8 @@ from sdm.inspect.report import inspect_mesh
 
 # A volume below this share of what the area could enclose is none.
 LEAST_VOLUME = 1e-9
+# Faces whose parts are found step by step.
+MOST_BY_STEPS = 20_000
 
 
 class MeshLook:
@@ -100,11 +102,24 @@ def _is_plain(mesh: TriangleMesh) -> bool:
         merged = first_at_position(vertices)[faces].astype(np.int32)
         around = pairing_of(torch.from_numpy(merged), len(vertices)).neighbours
     other = around.cpu().numpy()[:, :3] // 3
-    shared = other >= 0
-    part = label(np.repeat(np.arange(len(faces)), 3)[shared.reshape(-1)], other[shared], len(faces))
+    part = _parts(np.where(other < 0, np.arange(len(faces))[:, None], other))
     volume, area = _sizes(vertices[faces].astype(np.float64), part)
     least = LEAST_VOLUME * area**1.5
     return bool((volume > -least if edges.shape[0] else volume > least).all())
+
+
+def _parts(other: np.ndarray) -> np.ndarray:
+    """The number of the part of each face, given three faces (F,3) that it meets, itself where there is none."""
+    count = len(other)
+    if count > MOST_BY_STEPS:
+        return label(np.repeat(np.arange(count), 3), other.reshape(-1), count)
+    # Without SciPy, whose import takes longer: each takes the least number near it, and what that one has taken.
+    lowest, before = np.arange(count), None
+    while before is None or not np.array_equal(lowest, before):
+        before = lowest
+        lowest = np.minimum(before, before[other].min(1))
+        lowest = lowest[lowest]
+    return np.unique(lowest, return_inverse=True)[1].reshape(-1)
 
 
 def _sizes(corners: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

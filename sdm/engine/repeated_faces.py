@@ -1,0 +1,112 @@
+"""Triangles that a mesh has many times: measured once, and counted as often as they are there for the sign.
+
+A hierarchy cannot tell copies apart, so that each of n copies is looked at for every voxel. Where a few triangles come
+very often, one copy of each is left for distances. The generalised winding number is a sum over all triangles: that of
+the others, by their own structure, and of each repeated triangle its solid angle (van Oosterom and Strackee 1983) times
+its copies, those that face the other way subtracted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int32
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, AccelerationStructure, build
+from sdm.engine.ops import points_winding
+from sdm.inspect.duplicates import first_copies
+from sdm.inspect.positions import first_at_position
+from sdm.topology.boundary_edges import boundary_edges
+
+# Copies of a triangle that are worth it, and triangles with so many, whose solid angles are worked out one by one.
+FEWEST_COPIES, MOST_TRIANGLES = 64, 64
+# Boundary edges between two vertices, and faces a vertex, from which on it is worth a look.
+CROWDED = 32
+# Points at a time, for so many triangles.
+CHUNK = 1 << 14
+
+
+class RepeatedFaces:
+    """A mesh with triangles that it has many times.
+
+    Args:
+        distinct: The mesh with one copy of each of these.
+        kept: (F',) the mesh's own number of each face of `distinct`: of copies the smallest.
+        others: The mesh without them, and its structure; None if nothing is left.
+        corners: (H,3,3) float64, one copy of each.
+        copies: (H,) float64, how often each is there, less how often the other way round.
+    """
+
+    def __init__(
+        self,
+        distinct: TriangleMesh,
+        kept: Int32[Tensor, " F"],
+        others: tuple[TriangleMesh, AccelerationStructure] | None,
+        corners: Tensor,
+        copies: Tensor,
+    ) -> None:
+        self.distinct = distinct
+        self._kept, self._others, self._corners, self._copies = kept, others, corners, copies
+
+    def faces(self, found: Int32[Tensor, "*n"]) -> Int32[Tensor, "*n"]:
+        """The mesh's own numbers of faces of `distinct`; -1 stays -1."""
+        return torch.where(found < 0, found, self._kept[found.clamp(min=0).long()])
+
+    def winding(self, points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
+        """Generalised winding number of the whole mesh about points (N,3)."""
+        total = torch.cat([self._repeated(some) for some in points.double().split(CHUNK)])
+        if self._others is not None:
+            mesh, structure = self._others
+            total += points_winding(mesh.vertices.detach(), mesh.faces, points.contiguous(), structure)
+        return total.float()
+
+    def signed(self, values: Float32[Tensor, " n"], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
+        """Distances from `distinct` at points (N,3), with the sign of the whole mesh."""
+        return torch.where(self.winding(points.detach()) > 0.5, -values.abs(), values.abs())
+
+    def signed_slab(self, values: Float32[Tensor, "1 n ny nz"], grid: Grid, begin: int) -> tuple[Tensor, Tensor]:
+        """Layers of a map from `begin` on with the sign of the whole mesh, and how many voxels are ambiguous (1,)."""
+        number = torch.cat(
+            [
+                self.winding(grid.points(layer, layer + 1).reshape(-1, 3).to(values.device))
+                for layer in range(begin, begin + values.shape[1])
+            ]
+        ).reshape(values.shape)
+        ambiguous = ((number - 0.5).abs() < 0.25).sum(dtype=torch.int32).reshape(1)
+        return torch.where(number > 0.5, -values.abs(), values.abs()), ambiguous
+
+    def _repeated(self, points: Tensor) -> Tensor:
+        a, b, c = (self._corners[None] - points[:, None, None]).unbind(2)
+        la, lb, lc = a.norm(dim=2), b.norm(dim=2), c.norm(dim=2)
+        volume = (a * torch.linalg.cross(b, c)).sum(2)
+        below = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
+        return torch.atan2(volume, below) @ self._copies / (2 * math.pi)
+
+
+def repeated_faces(mesh: TriangleMesh) -> RepeatedFaces | None:
+    """The triangles that a mesh on the host has many times; None if there are none, or too many different ones."""
+    vertices, faces = mesh.numpy()
+    first, same_side = first_copies(first_at_position(vertices)[faces.astype(np.int64)], len(vertices))
+    heavy = np.bincount(first, minlength=len(faces)) >= FEWEST_COPIES
+    names = np.flatnonzero(heavy)
+    if not 0 < len(names) <= MOST_TRIANGLES:
+        return None
+    rest = ~heavy[first]
+    others = None
+    if rest.any():
+        left = TriangleMesh(mesh.vertices, mesh.faces[torch.from_numpy(rest)], mesh.name, check=False)
+        border = boundary_edges(left.vertices, left.faces)
+        # Winding numbers of more are right about a half alone, and here something is added to them.
+        if border.shape[0] > MOST_BOUNDARY_EDGES:
+            return None
+        others = left, build(left.vertices.detach()[None], left.faces, border)
+    kept = torch.from_numpy(np.flatnonzero(rest | heavy).astype(np.int32))
+    distinct = TriangleMesh(mesh.vertices, mesh.faces[kept.long()], mesh.name, check=False)
+    copies = np.bincount(first, np.where(same_side, 1.0, -1.0), minlength=len(faces))[names]
+    corners = torch.from_numpy(vertices[faces[names]].astype(np.float64))
+    return RepeatedFaces(distinct, kept, others, corners, torch.from_numpy(copies))
