@@ -165,14 +165,14 @@ def agree(mine: Witness, lane: int):
 
 @wp.func
 def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness):
-    """A witness into `lists.witnesses` or `lists.nearest`."""
+    """Write witness `number` of rows of four."""
     u = known.to_surface
     write4(rows, number, u[0], u[1], u[2], known.distance2)
 
 
 @wp.func
 def read_witness(rows: wp.array(dtype=wp.float32), number: int):
-    """A witness that was written before: of `lists.witnesses` or `lists.nearest`."""
+    """Witness `number` of rows of four, written before."""
     row = load4(rows, number)
     known = Witness()
     known.to_surface = wp.vec3(row[0], row[1], row[2])

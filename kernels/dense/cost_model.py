@@ -10,8 +10,9 @@ import math
 from collections.abc import Sequence
 
 from sdm.kernels.bvh.tree import LARGEST_LEAF
-from sdm.kernels.dense.stage4_blocks import CELL_BITS
-from sdm.kernels.dense.workspace import BLOCK, CHUNK
+from sdm.kernels.dense.block_schedule import CELL_BITS
+from sdm.kernels.dense.chunk_pool import CHUNK
+from sdm.kernels.dense.region_grid import BLOCK
 from sdm.kernels.primitives.lanes import GPU_LANES
 
 # Entries of the pool of lists: 64 MiB on a CPU, 128 MiB to 6 GiB on a GPU, of which they take at most a 16th.

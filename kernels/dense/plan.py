@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.cost_model import (
     MOST_REGIONS,
     NO_SLICES,
@@ -21,7 +22,6 @@ from sdm.kernels.dense.cost_model import (
     slice_for,
     uneven_room,
 )
-from sdm.kernels.dense.workspace import CHUNK
 from sdm.kernels.plan_options import PlanOptions
 
 

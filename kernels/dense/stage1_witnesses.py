@@ -13,8 +13,9 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
 from sdm.kernels.bvh.triangle_frames import load_frame, see
 from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_witness, remember, write_witness
-from sdm.kernels.dense.cell_cache import note_place
-from sdm.kernels.dense.workspace import NEXT_WITNESS, Lists, cell_start, make_cell, region_start
+from sdm.kernels.dense.cell_cache import CellCache, store_box
+from sdm.kernels.dense.counters import NEXT_WITNESS
+from sdm.kernels.dense.region_grid import RegionGrid, cell_start, make_cell, region_start
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
@@ -91,12 +92,21 @@ def nearer_of_leaves(
 
 
 @wp.kernel
-def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=wp.float32), slab: Slab, lists: Lists):
+def _find_witnesses(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    slab: Slab,
+    grid: RegionGrid,
+    counters: wp.array(dtype=wp.int32),
+    cache: CellCache,
+):
     lane = (begin + wp.tid()) % lanes
-    item = fetch_add_once(lists.counts, NEXT_WITNESS, 1, lane)
-    while item < lists.count:
-        mesh, start = region_start(lists, item)
-        region = make_cell(tree, slab, mesh, start, 2 * lists.cell)
+    item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
+    while item < grid.count:
+        mesh, start = region_start(grid, item)
+        region = make_cell(tree, slab, mesh, start, 2 * grid.cell)
         known = no_witness()
         reach = float(0.0)
         probe = lane
@@ -106,24 +116,37 @@ def _find_witnesses(begin: int, lanes: int, tree: Tree, frames: wp.array(dtype=w
             reach = wp.sqrt(known.distance2)
             probe = probe + lanes
         if lane == 0:
-            write_witness(lists.witnesses, item, known)
+            write_witness(cache.witnesses, item, known)
         # Each cell begins with its region's, and one lane looks for a nearer one.
         octant = lane
         while octant < 8:
             number = 8 * item + octant
-            _mesh, first = cell_start(lists, number)
-            cell = make_cell(tree, slab, mesh, first, lists.cell)
-            note_place(lists, number, mesh, first, cell)
+            _mesh, first = cell_start(grid, number)
+            cell = make_cell(tree, slab, mesh, first, grid.cell)
+            store_box(cache, number, mesh, first, cell)
             if is_within(slab, first):
                 centre = cell.centre
                 mine = moved(known, centre - region.centre)
                 write_witness(
-                    lists.witnesses, lists.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
+                    cache.witnesses, grid.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
                 )
             octant = octant + lanes
-        item = fetch_add_once(lists.counts, NEXT_WITNESS, 1, lane)
+        item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
 
 
-def find_witnesses(tree: Tree, frames: wp.array, slab: Slab, lists: Lists, workers: int, lanes: int) -> None:
-    """Fill `lists.witnesses` for the regions and cells of one pass, `workers` groups of lanes at work."""
-    launch(_find_witnesses, workers * lanes, [lanes, tree, frames, slab, lists], frames.device, smallest=1)
+def find_witnesses(
+    tree: Tree,
+    frames: wp.array,
+    slab: Slab,
+    grid: RegionGrid,
+    counters: wp.array,
+    cache: CellCache,
+    workers: int,
+    lanes: int,
+) -> None:
+    """Write the cache of one pass: witnesses of its regions and cells, and the boxes of its cells.
+
+    `workers` groups of lanes are at work.
+    """
+    inputs = [lanes, tree, frames, slab, grid, counters, cache]
+    launch(_find_witnesses, workers * lanes, inputs, frames.device, smallest=1)

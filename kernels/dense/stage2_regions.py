@@ -11,8 +11,11 @@ from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
 from sdm.kernels.culling.leaf_filter import node_matters, push
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness
+from sdm.kernels.dense.cell_cache import CellCache
+from sdm.kernels.dense.chunk_pool import CandidateLists, Chain, ChunkPool, append
+from sdm.kernels.dense.counters import NEXT_REGION
+from sdm.kernels.dense.region_grid import RegionGrid, make_cell, region_start
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
-from sdm.kernels.dense.workspace import NEXT_REGION, Chain, Lists, append, make_cell, region_start
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
@@ -36,7 +39,10 @@ def _list_regions(
     frames: wp.array(dtype=wp.float32),
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
     stacks: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
@@ -45,21 +51,21 @@ def _list_regions(
     leaves = 1 << tree.depth
     # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
     # parents' tests would drop, their own do too. Either lie side by side in memory.
-    fan = wp.where(lists.region_shares > MOST_WITH_GRANDCHILDREN, 2, 4)
-    item = fetch_add_once(lists.counts, NEXT_REGION, 1, lane)
-    while item < lists.count * lists.region_shares:
-        region = item / lists.region_shares
-        mesh, start = region_start(lists, region)
+    fan = wp.where(regions.shares > MOST_WITH_GRANDCHILDREN, 2, 4)
+    item = fetch_add_once(pool.counters, NEXT_REGION, 1, lane)
+    while item < grid.count * regions.shares:
+        region = item / regions.shares
+        mesh, start = region_start(grid, region)
         base = nodes_of(tree, mesh)
-        cell = make_cell(tree, slab, mesh, start, 2 * lists.cell)
+        cell = make_cell(tree, slab, mesh, start, 2 * grid.cell)
         radius = wp.sqrt(cell.half2)
-        known = read_witness(lists.witnesses, region)
+        known = read_witness(cache.witnesses, region)
         chain = Chain()
         chain.chunk = item
         # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
-        top = wp.min(lanes * lists.region_shares, leaves)
-        first = top * (item % lists.region_shares) / lists.region_shares
-        waiting = top * (item % lists.region_shares + 1) / lists.region_shares - first
+        top = wp.min(lanes * regions.shares, leaves)
+        first = top * (item % regions.shares) / regions.shares
+        waiting = top * (item % regions.shares + 1) / regions.shares - first
         ripe = int(0)
         if lane < waiting:
             if top < leaves:
@@ -70,7 +76,7 @@ def _list_regions(
             ripe = waiting
             waiting = int(0)
         wait_for_lanes()
-        while waiting + ripe > 0 and chain.chunk < lists.chunks:
+        while waiting + ripe > 0 and chain.chunk < pool.chunks:
             # Inner nodes are taken until the leaves that were found fill all lanes.
             if waiting > 0 and ripe < lanes:
                 taken = wp.min(wp.max(lanes / fan, 1), waiting)
@@ -108,12 +114,12 @@ def _list_regions(
                     leaf = stack[STACK - 1 - ripe - lane] - leaves
                     low, high = node_box(tree, base + leaves + leaf)
                 known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
-                chain = append(lists, chain, leaf >= 0, leaf, lane)
+                chain = append(pool, chain, leaf >= 0, leaf, lane)
             wait_for_lanes()
         if lane == 0:
-            lists.region_heads[item] = wp.where(chain.chunk < lists.chunks, item, -1)
-            lists.region_lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, NEXT_REGION, 1, lane)
+            regions.heads[item] = wp.where(chain.chunk < pool.chunks, item, -1)
+            regions.lengths[item] = chain.length
+        item = fetch_add_once(pool.counters, NEXT_REGION, 1, lane)
 
 
 def list_regions(
@@ -121,10 +127,17 @@ def list_regions(
     frames: wp.array,
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
     stacks: wp.array,
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill the regions' lists of one pass, `workers` groups of lanes at work; `stacks` is scratch."""
-    launch(_list_regions, workers * lanes, [lanes, tree, frames, cones, slab, lists, stacks], frames.device, smallest=1)
+    """Write the regions' lists of one pass, into the pool, by the regions' witnesses in the cache.
+
+    `workers` groups of lanes are at work; `stacks` is scratch, see `shared_stacks`.
+    """
+    inputs = [lanes, tree, frames, cones, slab, grid, cache, pool, regions, stacks]
+    launch(_list_regions, workers * lanes, inputs, frames.device, smallest=1)

@@ -12,12 +12,11 @@ from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
 from sdm.kernels.culling.leaf_filter import box_matters
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness, write_witness
-from sdm.kernels.dense.cell_cache import noted_place
-from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
-from sdm.kernels.dense.workspace import (
-    NEXT_CELL,
+from sdm.kernels.dense.cell_cache import CellCache, cached_box
+from sdm.kernels.dense.chunk_pool import (
+    CandidateLists,
     Chain,
-    Lists,
+    ChunkPool,
     Reader,
     append,
     list_length,
@@ -25,6 +24,9 @@ from sdm.kernels.dense.workspace import (
     read_on,
     start_reading,
 )
+from sdm.kernels.dense.counters import NEXT_CELL
+from sdm.kernels.dense.region_grid import RegionGrid
+from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
@@ -44,36 +46,41 @@ def _list_cells(
     frames: wp.array(dtype=wp.float32),
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
+    cells: CandidateLists,
+    share_witnesses: wp.array(dtype=wp.float32),
 ):
     lane = (begin + wp.tid()) % lanes
     leaves = 1 << tree.depth
-    item = fetch_add_once(lists.counts, NEXT_CELL, 1, lane)
-    while item < 8 * lists.count * lists.shares:
-        number = item / lists.shares
-        place = noted_place(lists, number)
+    item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
+    while item < 8 * grid.count * cells.shares:
+        number = item / cells.shares
+        place = cached_box(cache, number)
         # The chains of its region that are this share's.
-        chains = lists.region_shares / lists.shares
-        first = (number / 8) * lists.region_shares + (item % lists.shares) * chains
+        chains = regions.shares / cells.shares
+        first = (number / 8) * regions.shares + (item % cells.shares) * chains
         if is_within(slab, place.start):
             mesh = place.mesh
             base = nodes_of(tree, mesh)
             cell = place.box
             radius = wp.sqrt(cell.half2)
-            known = read_witness(lists.witnesses, lists.count + number)
+            known = read_witness(cache.witnesses, grid.count + number)
             chain = Chain()
-            chain.chunk = lists.chunks
-            head = lists.count * lists.region_shares + item
+            chain.chunk = pool.chunks
+            head = grid.count * regions.shares + item
             reader = Reader()
-            if list_length(lists.region_heads, lists.region_lengths, first, chains) >= 0:
-                reader = start_reading(lists.region_heads, lists.region_lengths, first, chains)
+            if list_length(regions, first, chains) >= 0:
+                reader = start_reading(regions, first, chains)
                 chain.chunk = head
             # Each batch is read while the one before is tested.
-            upcoming = read_entry(lists, reader, lane)
-            while reader.left > 0 and chain.chunk < lists.chunks:
+            upcoming = read_entry(pool, reader, lane)
+            while reader.left > 0 and chain.chunk < pool.chunks:
                 leaf = upcoming
-                reader = read_on(lists, lists.region_heads, lists.region_lengths, reader, lanes)
-                upcoming = read_entry(lists, reader, lane)
+                reader = read_on(pool, regions, reader, lanes)
+                upcoming = read_entry(pool, reader, lane)
                 # Read once, for both that follows.
                 low = wp.vec3()
                 high = wp.vec3()
@@ -83,12 +90,12 @@ def _list_cells(
                 keep = False
                 if leaf >= 0:
                     keep = box_matters(cell, radius, known, tree, cones, base, leaves + leaf, low, high)
-                chain = append(lists, chain, keep, leaf, lane)
+                chain = append(pool, chain, keep, leaf, lane)
             if lane == 0:
-                write_witness(lists.nearest, item, known)
-                lists.heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
-                lists.lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, NEXT_CELL, 1, lane)
+                write_witness(share_witnesses, item, known)
+                cells.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
+                cells.lengths[item] = chain.length
+        item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
 
 
 def list_cells(
@@ -96,9 +103,19 @@ def list_cells(
     frames: wp.array,
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
+    cells: CandidateLists,
+    share_witnesses: wp.array,
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill the cells' lists and `nearest` of one pass from their regions' lists, with `workers` groups of lanes."""
-    launch(_list_cells, workers * lanes, [lanes, tree, frames, cones, slab, lists], frames.device, smallest=1)
+    """Write the cells' lists of one pass, into the pool, from their regions' lists and by the witnesses in the cache.
+
+    And `share_witnesses` (8 * regions * shares * 4), the witness that each share of a cell's list leads to. `workers`
+    groups of lanes are at work.
+    """
+    inputs = [lanes, tree, frames, cones, slab, grid, cache, pool, regions, cells, share_witnesses]
+    launch(_list_cells, workers * lanes, inputs, frames.device, smallest=1)

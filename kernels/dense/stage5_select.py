@@ -26,23 +26,21 @@ from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features, features_that_matter
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
 from sdm.kernels.dense.block.voxels import Block
-from sdm.kernels.dense.cell_cache import brick_number, noted_half2, noted_place
-from sdm.kernels.dense.stage4_blocks import cell_of, nearest_in_list, slice_of, slices_of, whole_block, whole_blocks
-from sdm.kernels.dense.workspace import (
-    COARSE,
-    NEXT_CHUNK,
-    NEXT_LIST,
+from sdm.kernels.dense.block_schedule import BlockSchedule, cell_of, slice_of, slices_of, whole_block, whole_blocks
+from sdm.kernels.dense.cell_cache import CellCache, cached_box, cached_half2
+from sdm.kernels.dense.chunk_pool import (
+    CandidateLists,
     Chain,
-    Lists,
+    ChunkPool,
     append,
-    brick_start,
-    is_coarse,
     list_length,
-    make_cell,
     read_entry,
     read_on,
     start_reading,
 )
+from sdm.kernels.dense.counters import COARSE, NEXT_CHUNK, NEXT_LIST
+from sdm.kernels.dense.region_grid import RegionGrid, brick_number, brick_start, is_coarse, make_cell
+from sdm.kernels.dense.stage4_blocks import nearest_in_list
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab, index_of
 from sdm.kernels.launch import launch
@@ -71,27 +69,36 @@ def floor_of(known: Witness, half2: float):
 
 
 @wp.func
-def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, eighth: int):
+def block_of(
+    tree: Tree,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    item: int,
+    bricks: int,
+    eighth: int,
+):
     """Block `item`, and its cell's number. The first `bricks` items are bricks of coarse cells.
 
     If `eighth` is not negative: that brick of a cell which is measured brick by brick from one list.
     """
     code = int(0)
     if item < bricks:
-        code = lists.coarse[item / 8]
+        code = schedule.coarse[item / 8]
     else:
-        code = whole_block(lists, item - bricks)
+        code = whole_block(schedule, item - bricks)
     number = cell_of(code)
-    size = int(lists.cell)
+    size = int(grid.cell)
     box = int(number)
     brick = wp.where(item < bricks, item % 8, eighth)
     if brick >= 0:
         size = size / 2
-        box = brick_number(lists, number, brick)
-    place = noted_place(lists, wp.where(item < bricks, number, box))
+        box = brick_number(grid, number, brick)
+    place = cached_box(cache, wp.where(item < bricks, number, box))
     if item < bricks:
         # These are few, and not noted.
-        place.start = brick_start(lists, place.start, brick)
+        place.start = brick_start(grid, place.start, brick)
         place.box = make_cell(tree, slab, place.mesh, place.start, size)
     block = Block()
     block.mesh = place.mesh
@@ -101,10 +108,10 @@ def block_of(tree: Tree, slab: Slab, lists: Lists, item: int, bricks: int, eight
     block.slices = slices_of(code)
     block.unscale = float(tree.frame[block.mesh * FRAME_SIZE + UNSCALE])
     block.box = place.box
-    block.known = read_witness(lists.witnesses, lists.count + box)
+    block.known = read_witness(cache.witnesses, grid.count + box)
     # A brick whose witness is its cell's has its floor from there.
     if eighth >= 0:
-        block.floor = floor_of(read_witness(lists.witnesses, lists.count + number), noted_half2(lists, number))
+        block.floor = floor_of(read_witness(cache.witnesses, grid.count + number), cached_half2(cache, number))
     else:
         block.floor = floor_of(block.known, block.box.half2)
     block.index = index_of(slab, block.mesh, block.start)
@@ -116,7 +123,10 @@ def find_brick_witness(
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     features: Features,
-    lists: Lists,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
+    cache: CellCache,
     item: int,
     number: int,
     block: Block,
@@ -128,9 +138,9 @@ def find_brick_witness(
     Of several slices each finds the same.
     """
     centre = block.box.centre
-    known = nearest_in_list(tree, frames, features, lists, number, block.mesh, centre, block.known, lane, lanes)
+    known = nearest_in_list(tree, frames, features, pool, cells, number, block.mesh, centre, block.known, lane, lanes)
     if lane == 0:
-        write_witness(lists.witnesses, lists.count + brick_number(lists, number, item % 8), known)
+        write_witness(cache.witnesses, grid.count + brick_number(grid, number, item % 8), known)
     return known
 
 
@@ -139,7 +149,9 @@ def select_for(
     tree: Tree,
     features: Features,
     cones: Cones,
-    lists: Lists,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
     number: int,
     block: Block,
     stack: wp.array(dtype=wp.int32),
@@ -149,21 +161,21 @@ def select_for(
 ):
     """Add the features that matter to a block of the cell `number` to a chain, which is returned."""
     leaves = 1 << tree.depth
-    reader = start_reading(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+    reader = start_reading(cells, number * cells.shares, cells.shares)
     # Each batch is read while the one before is tested.
-    upcoming = read_entry(lists, reader, lane)
+    upcoming = read_entry(pool, reader, lane)
     batch = int(0)
     waiting = int(0)
     ripe = int(0)
     found = int(0)
-    while reader.left + waiting + ripe + found > 0 and chain.chunk < lists.chunks:
+    while reader.left + waiting + ripe + found > 0 and chain.chunk < pool.chunks:
         if found >= lanes or reader.left + waiting + ripe == 0:
             taken = wp.min(lanes, found)
             found = found - taken
             feature = int(0)
             if lane < taken:
                 feature = stack[FEATURE_STACK + found + lane]
-            chain = append(lists, chain, lane < taken, feature, lane)
+            chain = append(pool, chain, lane < taken, feature, lane)
         elif ripe >= lanes or reader.left + waiting == 0:
             taken = wp.min(lanes, ripe)
             ripe = ripe - taken
@@ -185,12 +197,12 @@ def select_for(
             ripe = ripe + push(stack, NEAR_STACK + ripe, keep, slot, lane)
         else:
             leaf = upcoming
-            reader = read_on(lists, lists.heads, lists.lengths, reader, lanes)
-            upcoming = read_entry(lists, reader, lane)
+            reader = read_on(pool, cells, reader, lanes)
+            upcoming = read_entry(pool, reader, lane)
             keep = leaf >= 0 and batch % block.slices == block.slice
             if keep:
                 base = nodes_of(tree, block.mesh)
-                if (1 << block.bits) < lists.cell:
+                if (1 << block.bits) < grid.cell:
                     radius = about_root(block.box.half2)
                     keep = node_matters(block.box, radius, block.known, tree, cones, base, leaves + leaf)
                 else:
@@ -214,32 +226,41 @@ def _select_features(
     features: Features,
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    blocks: CandidateLists,
     stacks: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    bricks = 8 * lists.counts[COARSE]
-    total = bricks + whole_blocks(lists)
+    bricks = 8 * schedule.counters[COARSE]
+    total = bricks + whole_blocks(schedule)
     stack = stack_of(stacks, thread / lanes)
-    item = fetch_add_once(lists.counts, NEXT_LIST, 1, lane)
+    item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
     while item < total:
-        block, number = block_of(tree, slab, lists, item, bricks, -1)
+        block, number = block_of(tree, slab, grid, cache, schedule, item, bricks, -1)
         head = int(-1)
         chain = Chain()
-        chain.chunk = lists.chunks
-        length = list_length(lists.heads, lists.lengths, number * lists.shares, lists.shares)
+        chain.chunk = pool.chunks
+        length = list_length(cells, number * cells.shares, cells.shares)
         if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
             if not is_coarse(block.box):
                 if item < bricks:
-                    block.known = find_brick_witness(tree, frames, features, lists, item, number, block, lane, lanes)
-                head = lists.given + fetch_add_once(lists.counts, NEXT_CHUNK, 1, lane)
+                    block.known = find_brick_witness(
+                        tree, frames, features, grid, pool, cells, cache, item, number, block, lane, lanes
+                    )
+                head = pool.reserved + fetch_add_once(pool.counters, NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
                     tree,
                     features,
                     cones,
-                    lists,
+                    grid,
+                    pool,
+                    cells,
                     number,
                     block,
                     stack,
@@ -248,12 +269,12 @@ def _select_features(
                     lanes,
                 )
         if lane == 0:
-            if chain.chunk >= lists.chunks and block.slices > 1 and is_within(slab, block.start):
+            if chain.chunk >= pool.chunks and block.slices > 1 and is_within(slab, block.start):
                 # What the other slices come to is not all.
-                lists.lacking[number] = 1
-            lists.feature_heads[item] = wp.where(chain.chunk < lists.chunks, head, -1)
-            lists.feature_lengths[item] = chain.length
-        item = fetch_add_once(lists.counts, NEXT_LIST, 1, lane)
+                schedule.lacking[number] = 1
+            blocks.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
+            blocks.lengths[item] = chain.length
+        item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
 
 
 def select_features(
@@ -262,14 +283,20 @@ def select_features(
     features: Features,
     cones: Cones,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    blocks: CandidateLists,
     stacks: wp.array,
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill the blocks' lists of features of one pass, `workers` groups of lanes at work.
+    """Write the blocks' lists of one pass, into the pool, from the cells' lists and in the order of the schedule.
 
-    `stacks` is scratch, see `shared_stacks`.
+    And the witnesses of bricks of coarse cells, and which sliced cells lack room. `workers` groups of lanes are at
+    work; `stacks` is scratch, see `shared_stacks`.
     """
-    inputs = [lanes, tree, frames, features, cones, slab, lists, stacks]
-    launch(_select_features, workers * lanes, inputs, lists.pool.device, smallest=1)
+    inputs = [lanes, tree, frames, features, cones, slab, grid, pool, cells, cache, schedule, blocks, stacks]
+    launch(_select_features, workers * lanes, inputs, frames.device, smallest=1)

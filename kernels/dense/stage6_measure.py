@@ -27,9 +27,12 @@ from sdm.kernels.dense.block.min_values import clear_values, measure_item
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of, octants_there
 from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, rows_of
 from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
-from sdm.kernels.dense.stage4_blocks import whole_blocks
+from sdm.kernels.dense.block_schedule import BlockSchedule, whole_blocks
+from sdm.kernels.dense.cell_cache import CellCache
+from sdm.kernels.dense.chunk_pool import CandidateLists, ChunkPool, Reader, read_entry, read_on, start_reading
+from sdm.kernels.dense.counters import COARSE, NEXT_BLOCK
+from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.dense.stage5_select import block_of
-from sdm.kernels.dense.workspace import BLOCK, COARSE, NEXT_BLOCK, Lists, Reader, read_entry, read_on, start_reading
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import launch
@@ -89,7 +92,8 @@ def measure_block(
     tree: Tree,
     features: Features,
     slab: Slab,
-    lists: Lists,
+    pool: ChunkPool,
+    blocks: CandidateLists,
     item: int,
     rows: wp.uint64,
     stack: wp.array(dtype=wp.int32),
@@ -106,18 +110,18 @@ def measure_block(
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
     reader = Reader()
-    if lists.feature_heads[item] >= 0:
-        reader = start_reading(lists.feature_heads, lists.feature_lengths, item, 1)
+    if blocks.heads[item] >= 0:
+        reader = start_reading(blocks, item, 1)
     # Each batch is read while the one before is worked out.
-    upcoming = read_entry(lists, reader, lane)
+    upcoming = read_entry(pool, reader, lane)
     corners = int(0)
     edges = int(0)
     faces = int(0)
     while reader.left + corners + edges + faces > 0:
         if reader.left > 0 and corners < lanes and edges < lanes and faces < lanes:
             feature = upcoming
-            reader = read_on(lists, lists.feature_heads, lists.feature_lengths, reader, lanes)
-            upcoming = read_entry(lists, reader, lane)
+            reader = read_on(pool, blocks, reader, lanes)
+            upcoming = read_entry(pool, reader, lane)
             which = feature & 7
             code = 4 * (feature >> 3)
             corners = corners + push(stack, CORNERS + corners, feature >= 0 and which < 3, code + which, lane)
@@ -158,7 +162,11 @@ def _measure_blocks(
     tree: Tree,
     features: Features,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
     rows: wp.array(dtype=wp.float32),
     stacks: wp.array(dtype=wp.int32),
     out: Output,
@@ -166,40 +174,44 @@ def _measure_blocks(
     thread = begin + wp.tid()
     lane = thread % lanes
     worker = thread / lanes
-    bricks = 8 * lists.counts[COARSE]
+    bricks = 8 * schedule.counters[COARSE]
     # Cells of more voxels than a block are measured brick by brick.
-    times = wp.where(lists.cell > BLOCK, 8, 1)
-    total = bricks + times * whole_blocks(lists)
-    item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
+    times = wp.where(grid.cell > BLOCK, 8, 1)
+    total = bricks + times * whole_blocks(schedule)
+    item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
     while item < total:
         listed = int(item)
         eighth = int(-1)
         if item >= bricks and times > 1:
             listed = bricks + (item - bricks) / 8
             eighth = (item - bricks) % 8
-        block, _number = block_of(tree, slab, lists, listed, bricks, eighth)
+        block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         if is_within(slab, block.start):
             noted = rows_of(rows, worker)
             stack = small_stack_of(stacks, worker)
-            measure_block(tree, features, slab, lists, listed, noted, stack, out, block, lane, lanes)
-        item = fetch_add_once(lists.counts, NEXT_BLOCK, 1, lane)
+            measure_block(tree, features, slab, pool, blocks, listed, noted, stack, out, block, lane, lanes)
+        item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 
 def measure_blocks(
     tree: Tree,
     features: Features,
     slab: Slab,
-    lists: Lists,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
     rows: wp.array,
     stacks: wp.array,
     out: Output,
     workers: int,
     lanes: int,
 ) -> None:
-    """Distances of every voxel of one pass, block by block, with `workers` groups of lanes.
+    """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes.
 
-    `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with their sign, and
-    are counted in `out.missed`.
+    All else is read; `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with
+    their sign, and are counted in `out.missed`.
     """
-    inputs = [lanes, tree, features, slab, lists, rows, stacks, out]
+    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, rows, stacks, out]
     launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.dense.cell_cache import noted_start
-from sdm.kernels.dense.workspace import BLOCK, SLICED, Lists
+from sdm.kernels.dense.block_schedule import BlockSchedule
+from sdm.kernels.dense.cell_cache import CellCache, cached_start
+from sdm.kernels.dense.counters import SLICED
+from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
 from sdm.kernels.launch import launch
@@ -23,29 +25,31 @@ SLICED_BLOCKS = 16
 
 
 @wp.func
-def sliced_voxels(lists: Lists):
+def sliced_voxels(grid: RegionGrid, schedule: BlockSchedule):
     """Number of voxels in cells whose lists are cut into several slices."""
-    return lists.cell * lists.cell * lists.cell * lists.counts[SLICED]
+    return grid.cell * grid.cell * grid.cell * schedule.counters[SLICED]
 
 
 @wp.func
-def sliced_voxel(slab: Slab, lists: Lists, number: int):
+def sliced_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, number: int):
     """The mesh, the cell and the index of one of them; -1 if it is beyond the slab."""
     # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
-    bits = wp.where(lists.cell == BLOCK, 3, 4)
-    last = lists.cell - 1
-    cell = lists.sliced[number >> (3 * bits)]
-    mesh, start = noted_start(lists, cell)
+    bits = wp.where(grid.cell == BLOCK, 3, 4)
+    last = grid.cell - 1
+    cell = schedule.sliced[number >> (3 * bits)]
+    mesh, start = cached_start(cache, cell)
     at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
     return mesh, cell, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
 
 
 @wp.kernel
-def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+def _begin_sliced(
+    begin: int, threads: int, slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output
+):
     """Begin with a distance for several slices to lessen: an infinite one, with its sign."""
     number = begin + wp.tid()
-    while number < sliced_voxels(lists):
-        mesh, _cell, index = sliced_voxel(slab, lists, number)
+    while number < sliced_voxels(grid, schedule):
+        mesh, _cell, index = sliced_voxel(slab, grid, cache, schedule, number)
         if index >= 0:
             winding = out.values[index]
             out.values[index] = with_sign(float(wp.inf), winding)
@@ -55,14 +59,16 @@ def _begin_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Outpu
 
 
 @wp.kernel
-def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output):
+def _end_sliced(
+    begin: int, threads: int, slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output
+):
     """End with the distances that the slices came to, which are known after the last of them."""
     number = begin + wp.tid()
-    while number < sliced_voxels(lists):
-        _mesh, cell, index = sliced_voxel(slab, lists, number)
+    while number < sliced_voxels(grid, schedule):
+        _mesh, cell, index = sliced_voxel(slab, grid, cache, schedule, number)
         if index >= 0:
             distance = out.values[index]
-            if lists.lacking[cell] != 0:
+            if schedule.lacking[cell] != 0:
                 distance = wp.where(distance < 0.0, -float(wp.inf), float(wp.inf))
             put_distance(distances_at(out), index, distance)
             if not wp.abs(distance) < float(wp.inf):
@@ -70,11 +76,15 @@ def _end_sliced(begin: int, threads: int, slab: Slab, lists: Lists, out: Output)
         number = number + threads
 
 
-def begin_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
+def begin_sliced(
+    slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output, threads: int
+) -> None:
     """Before `measure_blocks`: infinite distances with their signs in cells whose lists are cut into several slices."""
-    launch(_begin_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
+    launch(_begin_sliced, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)
 
 
-def end_sliced(slab: Slab, lists: Lists, out: Output, threads: int) -> None:
+def end_sliced(
+    slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output, threads: int
+) -> None:
     """After `measure_blocks`: write what several slices came to where distances go, and count what was missed there."""
-    launch(_end_sliced, threads, [threads, slab, lists, out], out.values.device, smallest=1)
+    launch(_end_sliced, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)

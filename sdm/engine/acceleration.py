@@ -17,10 +17,11 @@ from sdm.errors import MeshError
 from sdm.kernels.bvh import tree, triangle_frames
 from sdm.kernels.bvh.build import build_tree
 from sdm.kernels.culling import normal_cones, voronoi_features
+from sdm.kernels.launch import set_array
 from sdm.kernels.winding import dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import Join, kernels_beside
-from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, set_array, workspace
+from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops
 from sdm.topology.face_pairing import pairing_of
 

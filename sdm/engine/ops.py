@@ -240,24 +240,24 @@ def _query_slices(
     turned = direction != gradients.IDENTITY
     with on_current_stream(values, structure.memory[0]) as warp_device:
         tree, winding, frames, features, cones = structure.view
+        surface = dense.Surface(tree, frames, features, cones)
 
         def measure(winding: Any, slices: Slices, values: Tensor) -> Tensor:
             ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
             slot = current_slot()
             work = Workload(structure.sizes.faces, tree.depth, meshes, slices.shape, slices.spacing, turned)
             dense.query_slab(
-                tree,
-                frames,
-                features,
-                cones,
+                surface,
                 winding,
                 _slab(origin, slices.spacing, slices.shape, slices.first, direction),
-                as_warp(values, wp.float32),
-                as_warp(ambiguous, wp.int32),
-                None if slot is None else as_warp(slot.bind(values), wp.int64),
+                dense.Target(
+                    as_warp(values, wp.float32),
+                    as_warp(ambiguous, wp.int32),
+                    None if slot is None else as_warp(slot.bind(values), wp.int64),
+                ),
+                make_plan(work, memory_of(warp_device.alias), options),
                 workspace(device),
                 partial(kernels_beside, values),
-                make_plan(work, memory_of(warp_device.alias), options),
             )
             return ambiguous
 

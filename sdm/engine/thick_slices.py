@@ -1,7 +1,7 @@
 """Maps of thick slices, on a CPU: of a grid with several times as many, of which each so many are kept.
 
 A cell of 8^3 voxels that is wide beside the mesh is rounded too much for its triangles to be told apart in float32
-(`sdm.kernels.dense.workspace.is_coarse`). It is then measured in bricks of 4^3, which takes longer, and if these are
+(`sdm.kernels.dense.region_grid.is_coarse`). It is then measured in bricks of 4^3, which takes longer, and if these are
 too wide as well, every voxel is searched, which takes ten times as long again. Clinical images are like that along one
 axis: twenty slices through an organ that is 200 voxels wide. On a grid whose spacing there is a half, a quarter, an
 eighth or a sixteenth the cells are narrow enough, and so much faster that most of their voxels may be thrown away.
@@ -23,7 +23,7 @@ from torch import Tensor
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE
 from sdm.kernels.dense.cost_model import THINNEST_SLAB, expected_list, search_is_faster
-from sdm.kernels.dense.workspace import BLOCK, COARSEST
+from sdm.kernels.dense.region_grid import BLOCK, COARSEST
 from sdm.kernels.plan_options import PlanOptions
 
 # What a voxel takes in a cell and in a brick with short lists, which take twice as long with so many triangles, and

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import sdm
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.dense.workspace import CHUNK
+from sdm.kernels.dense.chunk_pool import CHUNK
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, scale_of
 from tests.helpers.watch_measuring import entries_used, watching
@@ -63,7 +63,7 @@ def test_against_the_search(mesh, shape, seed, turned, room):
         expected = index.signed_distance_map(grid).values
     # A replayed recording would not be looked at.
     with plan_override(method="cells"), sdm.cuda_graphs.paused():
-        with watching(lambda lists: entries.append(entries_used(lists))):
+        with watching(lambda work: entries.append(entries_used(work))):
             plenty = index.signed_distance_map(grid).values
         with plan_override(pool_entries=max(CHUNK, int(room * max(entries)))):
             little = index.signed_distance_map(grid).values

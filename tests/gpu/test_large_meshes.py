@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.dense.workspace import SLICED
+from sdm.kernels.dense.counters import SLICED
 from tests.helpers.exactness import ROUNDING, assert_exact
 from tests.helpers.watch_measuring import watching
 
@@ -62,8 +62,9 @@ def test_slices_that_find_no_room():
         expected = index.signed_distance_map(grid).values
     lacking = []
 
-    def look(lists):
-        lacking.append(int(lists.lacking.numpy()[lists.sliced.numpy()[: lists.counts.numpy()[SLICED]]].sum()))
+    def look(work):
+        sliced = work.schedule.sliced.numpy()[: work.counters.numpy()[SLICED]]
+        lacking.append(int(work.schedule.lacking.numpy()[sliced].sum()))
 
     for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
         # A replayed recording would not be looked at.

@@ -9,23 +9,31 @@ from typing import Any
 import pytest
 
 from sdm.kernels.dense import query
-from sdm.kernels.dense.workspace import CHUNK, NEXT_CHUNK
+from sdm.kernels.dense.chunk_pool import CHUNK
+from sdm.kernels.dense.counters import NEXT_CHUNK
+from sdm.kernels.dense.workspace import Workspace
 
 
 @contextmanager
-def watching(look: Callable[[Any], None]) -> Iterator[None]:
-    """Call `look(lists)` in every pass, after stage 5 and before stage 6."""
-    measure = query.measure_blocks
+def watching(look: Callable[[Workspace], None]) -> Iterator[None]:
+    """Call `look(workspace)` in every pass, after stage 5 and before stage 6."""
+    make, measure = query.make_workspace, query.measure_blocks
+    made: list[Workspace] = []
+
+    def note(*inputs: Any) -> Workspace:
+        made[:] = [make(*inputs)]
+        return made[0]
 
     def spy(*inputs: Any) -> None:
-        look(inputs[3])
+        look(made[0])
         measure(*inputs)
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(query, "make_workspace", note)
         patch.setattr(query, "measure_blocks", spy)
         yield
 
 
-def entries_used(lists: Any) -> int:
+def entries_used(work: Workspace) -> int:
     """Entries of the pool that a pass has taken, or would have if there were as many."""
-    return int(CHUNK * (lists.given + lists.counts.numpy()[NEXT_CHUNK]))
+    return int(CHUNK * (work.pool.reserved + work.counters.numpy()[NEXT_CHUNK]))

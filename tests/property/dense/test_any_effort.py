@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import sdm
 from sdm.bench.common.meshes import sphere
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.dense.workspace import CHUNK
+from sdm.kernels.dense.chunk_pool import CHUNK
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
 from tests.helpers.watch_measuring import entries_used, watching
@@ -54,7 +54,7 @@ def test_against_the_brute_force(mesh, shape, seed, turned, effort, room):
     used_by_pass: list[int] = []
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     with plan_override(method="cells", **effort):
-        with watching(lambda lists: used_by_pass.append(entries_used(lists))):
+        with watching(lambda work: used_by_pass.append(entries_used(work))):
             plenty = index.signed_distance_map(grid).values
         with plan_override(pool_entries=max(CHUNK, int(room * max(used_by_pass)))):
             scarce = index.signed_distance_map(grid).values

@@ -16,8 +16,10 @@ import sdm
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.dense import cost_model
-from sdm.kernels.dense.stage4_blocks import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
-from sdm.kernels.dense.workspace import BLOCK, COARSE, LENGTHS, SLICED, WHOLE
+from sdm.kernels.dense.block_schedule import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
+from sdm.kernels.dense.counters import COARSE, LENGTHS, SLICED, WHOLE
+from sdm.kernels.dense.region_grid import BLOCK
+from sdm.kernels.dense.workspace import Workspace
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import shrink
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
@@ -70,21 +72,23 @@ def seen() -> Iterator[Seen]:
     """Only the fast path, and a look at its schedules."""
     found = Seen()
 
-    def look(lists: Any) -> None:
-        counts = lists.counts.numpy()
-        piles = lists.whole.numpy().reshape(LENGTHS, lists.slices)
+    def look(work: Workspace) -> None:
+        counts = work.counters.numpy()
+        piles = work.schedule.whole.numpy().reshape(LENGTHS, work.schedule.room)
         whole = decoded(np.concatenate([pile[:count] for pile, count in zip(piles, counts[WHOLE:], strict=True)]))
-        coarse = decoded(lists.coarse.numpy()[: counts[COARSE]])
+        coarse = decoded(work.schedule.coarse.numpy()[: counts[COARSE]])
         # Nothing is known of cells outside of the grid.
         scheduled = np.unique(np.concatenate([whole[:, 0], coarse[:, 0]]))
         found.whole.append(whole)
         found.coarse.append(coarse)
-        found.lengths.append(lists.lengths.numpy().reshape(-1, lists.shares)[scheduled])
-        found.without_room += int((lists.heads.numpy().reshape(-1, lists.shares)[scheduled] < 0).any(1).sum())
+        found.lengths.append(work.cells.lengths.numpy().reshape(-1, work.cells.shares)[scheduled])
+        found.without_room += int((work.cells.heads.numpy().reshape(-1, work.cells.shares)[scheduled] < 0).any(1).sum())
         # Of some cells only a part of the slices found none, so that what the others come to is not all.
-        found.sliced_without_room += int(lists.lacking.numpy()[lists.sliced.numpy()[: counts[SLICED]]].sum())
-        found.used += entries_used(lists)
-        found.count += lists.count
+        found.sliced_without_room += int(
+            work.schedule.lacking.numpy()[work.schedule.sliced.numpy()[: counts[SLICED]]].sum()
+        )
+        found.used += entries_used(work)
+        found.count += work.grid.count
 
     with plan_override(method="cells", slice_factors=(1,)), watching(look):
         yield found

@@ -9,9 +9,9 @@ import pytest
 
 from sdm.engine.plan_override import OPTIONS, plan_override
 from sdm.kernels.bvh.tree import depth_for
+from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SLICES
 from sdm.kernels.dense.plan import Plan, Workload, make_plan
-from sdm.kernels.dense.workspace import CHUNK
 from sdm.kernels.plan_options import PlanOptions
 
 USUAL = PlanOptions()

@@ -1,0 +1,100 @@
+"""Schedule of blocks: the cells of a pass, each as one block or as several with a slice of its candidate list each.
+
+Whole cells are kept by the length of their lists, so that those with long ones come first; coarse cells, which are
+measured brick by brick, apart from them.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.dense.counters import COARSE, LENGTHS, SLICED, WHOLE
+from sdm.kernels.primitives.atomics import fetch_add
+
+wp.set_module_options({"enable_backward": False})
+
+# A cell's number, which of its slices, how many there are less one, in one integer.
+CELL_BITS, SLICE_BITS = 18, 6
+_MOST_SLICES = 1 << SLICE_BITS
+
+
+@wp.func
+def cell_of(code: int):
+    return code & ((1 << CELL_BITS) - 1)
+
+
+@wp.func
+def slice_of(code: int):
+    return (code >> CELL_BITS) & (_MOST_SLICES - 1)
+
+
+@wp.func
+def slices_of(code: int):
+    return 1 + (code >> (CELL_BITS + SLICE_BITS))
+
+
+@wp.struct
+class BlockSchedule:
+    """Cells and which slice of their lists, in codes: see `cell_of`, `slice_of` and `slices_of`."""
+
+    whole: wp.array(dtype=wp.int32)  # (LENGTHS * room) of cells that are measured whole, by the length of their lists
+    room: wp.int32  # for so many blocks of each length
+    coarse: wp.array(dtype=wp.int32)  # (room) of cells that are measured brick by brick
+    sliced: wp.array(dtype=wp.int32)  # (8 * regions) the cells whose lists are cut into several slices
+    lacking: wp.array(dtype=wp.int32)  # (8 * regions) of those, 1 where the pool ran out for one of the slices
+    counters: wp.array(dtype=wp.int32)  # (COUNTS) of the pass, see `counters`
+
+
+@wp.func
+def whole_blocks(schedule: BlockSchedule):
+    """Number of blocks that are whole cells, or slices of their lists."""
+    total = int(0)
+    for length in range(LENGTHS):
+        total = total + schedule.counters[WHOLE + length]
+    return total
+
+
+@wp.func_native(
+    snippet=f"""
+    int length = {LENGTHS - 1};
+    // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
+    #pragma unroll 1
+    for (int here; item >= (here = counters.data[{WHOLE} + length]); --length) item -= here;
+    return length * room + item;
+"""
+)
+def _place_of_whole(counters: wp.array(dtype=wp.int32), room: int, item: int) -> int: ...
+
+
+@wp.func
+def whole_block(schedule: BlockSchedule, item: int):
+    """The code of one of them: those with the longest lists first."""
+    return schedule.whole[_place_of_whole(schedule.counters, schedule.room, item)]
+
+
+@wp.func
+def length_class(length: int):
+    """Length class of a list: the power of two that is in its length."""
+    power = int(0)
+    while power < LENGTHS - 1 and (length >> (power + 1)) > 0:
+        power = power + 1
+    return power
+
+
+@wp.func
+def share_out(schedule: BlockSchedule, whole: bool, number: int, length: int, slice_length: int):
+    """Note a cell, `whole` or brick by brick, once for each slice of its list."""
+    slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
+    if slices > 1:
+        schedule.sliced[fetch_add(schedule.counters, SLICED, 1)] = number
+        schedule.lacking[number] = 0
+    code = number | ((slices - 1) << (CELL_BITS + SLICE_BITS))
+    if whole:
+        kind = length_class(wp.min(length, slice_length))
+        first = kind * schedule.room + fetch_add(schedule.counters, WHOLE + kind, slices)
+        for i in range(slices):
+            schedule.whole[first + i] = code | (i << CELL_BITS)
+    else:
+        first = fetch_add(schedule.counters, COARSE, slices)
+        for i in range(slices):
+            schedule.coarse[first + i] = code | (i << CELL_BITS)

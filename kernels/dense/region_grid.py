@@ -1,0 +1,72 @@
+"""Regions, cells and bricks of voxels: the boxes that the stages of the dense query work on.
+
+A cell has 8^3 voxels, a region 2^3 cells, and a brick is an eighth of a cell. Where the candidate lists of larger cells
+are short as well, cells have 16^3 voxels, and their bricks, which then have 8^3, are measured from one list.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, octant_at
+from sdm.kernels.geometry.voxel_grid import Slab, unravel
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels along the edge of the largest block that is measured at a time.
+BLOCK = 8
+# Half-width of a box of voxels, scaled, beyond which it is not measured as a whole.
+COARSEST = 0.125
+
+
+@wp.struct
+class RegionGrid:
+    """Regions of one pass, and the cells that they are divided into."""
+
+    regions: wp.vec3i  # regions along each axis of the slab
+    first: wp.int32  # first region of this pass, counting through the meshes
+    step: wp.int32  # from it to the next
+    count: wp.int32  # regions of this pass
+    cell: wp.int32  # voxels along the edge of a cell: 8 or 16
+
+
+@wp.func
+def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
+    """The box of `size`^3 voxels from `start`, to be compared with a mesh's surface points."""
+    frame = mesh * FRAME_SIZE
+    cell = box_of_voxels(slab, start, size, float(tree.frame[frame + SCALE]))
+    cell.diagonal = float(tree.frame[frame + DIAGONAL])
+    return cell
+
+
+@wp.func
+def is_coarse(cell: VoxelBox):
+    """True if a box is so wide that float32 rounds a place in it too much."""
+    return wp.max(cell.half) > COARSEST
+
+
+@wp.func
+def region_start(grid: RegionGrid, item: int):
+    """The mesh, and the first voxel, of a region."""
+    mesh, at = unravel(grid.first + item * grid.step, grid.regions)
+    return mesh, 2 * grid.cell * at
+
+
+@wp.func
+def cell_start(grid: RegionGrid, item: int):
+    """The mesh, and the first voxel, of a cell."""
+    mesh, start = region_start(grid, item / 8)
+    return mesh, start + grid.cell * octant_at(item)
+
+
+@wp.func
+def brick_start(grid: RegionGrid, start: wp.vec3i, item: int):
+    """The first voxel of brick `item` % 8 of a cell that starts there."""
+    return start + (grid.cell / 2) * octant_at(item)
+
+
+@wp.func
+def brick_number(grid: RegionGrid, number: int, octant: int):
+    """The number of a cell's brick, in one count with the cells."""
+    return 8 * grid.count + 8 * number + octant
