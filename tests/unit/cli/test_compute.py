@@ -95,7 +95,7 @@ def test_the_default_resolution(ball, tmp_path):
 
     assert run(ball, "-o", tmp_path / "map.npz", "--device", "cpu") == 0
     assert load(tmp_path / "map.npz").grid.shape == (128, 128, 128)
-    assert Settings.__dataclass_fields__["resolution"].type == "int | None"
+    assert Settings.__dataclass_fields__["resolution"].type == "int | tuple[int, ...] | None"
 
 
 def test_a_folder_of_meshes(folder, tmp_path, capsys):
