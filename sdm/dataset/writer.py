@@ -18,7 +18,7 @@ from sdm.dataset.ray_cluster import run_on_ray
 from sdm.dataset.shard_job import Job
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
-from sdm.shapes import Family, MeshFolder
+from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker
 
@@ -97,8 +97,8 @@ def generate(
         "shard": shard or layout.samples_of_a_shard(sample_bytes, count),
         "compression": compression,
         "parameters": [{"name": p.name, "low": p.low, "high": p.high, "unit": p.unit} for p in family.parameters],
-        "transforms": isinstance(family, MeshFolder),
-        "rejected": [list(pair) for pair in family.rejected] if isinstance(family, MeshFolder) else [],
+        "transforms": family.places_meshes,
+        "rejected": [list(pair) for pair in family.rejected],
         "sdm_version": version(),
         "device": None if ray is not None else device_kind(devices[0]),
         "source": source,

@@ -69,6 +69,10 @@ class Family(ABC):
     parameters: tuple[Parameter, ...]
     triangles: Tensor
     name: ClassVar[str] = "shape"
+    # True if samples are meshes of a user's, whose own coordinates a dataset keeps the way back to.
+    places_meshes: ClassVar[bool] = False
+    # Name and reason of each file that was not used.
+    rejected: tuple[tuple[str, str], ...] = ()
     _tables: Sequence[Tensor] = ()
 
     @abstractmethod
@@ -107,6 +111,15 @@ class Family(ABC):
         """
         rows = torch.arange(theta.shape[0], device=theta.device)
         yield Group(rows, self.vertices(theta), self.faces_on(theta.device))
+
+    @property
+    def triangles_per_sample(self) -> int:
+        """Triangles that a sample costs by `groups`, on average."""
+        return max(1, len(self.triangles))
+
+    def probes(self, theta: Tensor) -> list[Tensor]:
+        """theta (B,P) with what chooses the faces set, once for each set of faces that `groups` gives: here once."""
+        return [theta]
 
     def check(self, theta: Any) -> Tensor:
         """theta as float32 (B,P), after a look at every value (on a GPU this waits for the device).

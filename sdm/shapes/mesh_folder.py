@@ -70,6 +70,7 @@ class MeshFolder(Family):
     """
 
     name = "mesh-folder"
+    places_meshes = True
 
     def __init__(
         self,
@@ -137,6 +138,20 @@ class MeshFolder(Family):
         theta = as_theta(theta, len(self.parameters), self.name)
         tables = self._on(theta.device, "tables", lambda: self._tables)
         return _warped_vertices(theta, tables, tables[0].shape[0])
+
+    @property
+    def triangles_per_sample(self) -> int:
+        """Mean number of triangles of a mesh, as each comes about equally often."""
+        return max(1, len(self.triangles) // len(self.meshes))
+
+    def probes(self, theta: Tensor) -> list[Tensor]:
+        """theta (B,26) with each mesh of the folder in turn."""
+        each = []
+        for number in range(len(self.meshes)):
+            own = theta.clone()
+            own[:, 0] = number + 0.5
+            each.append(own)
+        return each
 
     def groups(self, theta: Tensor, host: Tensor | None = None) -> Iterator[Group]:
         """The batch split by mesh, each group with that mesh's faces alone.

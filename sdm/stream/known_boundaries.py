@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
-from sdm.shapes import Family, MeshFolder
+from sdm.shapes import Family
 from sdm.stream.samplers import Sobol
 from sdm.topology.boundary_edges import boundary_edges
 
@@ -44,12 +44,4 @@ class Topology:
 
 def _probes(family: Family) -> list[Tensor]:
     theta = Sobol().theta(family, 0, torch.arange(PROBES, device="cpu"))
-    if not isinstance(family, MeshFolder):
-        return [theta]
-    # The first parameter of a folder of meshes is the number of the mesh.
-    each = []
-    for number in range(len(family.meshes)):
-        own = theta.clone()
-        own[:, 0] = number + 0.5
-        each.append(own)
-    return each
+    return family.probes(theta)

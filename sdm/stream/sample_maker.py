@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.engine.api import batch_maps
 from sdm.errors import DeviceError, SDMError
 from sdm.runtime.torch_warp import to_device
-from sdm.shapes import Family, MeshFolder
+from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.known_boundaries import Topology
 from sdm.stream.samplers import Sampler, as_sampler
@@ -103,9 +103,7 @@ class Maker:
     @property
     def at_once(self) -> int:
         """How many samples to make in one call, where there is a choice."""
-        # A folder's meshes come about equally often, each with its own faces alone.
-        meshes = len(self.family.meshes) if isinstance(self.family, MeshFolder) else 1
-        triangles = max(1, len(self.family.faces) // meshes)
+        triangles = self.family.triangles_per_sample
         return max(1, min(MOST_AT_ONCE, BYTES_AT_ONCE // self.grid.nbytes, TRIANGLES_AT_ONCE // triangles))
 
     def theta(self, index: Tensor) -> Tensor:
