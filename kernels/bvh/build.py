@@ -231,12 +231,28 @@ def build_tree(
         normals: (4 * meshes * F) float32: afterwards each face's unit normal, in the order of the faces, and 0.
     """
     device = vertices.device
-    meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
+    meshes = vertices.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     launch(_reset_bounds, 6 * meshes, [bounds], device)
     groups = meshes * -(-faces.shape[0] // (RUN * lanes))
     launch(_reduce_bounds, groups * lanes, [lanes, vertices, faces, RUN, bounds], device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
+    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals)
+
+
+def build_in_frame(
+    tree: Tree,
+    vertices: wp.array,
+    faces: wp.array,
+    bounds: wp.array,
+    keys: wp.array,
+    slots: wp.array,
+    normals: wp.array,
+) -> None:
+    """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
+    device = vertices.device
+    meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
+    lanes = GPU_LANES if device.is_cuda else 1
     bits = curve_bits(faces.shape[0])
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
     # The meshes' numbers are above the curve's codes.

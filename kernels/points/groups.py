@@ -20,7 +20,7 @@ from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import least_of_lanes
 from sdm.kernels.primitives.vector_loads import load4, write4
 from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
-from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
+from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, Winding
 
 wp.set_module_options({"enable_backward": False})
 
@@ -142,9 +142,9 @@ def _look_around(
             hit = exact_hit(tree, slot, wp.vec3d(box.centre))
             known.to_surface = wp.vec3(wp.vec3d(box.centre) - hit.point)
             known.distance2 = float(hit.distance2)
-            if winding.kind != CLOSED and winding.kind != SOUP:
-                if is_far(view_caps(winding.boundary, 0, box, lane, lanes)):
-                    hint = FAR + wp.where(may_cover(winding.boundary, 0, box, lane, lanes), COVERED, 0)
+            if winding.kind == OPEN or winding.kind == MANY:
+                if is_far(view_caps(winding.caps, winding.boundary, 0, box, lane, lanes)):
+                    hint = FAR + wp.where(may_cover(winding.caps, 0, box, lane, lanes), COVERED, 0)
             if wp.sqrt(known.distance2) > wp.sqrt(box.half2) * (1.0 + ROOM) + ROOM * wp.length(box.centre):
                 hint = hint + APART
         if lane == 0:

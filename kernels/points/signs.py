@@ -30,8 +30,7 @@ from sdm.kernels.points.groups import (
 from sdm.kernels.points.lane_lists import keep_covering, own_slot
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import wait_for_lanes
-from sdm.kernels.winding.hole_caps import count_caps
-from sdm.kernels.winding.ray_crossings import count_on_ray, crossing_on_ray, ray_from
+from sdm.kernels.winding.ray_crossings import count_crossings, count_on_ray, crossing_on_ray, ray_from
 from sdm.kernels.winding.winding_number import Winding
 
 wp.set_module_options({"enable_backward": False})
@@ -132,7 +131,7 @@ def _find_sides(
             if found >= 0:
                 total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
                 if covered:
-                    total = total + count_caps(winding.boundary, tree, 0, p, 0, 1)
+                    total = total + count_crossings(winding.caps.tree, 0, p)
                 side = wp.where(total > 0, INSIDE, OUTSIDE)
             if at < end:
                 sides[at] = side

@@ -1,6 +1,6 @@
-"""Boundary edges and their loops on the device, where few edges are unmatched.
+"""Boundary edges and the caps of their loops on the device, where few edges are unmatched.
 
-The same as `sdm.topology.joining` finds on the host.
+The same as `sdm.topology.joining` and `sdm.topology.cap_triangles` find on the host.
 
 For calls that must not wait: how many edges are unmatched, and how many bound the mesh, is guessed by the caller, and
 flags tell whether that was right. Each step compares every edge with every other, which for a thousand takes a GPU
@@ -142,6 +142,7 @@ def _follow(
     lanes: int,
     edges: wp.array2d(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
+    onward: wp.array(dtype=wp.int64),
     flags: wp.array(dtype=wp.int32),
 ):
     """The edge that follows each one, and its first vertex, in one number."""
@@ -163,16 +164,25 @@ def _follow(
             flags[TANGLED] = 1
             following = edge
         ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(edges[edge, 0])
+        onward[edge] = ahead[edge]
 
 
 @wp.kernel
 def _number_loops(
-    begin: int, lanes: int, steps: int, ahead: wp.array(dtype=wp.int64), around: wp.array(dtype=wp.int32)
+    begin: int,
+    lanes: int,
+    steps: int,
+    edges: wp.array2d(dtype=wp.int32),
+    ahead: wp.array(dtype=wp.int64),
+    onward: wp.array(dtype=wp.int64),
+    around: wp.array(dtype=wp.int32),
+    left: wp.array(dtype=wp.int32),
 ):
-    """One group of lanes: each edge's loop is known by its lowest vertex.
+    """One group of lanes: each edge's loop is known by its lowest vertex, its place by the edges from it to that.
 
-    Each number tells of the edges up to another one, and which vertex is the lowest of those; in each step it is joined
-    with the number there. A number is read and written as a whole, so that it does not matter who is first.
+    Each number tells of the edges up to another one, and which vertex is the lowest of those, or how many they are; in
+    each step it is joined with the number there. A number is read and written as a whole, so that it does not matter
+    who is first.
     """
     lane = (begin + wp.tid()) % lanes
     count = around.shape[0]
@@ -185,9 +195,58 @@ def _number_loops(
                 theirs = ahead[int(mine >> wp.int64(32))]
                 ahead[edge] = (theirs & ~low) | wp.min(mine & low, theirs & low)
             else:
-                around[edge] = int(mine & low)
+                lowest = int(mine & low)
+                around[edge] = lowest
+                # From there none are left.
+                if edges[edge, 0] == lowest:
+                    onward[edge] = wp.int64(edge) << wp.int64(32)
+                else:
+                    onward[edge] = (onward[edge] & ~low) | wp.int64(1)
             edge = edge + lanes
         wait_for_lanes()
+    for step in range(steps + 1):
+        edge = lane
+        while edge < count:
+            mine = onward[edge]
+            if step < steps:
+                theirs = onward[int(mine >> wp.int64(32))]
+                onward[edge] = (theirs & ~low) | ((mine & low) + (theirs & low))
+            else:
+                left[edge] = int(mine & low)
+            edge = edge + lanes
+        wait_for_lanes()
+
+
+@wp.kernel
+def _write_caps(
+    begin: int,
+    lanes: int,
+    edges: wp.array2d(dtype=wp.int32),
+    around: wp.array(dtype=wp.int32),
+    left: wp.array(dtype=wp.int32),
+    caps: wp.array2d(dtype=wp.int32),
+):
+    """The cap that cuts off each edge's first vertex, see `sdm.topology.cap_triangles`."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    edge = thread / lanes
+    step = left[edge] & (-left[edge])
+    before = int(_NONE)
+    after = int(_NONE)
+    other = lane
+    while other < edges.shape[0]:
+        if around[other] == around[edge]:
+            if left[other] == left[edge] - step:
+                before = edges[other, 0]
+            if left[other] == left[edge] + step:
+                after = edges[other, 0]
+        other = other + lanes
+    before = least_whole_of_lanes(before)
+    after = least_whole_of_lanes(after)
+    if lane == 0:
+        caps[edge, 0] = wp.where(before == _NONE, around[edge], before)
+        caps[edge, 1] = edges[edge, 0]
+        caps[edge, 2] = wp.where(after == _NONE, around[edge], after)
 
 
 def join_edges(
@@ -195,26 +254,29 @@ def join_edges(
     found: wp.array,
     vertices: wp.array,
     edges: wp.array,
-    around: wp.array,
+    caps: wp.array,
     flags: wp.array,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
-    """Boundary edges and their loops from what `sdm.kernels.topology.edge_pairing` found.
+    """Boundary edges and caps from what `sdm.kernels.topology.edge_pairing` found.
 
     Args:
         unmatched: (N,3) int32, as many rows of the unmatched edges as are guessed to be.
         found: (2) int32, the flags of `edge_pairing.pair_edges`.
         vertices: (meshes, V) vec3.
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
-        around: (E) int32, filled: equal for edges of one loop.
+        caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns.
         flags: (FLAGS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
         empty: Allocates scratch: `empty(length, dtype)`.
     """
     device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
-    same, balances, ahead = empty(2 * rows, wp.int32), empty(rows, wp.int32), empty(count, wp.int64)
+    same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
+    ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
+    around, left = empty(count, wp.int32), empty(count, wp.int32)
     launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, same], device)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, flags], device)
-    launch(_follow, count * lanes, [lanes, edges, ahead, flags], device)
-    launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, around], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, onward, flags], device)
+    launch(_number_loops, lanes, [lanes, count.bit_length(), edges, ahead, onward, around, left], device)
+    launch(_write_caps, count * lanes, [lanes, edges, around, left, caps], device)

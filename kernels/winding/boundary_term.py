@@ -31,7 +31,6 @@ class Boundary:
 
     ends: wp.array(dtype=wp.vec3)  # (2 * meshes * count) first and last point, scaled
     lattice: wp.array(dtype=wp.vec2i)  # (2 * meshes * count) their (y,z) on the lattice
-    apexes: wp.array(dtype=wp.vec3)  # (meshes * count) the middle of the edge's loop, for `hole_caps`
     count: wp.int32  # edges of each mesh
 
 
@@ -49,25 +48,9 @@ def _gather(
         out.lattice[2 * i + end] = to_lattice(tree, mesh, wp.float64(v[1]), wp.float64(v[2]))
 
 
-@wp.kernel
-def _find_apexes(begin: int, loops: wp.array(dtype=wp.int32), out: Boundary):
-    i = begin + wp.tid()
-    mesh = i / out.count
-    mine = loops[i - mesh * out.count]
-    total = wp.vec3(0.0, 0.0, 0.0)
-    many = float(0.0)
-    for e in range(out.count):
-        if loops[e] == mine:
-            total = total + out.ends[2 * (mesh * out.count + e)]
-            many = many + 1.0
-    out.apexes[i] = total / many
-
-
-def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array, loops: wp.array) -> None:
-    """Fill `out` from the meshes' `vertices` (meshes, V), their shared boundary `edges` (E, 2) and its `loops` (E)."""
-    count = vertices.shape[0] * edges.shape[0]
-    launch(_gather, count, [vertices, edges, tree, out], vertices.device)
-    launch(_find_apexes, count, [loops, out], vertices.device)
+def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array) -> None:
+    """Fill `out` from the meshes' `vertices` (meshes, V) and their shared boundary `edges` (E, 2)."""
+    launch(_gather, vertices.shape[0] * edges.shape[0], [vertices, edges, tree, out], vertices.device)
 
 
 @wp.func

@@ -16,10 +16,10 @@ from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
 from sdm.kernels.launch import launch
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
-from sdm.kernels.winding.near_holes import open_caps
+from sdm.kernels.winding.open_caps import open_caps
 from sdm.kernels.winding.ray_crossings import count_crossings
-from sdm.kernels.winding.scan_convert import scan_caps, scan_triangles
-from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, SOUP, Winding
+from sdm.kernels.winding.scan_convert import scan_triangles
+from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,21 +63,30 @@ def numbered_voxel(tree: Tree, slab: Slab, number: int):
 
 
 @wp.kernel
-def _count_at_voxels(begin: int, tree: Tree, slab: Slab, values: wp.array4d(dtype=wp.float32)):
+def _count_at_voxels(
+    begin: int, tree: Tree, caps: Tree, with_caps: int, slab: Slab, values: wp.array4d(dtype=wp.float32)
+):
     """One ray for every voxel: for turned grids, whose columns are not along x."""
     mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
-    values[mesh, i, j, k] = float(count_crossings(tree, mesh, p))
+    found = count_crossings(tree, mesh, p)
+    if with_caps != 0:
+        found = found + count_crossings(caps, mesh, p)
+    values[mesh, i, j, k] = float(found)
 
 
 @wp.kernel
 def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: wp.array4d(dtype=wp.float32)):
     mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
     share = float(0.0)
-    if winding.kind != OPEN:
+    if winding.kind == SOUP:
         share = float(soup_winding(tree, winding.moments, mesh, p))
     else:
         share = float(boundary_winding(winding.boundary, tree, mesh, p))
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
+
+
+# "caps" for the fast way of open meshes, "edges" for the sum over all boundary edges at each voxel: tests compare them.
+OPEN_METHOD = "caps"
 
 
 def slab_winding(
@@ -97,21 +106,21 @@ def slab_winding(
     device = values.device
     meshes, nx, ny, nz = values.shape
     total = meshes * nx * ny * nz
-    # Rays along the columns close the holes and open them again; of a turned grid there are none.
-    if winding.kind == SOUP or (winding.kind == MANY and slab.turned != 0):
+    # Caps close the holes, and are opened again.
+    with_caps = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
+    if winding.kind == SOUP:
         values.zero_()
     elif slab.turned != 0:
-        launch(_count_at_voxels, total, [tree, slab, values], device)
+        launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, values], device)
     else:
         values.zero_()
         counts = values.view(wp.int32)
-        boundary, flat = winding.boundary, counts.flatten()
+        flat = counts.flatten()
         scan_triangles(tree, slab, flat, meshes, empty, most_columns)
-        if winding.kind != CLOSED:
-            scan_caps(tree, boundary, slab, flat, meshes)
+        if with_caps:
+            scan_triangles(winding.caps.tree, slab, flat, meshes, empty, most_columns)
         launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
-        if winding.kind != CLOSED:
-            open_caps(tree, boundary, slab, values, empty)
-        return
-    if winding.kind != CLOSED:
+    if with_caps:
+        open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
+    elif winding.kind != CLOSED:
         launch(_add_boundary, total, [tree, winding, slab, values], device)

@@ -16,8 +16,6 @@ from sdm.kernels.geometry.voxel_grid import Slab, along, count_below
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
-from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.hole_caps import cap_lattice
 from sdm.kernels.winding.ray_crossings import covers, crossing_of
 
 wp.set_module_options({"enable_backward": False})
@@ -137,18 +135,6 @@ def _scan_large(
         item = item + wp.int64(groups)
 
 
-@wp.kernel
-def _scan_caps(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, counts: wp.array(dtype=wp.int32)):
-    thread = begin + wp.tid()
-    edge = thread / lanes
-    mesh = edge / boundary.count
-    a, b, c = cap_lattice(boundary, tree, edge, mesh)
-    begins = boundary.ends[2 * edge]
-    ends = boundary.ends[2 * edge + 1]
-    apex = boundary.apexes[edge]
-    mark_columns(tree, slab, counts, mesh, ends, begins, apex, a, b, c, ANY, thread % lanes, lanes)
-
-
 def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:
     """Lanes of a GPU for each of a mesh's triangles: for some times the columns that one covers, as some cover more.
 
@@ -185,11 +171,3 @@ def scan_triangles(
         lanes, groups = (GPU_LANES, gpu_workers(device, GPU_BLOCKS)) if device.is_cuda else (1, threads())
         inputs = [tree, slab, lanes, groups, counts, large, larges]
         launch(_scan_large, groups * lanes, inputs, device, smallest=1)
-
-
-def scan_caps(tree: Tree, boundary: Boundary, slab: Slab, counts: wp.array, meshes: int) -> None:
-    """The same for the caps that close the holes of open meshes."""
-    columns, most = slab.shape[1] * slab.shape[2], PIECES * GPU_LANES
-    # A cap is as large as its hole.
-    lanes = lanes_for_each(boundary.count, meshes, columns, GPU_LANES, most) if counts.device.is_cuda else 1
-    launch(_scan_caps, meshes * boundary.count * lanes, [tree, boundary, slab, lanes, counts], counts.device)

@@ -6,8 +6,8 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
+from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.dipole_tree import soup_winding
-from sdm.kernels.winding.hole_caps import count_caps
 from sdm.kernels.winding.ray_crossings import count_crossings, winding_of_closed
 
 wp.set_module_options({"enable_backward": False})
@@ -17,14 +17,16 @@ wp.set_module_options({"enable_backward": False})
 class Winding:
     """Data to find winding numbers by; the kind of mesh decides how."""
 
-    boundary: Boundary  # used if kind is OPEN or MANY
-    moments: wp.array(dtype=wp.float32)  # used if kind is MANY or SOUP
+    boundary: Boundary  # used if kind is OPEN, MANY or DIRTY
+    caps: Caps  # the same
+    moments: wp.array(dtype=wp.float32)  # used if kind is MANY, DIRTY or SOUP
     kind: wp.int32
 
 
-# Without a boundary; with few boundary edges, all of which are visited where they matter; with many, which are visited
-# where a whole block of voxels or points shares the cost; with so many that only the tree of dipoles is used.
-CLOSED, OPEN, MANY, SOUP = 0, 1, 2, 3
+# Without a boundary; with few boundary edges, all of which are visited for a point; with many, which are visited where
+# a group of points shares the cost; with more, which are visited for single voxels of a map in doubt; with so many
+# that only the tree of dipoles is used.
+CLOSED, OPEN, MANY, DIRTY, SOUP = 0, 1, 2, 3, 4
 
 
 @wp.func
@@ -49,7 +51,7 @@ def inside_at(tree: Tree, winding: Winding, p: wp.vec3d, far: bool, covered: boo
         covered: Whether the line through p along x may meet what closes them.
     """
     if far and covered:
-        return count_crossings(tree, 0, p) + count_caps(winding.boundary, tree, 0, p, 0, 1) > 0
+        return count_crossings(tree, 0, p) + count_crossings(winding.caps.tree, 0, p) > 0
     if far:
         return winding_of_closed(tree, 0, p) > 0
     return winding_at(tree, winding, 0, p) > 0.5

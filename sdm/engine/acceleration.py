@@ -18,19 +18,22 @@ from sdm.kernels.bvh import tree, triangle_frames
 from sdm.kernels.bvh.build import build_tree
 from sdm.kernels.culling import normal_cones, voronoi_features
 from sdm.kernels.launch import set_array
-from sdm.kernels.winding import dipole_tree, winding_number
+from sdm.kernels.winding import cap_tree, dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, workspace
-from sdm.topology.boundary_edges import MeshTopology, boundary_edges, loops
+from sdm.topology.boundary_edges import MeshTopology, boundary_edges
+from sdm.topology.cap_triangles import cap_triangles
 from sdm.topology.face_pairing import pairing_of
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
-# number also than visiting them for a whole block of voxels.
+# number also than visiting them for a group of points.
 MOST_BOUNDARY_EDGES = 1024
-MOST_FOR_BLOCKS = 8192
-# Only of a surface with holes, though: of loose triangles, whose edges are all boundary, no block is far from any.
+MOST_FOR_GROUPS = 8192
+# Only of a surface with holes, though: of loose triangles, whose edges are all boundary, no group is far from any.
 FEWEST_FACES_AN_EDGE = 16
+# Above this many no voxel of a map can have them all visited.
+MOST_FOR_VOXELS = 1 << 18
 
 
 class MeshKind(IntEnum):
@@ -39,12 +42,13 @@ class MeshKind(IntEnum):
     CLOSED = winding_number.CLOSED
     OPEN = winding_number.OPEN
     MANY = winding_number.MANY
+    DIRTY = winding_number.DIRTY
     SOUP = winding_number.SOUP
 
 
 # Kinds whose boundary edges are visited one by one, and those with a tree of dipoles.
-VISITING = frozenset((MeshKind.OPEN, MeshKind.MANY))
-WITH_DIPOLES = frozenset((MeshKind.MANY, MeshKind.SOUP))
+VISITING = frozenset((MeshKind.OPEN, MeshKind.MANY, MeshKind.DIRTY))
+WITH_DIPOLES = frozenset((MeshKind.MANY, MeshKind.DIRTY, MeshKind.SOUP))
 
 
 def kind_of(edges: int, faces: int) -> MeshKind:
@@ -53,8 +57,9 @@ def kind_of(edges: int, faces: int) -> MeshKind:
         return MeshKind.CLOSED
     if edges <= MOST_BOUNDARY_EDGES:
         return MeshKind.OPEN
-    few = edges <= MOST_FOR_BLOCKS and edges * FEWEST_FACES_AN_EDGE <= faces
-    return MeshKind.MANY if few else MeshKind.SOUP
+    if edges <= MOST_FOR_GROUPS and edges * FEWEST_FACES_AN_EDGE <= faces:
+        return MeshKind.MANY
+    return MeshKind.DIRTY if edges <= MOST_FOR_VOXELS else MeshKind.SOUP
 
 
 class Sizes(NamedTuple):
@@ -79,6 +84,11 @@ class Sizes(NamedTuple):
     def visited_edges(self) -> int:
         """Boundary edges of all meshes, if they are visited."""
         return self.meshes * self.edges if self.kind in VISITING else 0
+
+    @property
+    def cap_nodes(self) -> int:
+        """Nodes of all trees of caps."""
+        return self.meshes << (cap_tree.depth_of_caps(self.edges) + 1) if self.visited_edges else 0
 
     @property
     def dipole_nodes(self) -> int:
@@ -109,7 +119,11 @@ ARRAYS = (
     Array("cones", "nodes", wp.float32, lambda n: 4 * n.nodes),
     Array("boundary", "ends", wp.vec3, lambda n: 2 * n.visited_edges),
     Array("boundary", "lattice", wp.vec2i, lambda n: 2 * n.visited_edges),
-    Array("boundary", "apexes", wp.vec3, lambda n: n.visited_edges),
+    Array("caps tree", "corners", wp.vec3, lambda n: 4 * n.visited_edges),
+    Array("caps tree", "lattice", wp.vec2i, lambda n: 3 * n.visited_edges),
+    Array("caps tree", "face", wp.int32, lambda n: n.visited_edges),
+    Array("caps tree", "boxes", wp.float32, lambda n: n.cap_nodes * tree.BOX_FLOATS),
+    Array("caps", "moments", wp.float32, lambda n: n.cap_nodes * cap_tree.MOMENTS_SIZE),
     Array("winding", "moments", wp.float32, lambda n: n.dipole_nodes * dipole_tree.MOMENTS_SIZE),
 )
 
@@ -162,7 +176,7 @@ class AccelerationStructure:
             length = tensor.shape[0] // wp.types.type_size_in_bytes(array.dtype)
             spans.append((tensor.data_ptr(), length))
             count[array.struct, array.name] = length
-        faces, edges = count["tree", "face"] // meshes, count["boundary", "apexes"] // meshes
+        faces, edges = count["tree", "face"] // meshes, count["caps tree", "face"] // meshes
         sizes = Sizes(meshes, faces, edges, MeshKind(kind))
         return cls(sizes, tuple(tensors), _view(sizes, spans, tensors[0].device))
 
@@ -225,6 +239,8 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
         "features": voronoi_features.Features(),
         "cones": normal_cones.Cones(),
         "boundary": winding.boundary,
+        "caps": winding.caps,
+        "caps tree": winding.caps.tree,
         "winding": winding,
     }
     frames: Any = None
@@ -234,9 +250,14 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
             frames = made
         else:
             set_array(structs[array.struct], array.name, made)
+        if array.name == "frame":
+            # Caps are in the meshes' own frame.
+            set_array(winding.caps.tree, array.name, made)
     structs["tree"].count = sizes.faces
     structs["tree"].depth = tree.depth_for(sizes.faces)
-    winding.boundary.count = sizes.edges if sizes.kind in VISITING else 0
+    visited = sizes.edges if sizes.kind in VISITING else 0
+    winding.boundary.count = winding.caps.tree.count = visited
+    winding.caps.tree.depth = cap_tree.depth_of_caps(visited)
     winding.kind = int(sizes.kind)
     return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
 
@@ -271,13 +292,13 @@ def check_count(vertices: Tensor, faces: Tensor) -> None:
 
 
 def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
-    """The topology of a batch of meshes, with the loops of its boundary if `queue_build` looks at them."""
+    """The topology of a batch of meshes, with the caps of its holes if `queue_build` looks at them."""
     pairing = pairing_of(faces, vertices.shape[-2])
     if edges is None:
         closed = pairing.unmatched.shape[0] == 0
         edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
-    around = loops(edges) if kind_of(edges.shape[0], faces.shape[0]) in VISITING else edges
-    return MeshTopology(pairing.neighbours, edges, around)
+    caps = cap_triangles(edges) if kind_of(edges.shape[0], faces.shape[0]) in VISITING else edges
+    return MeshTopology(pairing.neighbours, edges, caps)
 
 
 def queue_build(
@@ -296,11 +317,12 @@ def queue_build(
         view = structure.view
         corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
         normals = empty(4 * meshes * count, wp.float32)
+        bounds = empty(6 * meshes, wp.float32)
         build_tree(
             view.tree,
             corners,
             triples,
-            empty(6 * meshes, wp.float32),
+            bounds,
             empty(2 * meshes * count, wp.int64),
             empty(2 * meshes * count, wp.int32),
             normals,
@@ -315,8 +337,10 @@ def queue_build(
         normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
         join_parts()
         if kind in VISITING:
-            boundary, loops = as_warp(topology.boundary, wp.int32), as_warp(topology.loops, wp.int32)
-            gather_boundary(view.winding.boundary, view.tree, corners, boundary, loops)
+            gather_boundary(view.winding.boundary, view.tree, corners, as_warp(topology.boundary, wp.int32))
+            room = 2 * meshes * edges
+            caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
+            cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
         if kind in WITH_DIPOLES:
             dipole_tree.build_moments(view.tree, view.winding.moments, meshes)
     return structure

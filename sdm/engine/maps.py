@@ -148,11 +148,11 @@ def _queue_maps(
     faces: Tensor,
     neighbours: Tensor,
     boundary: Tensor,
-    loops: Tensor,
+    caps: Tensor,
     *,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    structure = queue_build(vertices, faces, MeshTopology(neighbours, boundary, loops), join)
+    structure = queue_build(vertices, faces, MeshTopology(neighbours, boundary, caps), join)
     found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
     return found if boundary.shape[0] else found[:1]
 

@@ -1,4 +1,4 @@
-"""Boundary edges of meshes, and their loops: what is left when every face's directed edges are added up."""
+"""Boundary edges of meshes: what is left when every face's directed edges are added up."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from torch.utils.weak import WeakIdKeyDictionary
 from sdm.kernels.topology.edge_pairing import gather_ends
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.face_pairing import cached, pairing_of
-from sdm.topology.joining import join_on_device, join_on_host, loops_on_host
+from sdm.topology.joining import join_on_device, join_on_host
 
 # Up to this many unmatched edges, and this many in all meshes, are joined on the host: on a GPU each of the many small
 # steps costs more than its work.
 MOST_ON_HOST = 1 << 12
 MOST_ON_HOST_IN_ALL = 1 << 19
 
-_known_loops: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _known_host: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 
@@ -30,12 +29,12 @@ class MeshTopology(NamedTuple):
     Args:
         neighbours: (F,4), see `neighbours`.
         boundary: (E,2), see `boundary_edges`.
-        loops: (E,), see `loops`; any tensor where nobody looks at it.
+        caps: (E,3), see `cap_triangles`; any tensor where nobody looks at it.
     """
 
     neighbours: Tensor
     boundary: Tensor
-    loops: Tensor
+    caps: Tensor
 
 
 def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -74,19 +73,6 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
         paired.edges = torch.from_numpy(found).to(faces.device)
         cached(_known_host, paired.edges, lambda: found)
     return paired.edges
-
-
-def loops(edges: Tensor) -> Tensor:
-    """For each boundary edge of (E,2), directed as `boundary_edges` gives them, the number of its loop: (E,) int32.
-
-    Loops that meet at a vertex count as one; they are numbered by their lowest vertices. In a loop as many edges end
-    at each vertex as begin there.
-    """
-
-    def find() -> Tensor:
-        return torch.from_numpy(loops_on_host(on_host(edges))).to(edges.device)
-
-    return cached(_known_loops, edges, find)
 
 
 def _joined_on_host(unmatched: Tensor, vertices: Tensor) -> tuple[Tensor, np.ndarray]:

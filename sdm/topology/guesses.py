@@ -68,23 +68,24 @@ def queue_guessed(guessed: Guess, vertices: Tensor, faces: Tensor, verify: Verif
         verify(found)
         none = faces.new_empty((0, 2))
         return MeshTopology(neighbours, none, none)
-    flags, edges, loops = queue_joining(unmatched, found, vertices[None], guessed)
+    flags, edges, caps = queue_joining(unmatched, found, vertices[None], guessed)
     verify(flags)
-    return MeshTopology(neighbours, edges.clamp(0, vertices.shape[0] - 1), loops)
+    last = vertices.shape[0] - 1
+    return MeshTopology(neighbours, edges.clamp(0, last), caps.clamp(0, last))
 
 
 def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: Guess) -> tuple[Tensor, Tensor, Tensor]:
-    """Queue the boundary loops of `queue_pairing`'s result for `vertices` (B,V,3).
+    """Queue the boundary edges and caps of `queue_pairing`'s result for `vertices` (B,V,3).
 
     Returns:
-        Flags, zeros if the guess was right; else nothing is right. The boundary edges (E,2), and their loops' names
-        (E,).
+        Flags, zeros if the guess was right; else nothing is right. The boundary edges (E,2), and the caps
+        (E,3).
     """
     device, edges = vertices.device, guessed.boundary
     flags, flat = torch.zeros(boundary_loops.FLAGS + 2 * edges, dtype=torch.int32, device=device).split(
         [boundary_loops.FLAGS, 2 * edges]
     )
-    around = torch.empty(edges, dtype=torch.int32, device=device)
+    caps = torch.empty(edges, 3, dtype=torch.int32, device=device)
     bounds = flat.view(edges, 2)
     with on_current_stream(vertices, vertices):
         boundary_loops.join_edges(
@@ -92,8 +93,8 @@ def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: G
             as_warp(found, wp.int32),
             as_warp(vertices, wp.vec3),
             as_warp(bounds, wp.int32),
-            as_warp(around, wp.int32),
+            as_warp(caps, wp.int32),
             as_warp(flags, wp.int32),
             workspace(device),
         )
-    return flags, bounds, around
+    return flags, bounds, caps

@@ -1,4 +1,4 @@
-"""Boundary edges once vertices at equal positions count as one, and the loops they form.
+"""Boundary edges once vertices at equal positions count as one.
 
 Only the edges that faces leave unmatched by their vertices' indices matter here, and only the ends of those. Any other
 pair of vertices has as many faces' edges in one direction as in the other, and wherever its two ends move, both
@@ -75,28 +75,6 @@ def join_on_device(unmatched: Tensor, vertices: Tensor) -> Tensor:
     keys = torch.zeros_like(keys).scatter_(0, group, keys)
     keys = torch.where(balance > 0, keys, _turned(keys)).repeat_interleave(balance.abs())
     return torch.stack([keys >> 32, keys & 0xFFFFFFFF], 1).int()
-
-
-def loops_on_host(edges: np.ndarray) -> np.ndarray:
-    """The number of each boundary edge's loop, (E,) int32: loops that meet are one, the lowest vertex's comes first."""
-    ends, index = np.unique(edges, return_inverse=True)
-    start, end = index.reshape(-1, 2).T
-    count = len(ends)
-    if len(edges) == count:
-        # As many edges end at each vertex as begin there, so here it is one each, and every edge has one that follows.
-        ahead, lowest = np.empty_like(end), np.arange(count)
-        ahead[start] = end
-        for _ in range(count.bit_length()):
-            lowest = np.minimum(lowest, lowest[ahead])
-            ahead = ahead[ahead]
-        number = np.unique(lowest, return_inverse=True)[1]
-    else:
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        graph = coo_matrix((np.ones(len(edges)), (start, end)), shape=(count, count))
-        number = connected_components(graph, directed=False)[1]
-    return number[start].astype(np.int32)
 
 
 def _turned(keys: Any) -> Any:

@@ -58,7 +58,8 @@ def test_signs_are_those_of_the_tree_of_dipoles(monkeypatch):
     assert index._structure.kind == kinds.MANY
     values = index.signed_distance_map(grid)
     at = grid.points().reshape(-1, 3)
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_BLOCKS", 0)
+    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
+    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_VOXELS", 0)
     other = sdm.MeshIndex(mesh, "cpu")
     assert other._structure.kind == kinds.SOUP
     winding = other.winding_number(at).reshape(grid.shape)
@@ -67,8 +68,8 @@ def test_signs_are_those_of_the_tree_of_dipoles(monkeypatch):
     assert torch.equal((index.signed_distance(at).reshape(grid.shape) < 0)[sure], (winding > 0.5)[sure])
 
 
-def test_loose_triangles_are_left_to_the_tree():
+def test_points_about_loose_triangles_are_left_to_the_tree():
     rng = np.random.default_rng(0)
     vertices = rng.normal(size=(3 * 500, 3)).astype(np.float32)
     index = sdm.MeshIndex(sdm.TriangleMesh(vertices, np.arange(1500, dtype=np.int32).reshape(-1, 3)), "cpu")
-    assert index._structure.kind == kinds.SOUP
+    assert index._structure.kind == kinds.DIRTY

@@ -1,6 +1,6 @@
 """Winding numbers of open meshes on grids: at every voxel on the side of 0.25, 0.5 and 0.75 where the plain one is.
 
-What `kernels/winding/near_holes.py` gives may be rounded; the plain one adds up every boundary edge for every point in
+What `kernels/winding/open_caps.py` gives may be rounded; the plain one adds up every boundary edge for every point in
 float64.
 """
 

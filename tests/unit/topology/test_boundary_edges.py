@@ -11,7 +11,8 @@ import sdm.topology.boundary_edges
 import sdm.topology.face_pairing
 from sdm.bench.common.meshes import cube, load_case, sphere
 from sdm.errors import MeshError
-from sdm.topology.boundary_edges import boundary_edges, loops
+from sdm.topology.boundary_edges import boundary_edges
+from sdm.topology.cap_triangles import cap_triangles
 from tests.helpers import strategies
 
 
@@ -170,7 +171,7 @@ def _counted(monkeypatch, module, name: str) -> list:
 def test_a_mesh_that_moves_keeps_what_its_faces_say(monkeypatch):
     case = load_case("open hemisphere")
     paired = _counted(monkeypatch, sdm.topology.face_pairing, "_pair_up")
-    looped = _counted(monkeypatch, sdm.topology.boundary_edges, "loops_on_host")
+    looped = _counted(monkeypatch, sdm.topology.cap_triangles, "caps_on_host")
     mesh = sdm.TriangleMesh(torch.tensor(case.vertices), torch.tensor(case.faces))
     index = sdm.MeshIndex(mesh, "cpu")
     index.update(mesh.vertices * 2)
@@ -229,7 +230,7 @@ def test_in_inference_mode_nothing_is_remembered_wrongly():
         index[:] = faces[0]
         assert boundary_edges(vertices, index).shape == (3 * len(index), 2)
         once = faces[1:].clone()
-        assert loops(boundary_edges(vertices, once)).tolist() == [0, 0, 0]
+        assert cap_triangles(boundary_edges(vertices, once)).shape == (3, 3)
 
 
 def test_what_inference_mode_found_serves_outside():
@@ -237,8 +238,8 @@ def test_what_inference_mode_found_serves_outside():
     faces = faces[1:].contiguous()
     with torch.inference_mode():
         inside = boundary_edges(vertices, faces)
-        around = loops(inside)
+        caps = cap_triangles(inside)
     outside = boundary_edges(vertices, faces)
     assert torch.equal(inside, outside)
-    assert torch.equal(around, loops(outside))
+    assert torch.equal(caps, cap_triangles(outside))
     assert sdm.MeshIndex(sdm.TriangleMesh(vertices, faces), "cpu").closed is False

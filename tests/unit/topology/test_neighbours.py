@@ -1,4 +1,4 @@
-"""Neighbours, owners and loops against plain loops over all faces."""
+"""Neighbours and owners against plain loops over all faces."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 
-from sdm.bench.common.meshes import load_case, sphere
-from sdm.topology.boundary_edges import boundary_edges, loops
+from sdm.bench.common.meshes import sphere
 from sdm.topology.face_pairing import neighbours
 from tests.helpers import strategies
 
@@ -47,30 +46,3 @@ def test_of_a_closed_mesh_every_part_has_one_owner():
     bits = neighbours(torch.tensor(faces), len(vertices))[:, 3]
     owned = sum(int(((bits >> b) & 1).sum()) for b in range(6))
     assert owned == len(faces) * 3 // 2 + len(vertices)
-
-
-def test_loops_are_the_holes():
-    case = load_case("open hemisphere")
-    vertices = np.concatenate([case.vertices, case.vertices + 5]).astype(np.float32)
-    faces = np.concatenate([case.faces, case.faces + len(case.vertices)]).astype(np.int32)
-    edges = boundary_edges(torch.tensor(vertices), torch.tensor(faces))
-    found = loops(edges)
-    assert found.shape == (len(edges),)
-    assert found.dtype == torch.int32
-    second = torch.tensor(vertices)[edges[:, 0].long()].mean(1) > 2.5
-    assert {bool(s): len(set(found[second == s].tolist())) for s in second} == {False: 1, True: 1}
-    assert set(found[second].tolist()).isdisjoint(found[~second].tolist())
-
-
-@settings(max_examples=50)
-@given(strategies.soups())
-def test_every_loop_closes(mesh):
-    """Its cap is closed by it: as many edges end at each vertex as begin there."""
-    edges = boundary_edges(torch.tensor(mesh.vertices), torch.tensor(mesh.faces))
-    if not len(edges):
-        return
-    balance: dict[tuple[int, int], int] = {}
-    for (start, end), loop in zip(edges.tolist(), loops(edges).tolist(), strict=True):
-        balance[loop, start] = balance.get((loop, start), 0) + 1
-        balance[loop, end] = balance.get((loop, end), 0) - 1
-    assert not any(balance.values())

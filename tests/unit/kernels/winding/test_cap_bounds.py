@@ -1,4 +1,4 @@
-"""The two promises of `kernels/winding/hole_caps.py`: shares are as right as they say, and a box that is far is far."""
+"""Promises of `cap_field` and `hole_caps`: shares are as right as they say, and a box that is far is far."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
 
 from __future__ import annotations
@@ -8,25 +8,44 @@ import pytest
 import torch
 import warp as wp
 
+from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build
 from sdm.kernels.geometry.voxel_box import VoxelBox
-from sdm.kernels.winding import winding_number
+from sdm.kernels.primitives.shared_stacks import STACK, stack_of
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.hole_caps import doubt, is_far, see_caps, share_of_turn, view_caps
+from sdm.kernels.winding.cap_field import FULL, doubt, near_share, see_caps, share_at
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.hole_caps import is_far, view_caps
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def _see(boundary: Boundary, at: wp.array(dtype=wp.vec3), share: wp.array(dtype=float), error: wp.array(dtype=float)):
+def _field(
+    caps: Caps,
+    at: wp.array(dtype=wp.vec3),
+    radius: wp.array(dtype=float),
+    off: wp.array2d(dtype=wp.vec3),
+    tolerance: float,
+    room: int,
+    stacks: wp.array(dtype=wp.int32),
+    share: wp.array2d(dtype=float),
+    error: wp.array2d(dtype=float),
+):
     i = wp.tid()
-    sight = see_caps(boundary, 0, at[i], 0, 1)
-    share[i] = share_of_turn(sight) + float(sight.turns)
-    error[i] = doubt(sight)
+    stack = stack_of(stacks, 0)
+    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, stack, 0, 1)
+    for k in range(off.shape[1]):
+        near, wrong = near_share(caps, 0, field.near, at[i] + off[i, k], stack, 0, 1)
+        share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
+        error[i, k] = doubt(field) + wrong
+        if field.near == 0:
+            error[i, k] = error[i, k] + field.left_out / FULL
 
 
 @wp.kernel
 def _view(
+    caps: Caps,
     boundary: Boundary,
     at: wp.array(dtype=wp.vec3),
     half: wp.array(dtype=wp.vec3),
@@ -39,7 +58,7 @@ def _view(
     cell.centre = at[i]
     cell.half = half[i]
     cell.half2 = wp.dot(half[i], half[i])
-    view = view_caps(boundary, 0, cell, 0, 1)
+    view = view_caps(caps, boundary, 0, cell, 0, 1)
     far[i] = wp.where(is_far(view), 1.0, 0.0)
     share[i] = view.share
     error[i] = view.error
@@ -59,15 +78,20 @@ def fan(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([rim, [[0.0, 0.0, 0.3]]]).astype(np.float32), np.array(faces, np.int32)
 
 
+def torn(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A sphere without a tenth of its faces."""
+    vertices, faces = sphere(24)
+    return vertices, faces[rng.random(len(faces)) >= 0.1]
+
+
 def caps_of(vertices: np.ndarray, faces: np.ndarray):
     structure = build(torch.from_numpy(vertices)[None], torch.from_numpy(faces))
-    assert structure.kind == winding_number.OPEN
-    return structure, structure.view.winding.boundary
+    return structure, structure.view.winding
 
 
-def exact_share(boundary: Boundary, at: np.ndarray) -> np.ndarray:
-    ends = boundary.ends.numpy().astype(np.float64).reshape(-1, 2, 3)
-    corners = np.stack([ends[:, 1], ends[:, 0], boundary.apexes.numpy().astype(np.float64)], 1)
+def exact_share(caps: Caps, at: np.ndarray) -> np.ndarray:
+    corners = caps.tree.corners.numpy().astype(np.float64).reshape(-1, 4, 3)[:, :3]
+    corners = corners[(corners[:, 0] != corners[:, 1]).any(1) & (corners[:, 2] != corners[:, 0]).any(1)]
     a, b, c = np.moveaxis(corners[None] - at[:, None, None].astype(np.float64), 2, 0)
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     volume = (a * np.cross(b, c)).sum(-1)
@@ -75,56 +99,68 @@ def exact_share(boundary: Boundary, at: np.ndarray) -> np.ndarray:
     return np.arctan2(volume, facing).sum(1) / (2 * np.pi)
 
 
-def places(rng: np.random.Generator, boundary: Boundary, count: int) -> np.ndarray:
+def places(rng: np.random.Generator, caps: Caps, count: int) -> np.ndarray:
     """Anywhere, near the rim, near the caps, and in their planes, at all distances."""
-    ends = boundary.ends.numpy().reshape(-1, 2, 3)
-    apexes = boundary.apexes.numpy()
-    edge = rng.integers(len(ends), size=count)
+    triangles = caps.tree.corners.numpy().reshape(-1, 4, 3)[:, :3]
     weight = rng.dirichlet([1, 1, 1], count)
     weight[: count // 2, 2] = 0
     weight /= weight.sum(1, keepdims=True)
-    corners = np.stack([ends[edge, 0], ends[edge, 1], apexes[edge]], 1)
+    corners = triangles[rng.integers(len(triangles), size=count)]
     away = rng.normal(size=(count, 3)) * 10 ** rng.uniform(-7, 0.5, (count, 1))
     away[::5, 2] = 0
     return ((corners * weight[..., None]).sum(1) + away).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", ["flat", "ragged", "needle"])
-def test_a_share_in_float32_is_as_right_as_it_says(kind):
+@pytest.mark.parametrize("kind", ["flat", "ragged", "needle", "torn"])
+@pytest.mark.parametrize("room", [0, 8, 256])
+@pytest.mark.parametrize("tolerance", [0.02, 1e-4])
+def test_a_field_is_as_right_as_it_says(kind, room, tolerance):
+    """Over boxes of all sizes, points among them, for caps that are few, thin, or many."""
     rng = np.random.default_rng(3)
-    _tensors, boundary = caps_of(*fan(rng, kind))
-    at = places(rng, boundary, 20000)
-    share, error = wp.zeros(len(at), dtype=float, device="cpu"), wp.zeros(len(at), dtype=float, device="cpu")
-    wp.launch(_see, len(at), [boundary, wp.array(at, dtype=wp.vec3, device="cpu"), share, error], device="cpu")
-    share, error = share.numpy().astype(np.float64), error.numpy().astype(np.float64)
-    off = np.abs(share - exact_share(boundary, at))
+    _tensors, winding = caps_of(*(torn(rng) if kind == "torn" else fan(rng, kind)))
+    caps = winding.caps
+    at = places(rng, caps, 1500)
+    half = (10 ** rng.uniform(-5, -0.3, (len(at), 1)) * rng.uniform(0.2, 1, (len(at), 3))).astype(np.float32)
+    half[::4] = 0
+    off = np.clip(rng.normal(size=(len(at), 9, 3)) * 2, -1, 1).astype(np.float32) * half[:, None]
+    # As far as float32 sees it.
+    off = (at[:, None] + off) - at[:, None]
+    radius = (np.linalg.norm(np.abs(off).max(1), axis=1) * 1.000001).astype(np.float32)
+    share, error = (wp.zeros(off.shape[:2], dtype=float, device="cpu") for _ in range(2))
+    arrays = [wp.array(v, dtype=t, device="cpu") for v, t in ((at, wp.vec3), (radius, float), (off, wp.vec3))]
+    stacks = wp.zeros(STACK, dtype=wp.int32, device="cpu")
+    inputs = [caps, *arrays, tolerance, room, stacks, share, error]
+    wp.launch(_field, len(at), inputs, device="cpu")
+    error = error.numpy().astype(np.float64)
+    wrong = np.abs(share.numpy() - exact_share(caps, (at[:, None] + off).reshape(-1, 3)).reshape(off.shape[:2]))
     known = np.isfinite(error)
-    assert (off[known] <= error[known] + 1e-6).all()
-    assert (error < 1e-3).mean() > (0.2 if kind == "needle" else 0.5)
+    assert (wrong[known] <= error[known] + 1e-6).all()
+    assert (error < 5e-2).mean() > 0.05
     # The bound is not idle: at some places much of it is used.
-    assert (off[known] / (error[known] + 1e-6)).max() > (0.001 if kind == "needle" else 0.02)
+    assert (wrong[known] / (error[known] + 1e-6)).max() > 0.001
 
 
 @pytest.mark.parametrize("kind", ["flat", "ragged", "needle"])
 def test_a_box_that_is_far_is_far_everywhere(kind):
     rng = np.random.default_rng(4)
-    _tensors, boundary = caps_of(*fan(rng, kind))
-    centre = places(rng, boundary, 4000)
+    _tensors, winding = caps_of(*fan(rng, kind))
+    caps = winding.caps
+    centre = places(rng, caps, 4000)
     half = (10 ** rng.uniform(-5, -0.3, (len(centre), 1)) * rng.uniform(0.2, 1, (len(centre), 3))).astype(np.float32)
     seen = [wp.zeros(len(centre), dtype=float, device="cpu") for _ in range(3)]
     boxes = [wp.array(v, dtype=wp.vec3, device="cpu") for v in (centre, half)]
-    wp.launch(_view, len(centre), [boundary, *boxes, *seen], device="cpu")
+    wp.launch(_view, len(centre), [caps, winding.boundary, *boxes, *seen], device="cpu")
     far, share, error = (values.numpy() for values in seen)
     far = far > 0
     largest, off = np.zeros(len(centre)), np.zeros(len(centre))
     for _ in range(40):
         # Corners and faces of the box more often than its inside.
         offset = np.clip(rng.normal(size=half.shape) * 2, -1, 1) * half
-        here = exact_share(boundary, centre + offset)
+        here = exact_share(caps, centre + offset)
         largest, off = np.maximum(largest, np.abs(here)), np.maximum(off, np.abs(here - share))
     known = np.isfinite(error)
     assert (off[known] <= error[known] + 2e-6).all()
-    assert (off[known] / (error[known] + 2e-6)).max() > (0.001 if kind == "needle" else 0.2)
+    assert (off[known] / (error[known] + 2e-6)).max() > (0.0003 if kind == "needle" else 0.2)
     assert far.any()
     assert not far.all()
     assert (largest[far] < 0.25).all()

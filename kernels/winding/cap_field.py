@@ -1,0 +1,267 @@
+"""The solid angle of an open mesh's caps over a box of voxels, as a polynomial with a bound of its error.
+
+The solid angle of far caps is a harmonic function in the box. With the sources at y about a node's centre, the voxels
+at x about the box's, and u between the centres, it is the integral of n.z/|z|^3 for z = u + y - x, which is expanded
+in x and y together up to the second order:
+
+    value + slope.x + x.bend x,   value from M1, M2 and M3, slope from M1 and M2, bend from M1 (`cap_tree`).
+
+Why the rest is bounded: a derivative of order m of 1/|z| along any m unit vectors is at most m!/|z|^(m+1), as a
+symmetric form is largest where all its arguments are equal, and there it is m! times a Legendre polynomial. The term
+of order i in x and j in y, with its derivative along n, is thus at most (i+j+1)!/(i! j!) R^i r^j / D^(i+j+2) times
+the area, R and r being the radii of box and node and D = |u|; with rho = (R + r)/D all terms of the orders i+j = m add
+up to (m + 1) rho^m / D^2, and those from the third order on to
+
+    area / D^2 * rho^3 (4 - 3 rho) / (1 - rho)^2.
+
+The tree is descended from the root. A node whose own bound is at most a tolerance is taken as it is, others are opened.
+A single cap that is too near even so is added exactly if the box is a point, else it is left out, for others to add:
+seen from a distance d its solid angle is at most area/d^2, and never more than half of all.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import first_triangle, nodes_of
+from sdm.kernels.primitives.lanes import ballot, members, rank, sum_of_lanes, sum_of_lanes_in_double, wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import STACK
+from sdm.kernels.primitives.vector_loads import load4
+from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, Moments, load_rest
+
+wp.set_module_options({"enable_backward": False})
+
+_ROWS = MOMENTS_SIZE // 4
+# An error of so much, a quarter of the winding number, leaves every side open.
+HOPELESS = wp.PI
+FULL = 4.0 * wp.PI
+# Near caps that a stack has room for.
+MOST_NEAR = 256
+# Nothing nearer is taken for far: its powers would leave the range of float32.
+NEAREST = 1.0e-8
+# Room for the rounding of rho, and of a bound.
+WIDER = 1.0001
+UNIT = 2.0**-24
+# The errors of a near cap's half solid angle, see `near_cap`.
+ROUNDINGS = 100.0 * UNIT
+SNAP = 2.0 * UNIT
+
+
+@wp.struct
+class Field:
+    """The caps' solid angle near a point: at x from it, value + slope.x + x.bend x, give or take the error."""
+
+    value: wp.float64
+    slope: wp.vec3
+    squares: wp.vec3  # of bend the entries xx, yy and zz
+    products: wp.vec3  # and the sums of its entries xy and yx, xz and zx, yz and zy
+    error: float  # infinite if nothing is known
+    left_out: float  # what near caps that are not in it may add at most
+    near: wp.int32  # how many of them are listed
+    drift: float  # what the rounding of slope and bend is in proportion to
+
+
+@wp.func
+def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float):
+    """Add a far node: `u` leads from the field's centre to the node's, a unit vector times 1 / inverse."""
+    z = u * inverse
+    d = wp.dot(m.m1, z)
+    v = m.m2 * z
+    q = wp.dot(z, v) * inverse
+    xx = z[0] * z[0]
+    yy = z[1] * z[1]
+    zz = z[2] * z[2]
+    s = m.m3
+    cubic = z[0] * (xx * s[0] + 3.0 * (yy * s[3] + zz * s[5])) + z[1] * (yy * s[6] + 3.0 * (xx * s[1] + zz * s[8]))
+    cubic = cubic + z[2] * (zz * s[9] + 3.0 * (xx * s[2] + yy * s[7])) + 6.0 * z[0] * z[1] * z[2] * s[4]
+    i2 = inverse * inverse
+    i3 = i2 * inverse
+    i4 = i2 * i2
+    field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * i2 * cubic))
+    field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q) - m.m1 + 6.0 * inverse * v)
+    w = 7.5 * d * z - 3.0 * m.m1
+    diagonal = wp.vec3(w[0] * z[0], w[1] * z[1], w[2] * z[2]) - wp.vec3(1.5 * d, 1.5 * d, 1.5 * d)
+    field.squares = field.squares + i4 * diagonal
+    # 15 d z z' - 3 (m1 z' + z m1').
+    other = wp.vec3(
+        w[0] * z[1] + w[1] * z[0],
+        w[0] * z[2] + w[2] * z[0],
+        w[1] * z[2] + w[2] * z[1],
+    )
+    field.products = field.products + i4 * other
+    return field
+
+
+@wp.func
+def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """The solid angle of a triangle with corners at a, b and c from the point, and the largest error of it.
+
+    Half of it is the argument of f + iv, where v = a.(b x c) and f = |a||b||c| + a.b|c| + b.c|a| + c.a|b| (van
+    Oosterom and Strackee 1983). In units of s = |a||b||c| and u = 2^-24: a, b and c are differences of float32 numbers,
+    each rounded once; v then has an error of at most 14u, f of at most 55u. The places on the lattice, which are those
+    that count, are up to 0.1u away: that moves f + iv by 1.3u over the least of the lengths. So the argument is right
+    within (100u + 2u/least) s/|f + iv|, if that is small and the negative real axis, where it jumps by a turn, is
+    further away; else nothing is known.
+    """
+    la = wp.length(a)
+    lb = wp.length(b)
+    lc = wp.length(c)
+    size = la * lb * lc
+    v = wp.dot(a, wp.cross(b, c))
+    f = size + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
+    least = wp.min(la, wp.min(lb, lc))
+    most = wp.max(wp.abs(v), wp.abs(f))
+    room = (ROUNDINGS * least + SNAP) * size
+    # A product of lengths that underflows is in doubt; so is what overflows, or is not a number.
+    sure = most * least > 10.0 * room and (f > 0.0 or wp.abs(v) * least > room)
+    error = float(wp.inf)
+    angle = float(0.0)
+    if sure:
+        error = 2.0 * room / (most * least)
+        angle = 2.0 * wp.atan2(v, f)
+    return angle, error
+
+
+@wp.func
+def cap_angle(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
+    """`near_cap` of the cap in a leaf of a mesh's tree, seen from p (scaled)."""
+    slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
+    return near_cap(caps.tree.corners[slot] - p, caps.tree.corners[slot + 1] - p, caps.tree.corners[slot + 2] - p)
+
+
+@wp.func
+def see_caps(
+    caps: Caps,
+    mesh: int,
+    centre: wp.vec3,
+    radius: float,
+    tolerance: float,
+    room: int,
+    stack: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+):
+    """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes.
+
+    Caps that are too near for it are added exactly if the radius is zero. Else up to `room` of them, at most MOST_NEAR,
+    are listed on the stack (`near_leaf`), and without room they count as errors.
+    """
+    base = nodes_of(caps.tree, mesh)
+    leaves = 1 << caps.tree.depth
+    field = Field()
+    steps = float(0.0)
+    near = int(0)
+    waiting = wp.min(lanes, leaves)
+    if lane < waiting:
+        stack[lane] = waiting + lane
+    wait_for_lanes()
+    while waiting > 0:
+        taken = wp.min(lanes, waiting)
+        waiting = waiting - taken
+        node = int(0)
+        if lane < taken:
+            node = stack[waiting + lane]
+        wait_for_lanes()
+        opened = bool(False)
+        listed = bool(False)
+        if node > 0:
+            at = _ROWS * (base + node)
+            r0 = load4(caps.moments, at)
+            r1 = load4(caps.moments, at + 1)
+            if r1[1] > 0.0:
+                u = wp.vec3(r0[0], r0[1], r0[2]) - centre
+                distance = wp.length(u)
+                reach = (radius + r0[3]) * WIDER
+                bound = float(wp.inf)
+                left = distance - reach
+                if reach < 0.9 * distance and distance > NEAREST:
+                    rho = reach / distance
+                    bound = r1[0] / (left * left) * rho * rho * rho * (4.0 - 3.0 * rho)
+                if bound <= tolerance:
+                    field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance)
+                    field.error = field.error + WIDER * bound + r1[1] / (left * left)
+                    field.drift = field.drift + radius / distance * r1[0] / (left * left)
+                    steps = steps + 1.0
+                elif node < leaves:
+                    opened = bool(True)
+                elif radius == 0.0:
+                    angle, error = cap_angle(caps, mesh, node - leaves, centre)
+                    field.value = field.value + wp.float64(angle)
+                    field.error = field.error + error
+                else:
+                    most = float(2.0 * wp.PI)
+                    if left > NEAREST:
+                        most = wp.min(most, WIDER * r1[0] / (left * left))
+                    field.left_out = field.left_out + most
+                    listed = bool(True)
+        mask = ballot(opened)
+        if opened:
+            place = waiting + 2 * rank(mask, lane)
+            stack[place] = 2 * node
+            stack[place + 1] = 2 * node + 1
+        waiting = waiting + 2 * members(mask)
+        mask = ballot(listed)
+        if room > 0 and near + members(mask) <= room:
+            if listed:
+                stack[STACK - 1 - near - rank(mask, lane)] = node - leaves
+        near = near + members(mask)
+        if room > 0:
+            if near > room or ballot(field.error >= HOPELESS) != wp.uint32(0):
+                field.error = float(wp.inf)
+        elif ballot(field.error + field.left_out >= HOPELESS) != wp.uint32(0):
+            field.error = float(wp.inf)
+        if ballot(field.error == float(wp.inf)) != wp.uint32(0):
+            # Nothing will be known, as not all is added up.
+            field.error = float(wp.inf)
+            waiting = int(0)
+        wait_for_lanes()
+    field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
+    field.left_out = sum_of_lanes(field.left_out)
+    if near <= room:
+        field.near = near
+    field.value = sum_of_lanes_in_double(field.value)
+    for axis in range(3):
+        field.slope[axis] = sum_of_lanes(field.slope[axis])
+        field.squares[axis] = sum_of_lanes(field.squares[axis])
+        field.products[axis] = sum_of_lanes(field.products[axis])
+    return field
+
+
+@wp.func
+def near_share(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
+    """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
+    angle = float(0.0)
+    error = float(0.0)
+    i = lane
+    while i < near:
+        one, wrong = cap_angle(caps, mesh, stack[STACK - 1 - i], p)
+        angle = angle + one
+        error = error + wrong
+        i = i + lanes
+    angle = sum_of_lanes(angle)
+    # As many additions, each of no more than a turn or two.
+    error = sum_of_lanes(error) + float(near) * UNIT * (8.0 * wp.PI)
+    return angle / FULL, error / FULL
+
+
+@wp.func
+def share_at(field: Field, x: wp.vec3):
+    """The caps' share of the winding number at x from the field's centre."""
+    curved = wp.dot(field.squares, wp.cw_mul(x, x)) + field.products[0] * x[0] * x[1]
+    curved = curved + field.products[1] * x[0] * x[2] + field.products[2] * x[1] * x[2]
+    return (float(field.value) + wp.dot(field.slope, x) + curved) / FULL
+
+
+@wp.func
+def doubt(field: Field):
+    """The largest error of that."""
+    return field.error / FULL
+
+
+@wp.func
+def largest_share(field: Field, half: wp.vec3):
+    """A bound of the caps' share all over a box of these half-widths."""
+    slope = wp.dot(wp.abs(field.slope), half)
+    curved = wp.dot(wp.abs(field.squares), wp.cw_mul(half, half)) + wp.abs(field.products[0]) * half[0] * half[1]
+    curved = curved + wp.abs(field.products[1]) * half[0] * half[2] + wp.abs(field.products[2]) * half[1] * half[2]
+    return (wp.abs(float(field.value)) + slope + curved + field.error + field.left_out) / FULL

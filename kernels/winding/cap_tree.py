@@ -1,0 +1,260 @@
+"""The tree of an open mesh's caps, and the multipole moments of its nodes.
+
+Caps are triangles that close the mesh (`sdm.topology.cap_triangles`). Surface and caps together have a whole winding
+number, and the surface's own is that number less the caps' share: their solid angle over 4 pi. From afar the caps
+under a node are seen as a few moments about the node's centre, with n the normal, y the place and dA the area:
+
+    M1 = sum of n dA,   M2 = sum of sym(n y) dA,   M3 = sum of sym(n y y) dA,
+
+the dipole and what corrects it, without their traces, which no harmonic function sees. They are exact integrals over
+the triangles, in float64, rounded once. `sdm.kernels.winding.cap_field` says how far they are from the truth.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.build import build_in_frame
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of
+from sdm.kernels.launch import launch
+from sdm.kernels.primitives.vector_loads import load4, read4, write4
+
+wp.set_module_options({"enable_backward": False})
+
+# A node's moments: centre (3), radius; area, roughness, M1 (3), M2 (5: xx, xy, xz, yy, yz), M3 (7: xxx, xxy, xxz, xyy,
+# xyz, yyy, yyz), and three unused: the rest of M2 and M3 follows from their zero traces.
+MOMENTS_SIZE = 24
+_ROWS = MOMENTS_SIZE // 4
+# The rounding of a node's part of the solid angle, times its squared distance: of all float32 numbers on the way, by
+# area, and of the places on the lattice, which are those that count, by the length of the caps' edges.
+AREA_ROUNDING = wp.float64(160.0 * 2.0**-24)
+EDGE_ROUNDING = wp.float64(0.25 * 2.0**-24)
+# No radius is too small by rounding.
+WIDER = wp.float64(1.00001)
+
+# The entries xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz and zzz of a symmetric tensor.
+Cubic = wp.types.vector(length=10, dtype=wp.float32)
+CubicInDouble = wp.types.vector(length=10, dtype=wp.float64)
+
+
+@wp.struct
+class Caps:
+    """The caps of each mesh of a batch, as many as it has boundary edges; some of them without an area."""
+
+    tree: Tree  # with the meshes' own frame, and at most one cap in a leaf
+    moments: wp.array(dtype=wp.float32)  # (nodes * MOMENTS_SIZE)
+
+
+@wp.struct
+class Moments:
+    """The moments of a node, M2 and M3 without traces."""
+
+    centre: wp.vec3
+    radius: float
+    area: float
+    rough: float  # of the rounding of its solid angle, times the squared distance
+    m1: wp.vec3
+    m2: wp.mat33
+    m3: Cubic
+
+
+@wp.struct
+class Sums:
+    """The moments of a node while they are added up, with traces."""
+
+    centre: wp.vec3
+    radius: wp.float64
+    area: wp.float64
+    rough: wp.float64
+    m1: wp.vec3d
+    m2: wp.mat33d
+    m3: CubicInDouble
+
+
+def depth_of_caps(count: int) -> int:
+    """Levels below the root of a tree of so many caps: a leaf for each."""
+    return max(0, (count - 1).bit_length())
+
+
+@wp.func
+def unpacked(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, r3: wp.vec4, r4: wp.vec4, r5: wp.vec4):
+    m = Moments()
+    m.centre = wp.vec3(r0[0], r0[1], r0[2])
+    m.radius = r0[3]
+    m.area = r1[0]
+    m.rough = r1[1]
+    m.m1 = wp.vec3(r1[2], r1[3], r2[0])
+    m.m2 = wp.mat33(r2[1], r2[2], r2[3], r2[2], r3[0], r3[1], r2[3], r3[1], -r2[1] - r3[0])
+    m.m3[0] = r3[2]
+    m.m3[1] = r3[3]
+    m.m3[2] = r4[0]
+    m.m3[3] = r4[1]
+    m.m3[4] = r4[2]
+    m.m3[5] = -r3[2] - r4[1]
+    m.m3[6] = r4[3]
+    m.m3[7] = r5[0]
+    m.m3[8] = -r3[3] - r4[3]
+    m.m3[9] = -r4[0] - r5[0]
+    return m
+
+
+@wp.func
+def read_moments(moments: wp.array(dtype=wp.float32), node: int):
+    """A node's moments, of an array that this kernel writes too."""
+    at = _ROWS * node
+    return unpacked(
+        read4(moments, at),
+        read4(moments, at + 1),
+        read4(moments, at + 2),
+        read4(moments, at + 3),
+        read4(moments, at + 4),
+        read4(moments, at + 5),
+    )
+
+
+@wp.func
+def load_rest(moments: wp.array(dtype=wp.float32), node: int, r0: wp.vec4, r1: wp.vec4):
+    """A node's moments, whose first two rows are there already, of an array that nobody writes meanwhile."""
+    at = _ROWS * node
+    return unpacked(
+        r0, r1, load4(moments, at + 2), load4(moments, at + 3), load4(moments, at + 4), load4(moments, at + 5)
+    )
+
+
+@wp.func
+def write_sums(moments: wp.array(dtype=wp.float32), node: int, s: Sums):
+    """Write a node's moments, without their traces."""
+    trace = wp.trace(s.m2) / wp.float64(3.0)
+    fifth = wp.float64(0.2)
+    three = wp.float64(3.0)
+    tx = fifth * (s.m3[0] + s.m3[3] + s.m3[5])
+    ty = fifth * (s.m3[1] + s.m3[6] + s.m3[8])
+    tz = fifth * (s.m3[2] + s.m3[7] + s.m3[9])
+    at = _ROWS * node
+    write4(moments, at, s.centre[0], s.centre[1], s.centre[2], float(s.radius * WIDER))
+    write4(moments, at + 1, float(s.area), float(s.rough), float(s.m1[0]), float(s.m1[1]))
+    write4(moments, at + 2, float(s.m1[2]), float(s.m2[0, 0] - trace), float(s.m2[0, 1]), float(s.m2[0, 2]))
+    xxx = float(s.m3[0] - three * tx)
+    write4(moments, at + 3, float(s.m2[1, 1] - trace), float(s.m2[1, 2]), xxx, float(s.m3[1] - ty))
+    yyy = float(s.m3[6] - three * ty)
+    write4(moments, at + 4, float(s.m3[2] - tz), float(s.m3[3] - tx), float(s.m3[4]), yyy)
+    write4(moments, at + 5, float(s.m3[7] - tz), 0.0, 0.0, 0.0)
+
+
+@wp.func
+def symmetric(v: wp.vec3d, t: wp.vec3d):
+    """sym(v t)."""
+    return wp.float64(0.5) * (wp.outer(v, t) + wp.outer(t, v))
+
+
+@wp.func
+def symmetric_cubic(m: wp.mat33d, t: wp.vec3d):
+    """sym(m t) of a symmetric matrix."""
+    part = wp.float64(1.0) / wp.float64(3.0)
+    two = wp.float64(2.0)
+    found = CubicInDouble()
+    found[0] = m[0, 0] * t[0]
+    found[1] = part * (m[0, 0] * t[1] + two * m[0, 1] * t[0])
+    found[2] = part * (m[0, 0] * t[2] + two * m[0, 2] * t[0])
+    found[3] = part * (m[1, 1] * t[0] + two * m[0, 1] * t[1])
+    found[4] = part * (m[0, 1] * t[2] + m[0, 2] * t[1] + m[1, 2] * t[0])
+    found[5] = part * (m[2, 2] * t[0] + two * m[0, 2] * t[2])
+    found[6] = m[1, 1] * t[1]
+    found[7] = part * (m[1, 1] * t[2] + two * m[1, 2] * t[1])
+    found[8] = part * (m[2, 2] * t[1] + two * m[1, 2] * t[2])
+    found[9] = m[2, 2] * t[2]
+    return found
+
+
+@wp.kernel
+def _leaf_moments(begin: int, caps: Caps):
+    i = begin + wp.tid()
+    tree = caps.tree
+    leaves = 1 << tree.depth
+    mesh = i / leaves
+    leaf = i - mesh * leaves
+    slot = first_triangle(tree, leaf)
+    s = Sums()
+    if slot < first_triangle(tree, leaf + 1):
+        slot = mesh * tree.count + slot
+        a = wp.vec3d(tree.corners[4 * slot])
+        b = wp.vec3d(tree.corners[4 * slot + 1])
+        c = wp.vec3d(tree.corners[4 * slot + 2])
+        part = wp.float64(1.0) / wp.float64(3.0)
+        s.centre = wp.vec3(part * (a + b + c))
+        s.m1 = wp.float64(0.5) * wp.cross(b - a, c - a)
+        s.area = wp.length(s.m1)
+        around = wp.length(b - a) + wp.length(c - b) + wp.length(a - c)
+        s.rough = AREA_ROUNDING * s.area + EDGE_ROUNDING * around
+        a = a - wp.vec3d(s.centre)
+        b = b - wp.vec3d(s.centre)
+        c = c - wp.vec3d(s.centre)
+        s.radius = wp.max(wp.length(a), wp.max(wp.length(b), wp.length(c)))
+        total = a + b + c
+        s.m2 = symmetric(s.m1, part * total)
+        yy = wp.outer(a, a) + wp.outer(b, b) + wp.outer(c, c) + wp.outer(total, total)
+        s.m3 = symmetric_cubic(yy / wp.float64(12.0), s.m1)
+    write_sums(caps.moments, nodes_of(tree, mesh) + leaves + leaf, s)
+
+
+@wp.func
+def moved(s: Sums, m: Moments):
+    """Add a child's moments to those of a node, whose centre is known."""
+    m1 = wp.vec3d(m.m1)
+    m2 = wp.mat33d(m.m2)
+    t = wp.vec3d(m.centre) - wp.vec3d(s.centre)
+    if m.rough > 0.0:
+        s.radius = wp.max(s.radius, wp.float64(m.radius) + wp.length(t))
+    s.area = s.area + wp.float64(m.area)
+    s.rough = s.rough + wp.float64(m.rough)
+    s.m1 = s.m1 + m1
+    s.m2 = s.m2 + m2 + symmetric(m1, t)
+    m3 = wp.float64(2.0) * symmetric_cubic(m2, t) + symmetric_cubic(wp.outer(t, t), m1)
+    for i in range(10):
+        s.m3[i] = s.m3[i] + m3[i] + wp.float64(m.m3[i])
+    return s
+
+
+@wp.kernel
+def _level_moments(begin: int, caps: Caps, width: int):
+    i = begin + wp.tid()
+    tree = caps.tree
+    mesh = i / width
+    base = nodes_of(tree, mesh)
+    node = width + i - mesh * width
+    left = read_moments(caps.moments, base + 2 * node)
+    right = read_moments(caps.moments, base + 2 * node + 1)
+    s = Sums()
+    # Not by area, which the caps of a node may lack, and their edges still be somewhere.
+    weight = wp.float64(left.rough) + wp.float64(right.rough)
+    if weight > wp.float64(0.0):
+        middle = wp.float64(left.rough) * wp.vec3d(left.centre) + wp.float64(right.rough) * wp.vec3d(right.centre)
+        s.centre = wp.vec3(middle / weight)
+    s = moved(moved(s, left), right)
+    low, high = node_box(tree, base + node)
+    reach = wp.max(wp.vec3d(s.centre) - wp.vec3d(low), wp.vec3d(high) - wp.vec3d(s.centre))
+    s.radius = wp.min(s.radius, wp.length(reach))
+    # Children are rounded already.
+    s.rough = s.rough + AREA_ROUNDING * wp.float64(0.125) * s.area
+    write_sums(caps.moments, base + node, s)
+
+
+def build_caps(
+    caps: Caps, vertices: wp.array, triangles: wp.array, bounds: wp.array, keys: wp.array, slots: wp.array
+) -> None:
+    """Fill `caps`, whose tree has the meshes' frame.
+
+    Args:
+        caps: What to fill.
+        vertices: (meshes, V) vec3.
+        triangles: (E, 3) int32, shared by the meshes.
+        bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
+        keys: (2 * meshes * E) int64, scratch.
+        slots: (2 * meshes * E) int32, scratch.
+    """
+    tree, device = caps.tree, vertices.device
+    # The caps' own normals have no use: they go where the moments come afterwards.
+    build_in_frame(tree, vertices, triangles, bounds, keys, slots, caps.moments)
+    launch(_leaf_moments, vertices.shape[0] << tree.depth, [caps], device)
+    for level in range(tree.depth - 1, -1, -1):
+        launch(_level_moments, vertices.shape[0] << level, [caps, 1 << level], device)

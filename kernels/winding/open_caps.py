@@ -1,0 +1,250 @@
+"""Opens an open mesh's caps again: from the whole winding numbers of surface and caps to the surface's own.
+
+What has to be right is on which side of 0.25, 0.5 and 0.75 the winding number of a voxel is: that is sign and
+clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_field`). Where the caps' share is less
+than a quarter all over a box, its whole numbers will do; where the field's error leaves no voxel in doubt, the field's
+values are taken; else its eighths are looked at, down to 2^3 voxels, then single voxels. What is in doubt even so gets
+the sum over all boundary edges in float64, as `boundary_term` has it: so every voxel is on the side where that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.launch import launch, threads
+from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
+from sdm.kernels.primitives.lanes import (
+    GPU_BLOCKS,
+    GPU_LANES,
+    ballot,
+    gpu_workers,
+    sum_of_lanes_in_double,
+    wait_for_lanes,
+)
+from sdm.kernels.primitives.shared_stacks import stack_of, stack_room
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.cap_field import FULL, MOST_NEAR, Field, doubt, largest_share, near_share, see_caps, share_at
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.ray_crossings import count_crossings
+
+wp.set_module_options({"enable_backward": False})
+
+# Voxels along the edges of the boxes that are looked at one after the other, and what a node of the tree may add to the
+# error of the winding number there.
+SIZES = (32, 16, 8, 4)
+TOLERANCES = (4e-3, 2e-3, 1e-3, 5e-4)
+# The same for boxes of 2^3, for single voxels, and for those that are still in doubt.
+PIECE, PIECE_TOLERANCE = 2, 3e-4
+POINT_TOLERANCE, LAST_TOLERANCE = 3e-4, 1e-5
+# Less than a quarter, by more than the rounding of the sums.
+LARGEST_SHARE = 0.249
+# What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
+LAST_ROUNDINGS, LAST_ROUNDING = 2.0e-6, 3.0e-7
+# Places of the counts: for each size, and at last for 2^3, which box is next, and how many there are; then how many
+# voxels got the field of a point, and the sum over all edges.
+NEXT, LENGTH, STRIDE = 0, 1, 2
+POINTS, EXACT = STRIDE * (len(SIZES) + 1), STRIDE * (len(SIZES) + 1) + 1
+COUNTS = EXACT + 1
+
+
+@wp.func
+def is_sure(winding: float, whole: float, error: float):
+    """True if a winding number is on a known side of the values that decide about sign and clearness."""
+    off = wp.min(wp.abs(winding - 0.25), wp.min(wp.abs(winding - 0.5), wp.abs(winding - 0.75)))
+    return off > error + LAST_ROUNDINGS + LAST_ROUNDING * wp.abs(whole)
+
+
+@wp.func
+def settle_box(
+    field: Field,
+    slab: Slab,
+    mesh: int,
+    start: wp.vec3i,
+    size: int,
+    box: VoxelBox,
+    scale: float,
+    lane: int,
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open all voxels of a box, if the field leaves none of them in doubt; whether it did."""
+    if largest_share(field, box.half) < LARGEST_SHARE:
+        return True
+    error = doubt(field) + field.left_out / FULL
+    if error > 0.125:
+        return False
+    last = wp.min(wp.vec3i(size, size, size), slab.shape - start)
+    count = last[0] * last[1] * last[2]
+    sure = bool(True)
+    for write in range(2):
+        number = int(0)
+        while number < count and sure:
+            mine = number + lane
+            if mine < count:
+                v = start + wp.vec3i(mine / (last[1] * last[2]), mine / last[2] % last[1], mine % last[2])
+                whole = values[mesh, v[0], v[1], v[2]]
+                winding = whole - share_at(field, scale * voxel(slab, v[0], v[1], v[2]) - box.centre)
+                if write == 1:
+                    values[mesh, v[0], v[1], v[2]] = winding
+                else:
+                    sure = is_sure(winding, whole, error)
+            sure = ballot(not sure) == wp.uint32(0)
+            number = number + lanes
+    return sure
+
+
+@wp.kernel
+def _open_boxes(
+    begin: int,
+    caps: Caps,
+    slab: Slab,
+    size: int,
+    tolerance: float,
+    cells: wp.vec3i,
+    eighths: wp.vec3i,
+    level: int,
+    boxes: wp.array(dtype=wp.int32),
+    left: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    stacks: wp.array(dtype=wp.int32),
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open boxes of size^3 voxels; those that are left in doubt are listed by their eighths."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    stack = stack_of(stacks, thread / lanes)
+    total = values.shape[0] * cells[0] * cells[1] * cells[2]
+    if level > 0:
+        total = counts[STRIDE * level + LENGTH]
+    item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
+    while item < total:
+        number = item
+        if level > 0:
+            number = boxes[item]
+        mesh, at = unravel(number, cells)
+        start = size * at
+        scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
+        box = box_of_voxels(slab, start, size, scale)
+        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, 0, stack, lane, lanes)
+        if not settle_box(field, slab, mesh, start, size, box, scale, lane, lanes, values):
+            octant = lane
+            while octant < 8:
+                child = 2 * at + octant_at(octant)
+                if is_within(slab, (size / 2) * child):
+                    place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
+                    index = ((mesh * eighths[0] + child[0]) * eighths[1] + child[1]) * eighths[2] + child[2]
+                    left[place] = index
+                octant = octant + lanes
+        item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
+
+
+@wp.func
+def open_voxel(
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    mesh: int,
+    p: wp.vec3d,
+    whole: float,
+    lane: int,
+    lanes: int,
+):
+    """The winding number at p (scaled) by the sum over all boundary edges, from that of surface and caps."""
+    share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
+    return whole - float(count_crossings(caps.tree, mesh, p)) + float(share)
+
+
+@wp.kernel
+def _open_pieces(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    slab: Slab,
+    cells: wp.vec3i,
+    level: int,
+    pieces: wp.array(dtype=wp.int32),
+    counts: wp.array(dtype=wp.int32),
+    stacks: wp.array(dtype=wp.int32),
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open boxes of 2^3 voxels, those that are left in doubt voxel by voxel."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    stack = stack_of(stacks, thread / lanes)
+    total = counts[STRIDE * level + LENGTH]
+    item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
+    while item < total:
+        mesh, at = unravel(pieces[item], cells)
+        start = PIECE * at
+        scale = tree.frame[mesh * FRAME_SIZE + SCALE]
+        box = box_of_voxels(slab, start, PIECE, float(scale))
+        tolerance = PIECE_TOLERANCE * FULL
+        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
+        number = int(8)
+        if not settle_box(field, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
+            number = int(0)
+        while number < 8:
+            v = start + octant_at(number)
+            if is_within(slab, v):
+                point = float(scale) * voxel(slab, v[0], v[1], v[2])
+                whole = values[mesh, v[0], v[1], v[2]]
+                share, error = near_share(caps, mesh, field.near, point, stack, lane, lanes)
+                winding = whole - share - share_at(field, point - box.centre)
+                error = error + doubt(field)
+                tolerance = POINT_TOLERANCE * FULL
+                while not is_sure(winding, whole, error) and tolerance > LAST_TOLERANCE * 0.1 * FULL:
+                    here = see_caps(caps, mesh, point, 0.0, tolerance, 0, stack, lane, lanes)
+                    winding = whole - share_at(here, wp.vec3())
+                    error = doubt(here)
+                    if lane == 0:
+                        fetch_add(counts, POINTS, 1)
+                    tolerance = wp.where(tolerance > LAST_TOLERANCE * FULL, LAST_TOLERANCE * FULL, 0.0)
+                if not is_sure(winding, whole, error):
+                    p = scale * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+                    winding = open_voxel(tree, boundary, caps, mesh, p, whole, lane, lanes)
+                    if lane == 0:
+                        fetch_add(counts, EXACT, 1)
+                # All lanes have read the whole number before it goes.
+                wait_for_lanes()
+                if lane == 0:
+                    values[mesh, v[0], v[1], v[2]] = winding
+            number = number + 1
+        item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
+
+
+def open_caps(
+    tree: Tree, boundary: Boundary, caps: Caps, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
+) -> wp.array:
+    """From the winding numbers of surface and caps to the surface's own, where it matters for sign or clearness.
+
+    Changes `values` (meshes, n, ny, nz) float32. `empty(length, dtype)` allocates scratch. Returns the counts, (COUNTS)
+    int32.
+    """
+    device = values.device
+    meshes, *shape = values.shape
+    lanes, workers = 1, 16 * threads()
+    if device.is_cuda:
+        lanes, workers = GPU_LANES, gpu_workers(device, GPU_BLOCKS)
+    counts = empty(COUNTS, wp.int32)
+    counts.zero_()
+    stacks = empty(stack_room(workers, device.is_cuda), wp.int32)
+    boxes = empty(1, wp.int32)
+    for level, (size, tolerance) in enumerate(zip(SIZES, TOLERANCES, strict=True)):
+        cells, eighths = ([-(-n // edge) for n in shape] for edge in (size, size // 2))
+        left = empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
+        grids = [wp.vec3i(*cells), wp.vec3i(*eighths)]
+        inputs = [caps, slab, size, tolerance * FULL, *grids, level, boxes, left, counts, stacks, lanes, values]
+        launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
+        boxes = left
+    inputs = [tree, boundary, caps, slab, grids[1], len(SIZES), boxes, counts, stacks, lanes, values]
+    launch(_open_pieces, workers * lanes, inputs, device, smallest=1)
+    return counts

@@ -1,0 +1,76 @@
+"""Caps: triangles that close the holes of a mesh, between vertices of their rims.
+
+The boundary edges are cut into simple cycles (`sdm.kernels.topology.boundary_cycles`), and each cycle of n edges is
+closed by n - 2 triangles: over every two edges one that cuts off the vertex between them, over every two of its new
+edges another one, and so on. So a long cycle has large triangles only in its middle, few of them, and a hole that a
+single triangle has left is closed by just that triangle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
+
+from sdm.kernels.topology.boundary_cycles import Walk, split_cycles
+from sdm.runtime.torch_warp import array_at
+from sdm.topology.boundary_edges import on_host
+from sdm.topology.face_pairing import cached
+
+_known: WeakIdKeyDictionary = WeakIdKeyDictionary()
+
+
+def cap_triangles(edges: Tensor) -> Tensor:
+    """Triangles (E,3) int32 that close a mesh with these boundary edges (E,2), directed as `boundary_edges` gives them.
+
+    Together with the mesh's faces they leave no boundary edge. Two of each cycle have corners at one vertex, and so no
+    area: as many triangles as edges are a simpler thing to count.
+    """
+    return cached(_known, edges, lambda: torch.from_numpy(caps_on_host(on_host(edges))).to(edges.device))
+
+
+def caps_on_host(edges: np.ndarray) -> np.ndarray:
+    """`cap_triangles` of an array."""
+    ends, index = np.unique(edges, return_inverse=True)
+    start, end = index.reshape(-1, 2).astype(np.int32).T
+    order, begins = _cycles(np.ascontiguousarray(start), np.ascontiguousarray(end), len(ends))
+    length = np.diff(np.append(begins, len(edges)))
+    number = np.repeat(np.arange(len(begins)), length)
+    at, long = np.arange(len(edges)) - begins[number], length[number]
+    # How many edges of the cycle are before its lowest vertex.
+    lowest = np.minimum.reduceat(start[order], begins)[number]
+    turn = np.add.reduceat(np.where(start[order] == lowest, at, 0), begins)[number]
+    left = (turn - at) % long
+    step = left & -left
+
+    def vertex(left: np.ndarray) -> np.ndarray:
+        """The vertex with so many edges between it and the cycle's lowest one."""
+        return ends[start[order[begins[number] + (turn - left) % long]]]
+
+    caps = np.empty((len(edges), 3), np.int32)
+    caps[order] = np.stack([vertex(left - step), vertex(left), vertex(np.where(left + step < long, left + step, 0))], 1)
+    return caps
+
+
+def _cycles(start: np.ndarray, end: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """The edges from `start` to `end` cycle by cycle, and where each cycle begins among them."""
+    count = len(start)
+    leaving = np.argsort(start, kind="stable").astype(np.int32)
+    first = np.searchsorted(start[leaving], np.arange(vertices + 1)).astype(np.int32)
+    arrays = {
+        "ends": end,
+        "leaving": leaving,
+        "first": first,
+        "used": first[:-1].copy(),
+        "place": np.full(vertices, -1, np.int32),
+        "path": np.empty(count, np.int32),
+        "order": np.empty(count, np.int32),
+        "cycle": np.empty(count, np.int32),
+    }
+    walk = Walk()
+    for name, array in arrays.items():
+        setattr(walk, name, array_at(array.ctypes.data, array.shape, wp.int32, torch.device("cpu")))
+    split_cycles(walk)
+    return arrays["order"], np.flatnonzero(np.diff(arrays["cycle"], prepend=-1))

@@ -1,0 +1,115 @@
+"""Maps of open meshes have the same bits by caps as by the sum over all boundary edges at every voxel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdm
+import sdm.engine.acceleration
+from sdm.bench.common.meshes import sphere
+from sdm.kernels.winding import column_sums
+from tests.helpers import strategies
+
+CPU = torch.device("cpu")
+
+
+def torn(share: float, seed: int) -> strategies.Arrays:
+    vertices, faces = sphere(16)
+    return strategies.Arrays(vertices, faces[np.random.default_rng(seed).random(len(faces)) >= share])
+
+
+def half_spheres(count: int, seed: int) -> strategies.Arrays:
+    """Open bowls here and there, of all sizes and turned at random; some inside others."""
+    rng = np.random.default_rng(seed)
+    vertices, faces = sphere(6)
+    faces = faces[(vertices[faces][:, :, 2] > -1e-6).all(1)]
+    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.1, 1) for _ in range(count)]
+    places = [vertices @ turn + rng.normal(size=3) for turn in turns]
+    index = [faces + len(vertices) * number for number in range(count)]
+    return strategies.Arrays(np.concatenate(places).astype(np.float32), np.concatenate(index).astype(np.int32))
+
+
+def sheets(share: float, seed: int) -> strategies.Arrays:
+    """Two walls a thousandth apart that face away from each other; some of their faces are gone, or turned."""
+    rng = np.random.default_rng(seed)
+    count = 9
+    x, y = np.meshgrid(np.linspace(-1, 1, count), np.linspace(-1, 1, count), indexing="ij")
+    at = np.arange(count * count).reshape(count, count)
+    a, b, c, d = at[:-1, :-1].ravel(), at[1:, :-1].ravel(), at[1:, 1:].ravel(), at[:-1, 1:].ravel()
+    one = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    faces = np.concatenate([one, one[:, ::-1] + count * count])
+    faces = faces[rng.random(len(faces)) >= share]
+    turned = rng.random(len(faces)) < share
+    faces[turned] = faces[turned][:, ::-1]
+    z = np.zeros_like(x)
+    vertices = np.concatenate([np.stack([x, y, z], -1), np.stack([x, y, z + 1e-3], -1)]).reshape(-1, 3)
+    return strategies.Arrays(np.roll(vertices, seed % 3, 1).astype(np.float32), faces.astype(np.int32))
+
+
+shares, counts = st.sampled_from([0.01, 0.1, 0.3, 0.7]), st.integers(1, 12)
+dirt = st.one_of(
+    st.builds(torn, shares, strategies.seeds),
+    st.builds(half_spheres, counts, strategies.seeds),
+    st.builds(sheets, shares, strategies.seeds),
+    strategies.soups(30),
+    strategies.slivers(20),
+    strategies.shells(8),
+)
+
+
+def grid_about(vertices: np.ndarray, shape: tuple[int, int, int], turned: bool, seed: int) -> sdm.Grid:
+    """A grid through the middle of a mesh, of unequal steps, or thick, or tiny; in round numbers every other time."""
+    rng = np.random.default_rng(seed)
+    low, high = vertices.min(0).astype(float), vertices.max(0).astype(float)
+    size = float((high - low).max()) or 1.0
+    spacing = size * 10.0 ** rng.uniform(-2, -0.7, 3)
+    middle = rng.uniform(low, high + 1e-3 * size)
+    if seed % 2:
+        spacing, middle = 2.0 ** np.round(np.log2(spacing)), np.round(8 * middle) / 8
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if turned else np.eye(3)
+    turn[:, 2] *= np.linalg.det(turn)
+    return sdm.Grid(middle - turn @ (spacing * (np.array(shape) // 2)), spacing, shape, turn)
+
+
+def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
+    found = []
+    with pytest.MonkeyPatch.context() as patch:
+        for method in ("caps", "edges"):
+            patch.setattr(column_sums, "OPEN_METHOD", method)
+            found.append(index.signed_distance_map(grid))
+    return found
+
+
+@settings(max_examples=120)
+@given(mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), seed=strategies.seeds)
+def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, seed):
+    index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
+    fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
+    assert torch.equal(fast.values, slow.values)
+    assert fast.ambiguous_voxels == slow.ambiguous_voxels
+
+
+@pytest.mark.parametrize("share", [0.03, 0.3])
+def test_a_batch_has_the_bits_of_its_meshes(monkeypatch, share):
+    mesh = torn(share, 4)
+    batch = torch.tensor(np.stack([mesh.vertices, 0.5 * mesh.vertices + 0.3, mesh.vertices @ np.diag([1, 0.4, 0.7])]))
+    batch, faces = batch.float(), torch.tensor(mesh.faces)
+    grid = sdm.Grid((-1.1, -1.1, -1.1), (0.1, 0.11, 0.09), (35, 21, 23))
+    together = sdm.signed_distance_maps(batch, faces, grid)
+    for vertices, values in zip(batch, together, strict=True):
+        assert torch.equal(both(sdm.MeshIndex(sdm.TriangleMesh(vertices, faces), "cpu"), grid)[1].values, values)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
+def test_a_gpu_has_the_same_bits_by_either_way(share):
+    mesh = torn(share, 5)
+    index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
+    for seed in range(4):
+        fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed > 1, seed))
+        assert torch.equal(fast.values, slow.values)
+        assert fast.ambiguous_voxels == slow.ambiguous_voxels
