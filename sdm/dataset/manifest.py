@@ -11,6 +11,7 @@ from typing import Any, TypeGuard
 
 from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
+from sdm.stream.sample_maker import DRAWS, FIRST_DRAWS
 
 VERSION = 2
 # From this version on, the manifest has a checksum of itself, and every array but the shards' own checksums one of each
@@ -46,7 +47,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise FormatError(f"{folder} was written by a newer version of sdm: update it to read this dataset")
     # Before the checksum, since these say what is wrong.
     _check(found, _FIELDS, folder, "")
-    _check(found["recipe"], _RECIPE, folder, "recipe.")
+    _check({"draws": FIRST_DRAWS, **found["recipe"]}, _RECIPE, folder, "recipe.")
     if found["version"] >= WITH_CHECKSUMS:
         if found.pop(CHECKSUM, None) != _checksum(found):
             raise FormatError(
@@ -55,7 +56,23 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             )
     else:
         _check_count(found["count"], folder)
+    found["recipe"].setdefault("draws", FIRST_DRAWS)
     return found
+
+
+def require_draws(manifest: dict[str, Any], folder: Path) -> None:
+    """Refuse to make samples for a dataset whose seed stands for other random numbers than here.
+
+    Raises:
+        FormatError: It does.
+    """
+    draws = manifest["recipe"]["draws"]
+    if draws != DRAWS:
+        raise FormatError(
+            f"{folder} holds samples by version {draws} of the random numbers, and this sdm draws version {DRAWS}, "
+            "which would be other samples: it can be read, but finish or mend it by the sdm that made it, or generate "
+            "it anew"
+        )
 
 
 def _checksum(manifest: dict[str, Any]) -> str:
@@ -141,6 +158,8 @@ _RECIPE: dict[str, Callable[[Any], bool]] = {
     "grid": _is_grid,
     "seed": _is_whole,
     "sampler": _is_text,
+    # Not in datasets of the first ones.
+    "draws": _is_count,
     "dtype": lambda value: value in ("float32", "float16"),
     "truncate": lambda value: value is None or (_is_number(value) and 0 < value < math.inf),
 }

@@ -10,7 +10,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.manifest import read_manifest
+from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_job import Job
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
@@ -85,8 +85,8 @@ def verify(
         The numbers of the shards that were made again.
 
     Raises:
-        FormatError: Not a dataset, or one of another family, sampler, version or kind of device, or another
-            process writes it.
+        FormatError: Not a dataset, or one of another family, sampler, version, random numbers or kind of device, or
+            another process writes it.
     """
     folder = Path(path)
     manifest = read_manifest(folder)
@@ -94,6 +94,7 @@ def verify(
     found = damaged(folder) if shards is None else shards
     if not found:
         return []
+    require_draws(manifest, folder)
     recipe = manifest["recipe"]
     devices = ["cpu"] if ray is not None else devices_for(device)
     kind = manifest["device"] if ray is not None else device_kind(devices[0])

@@ -12,7 +12,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
-from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest
+from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest, require_draws
 from sdm.dataset.process_pool import run_here
 from sdm.dataset.ray_cluster import run_on_ray
 from sdm.dataset.shard_job import Job
@@ -66,8 +66,8 @@ def generate(
         The path.
 
     Raises:
-        FormatError: The path is taken, the unfinished dataset is another one or another process writes it, or the disk
-            cannot be written.
+        FormatError: The path is taken, the unfinished dataset is another one, of an sdm that drew other random
+            numbers, or another process writes it, or the disk cannot be written.
         SDMError: A number that makes no sense.
 
     Killed at any moment it loses the shards in flight; `resume` finishes it to the identical dataset on the same kind
@@ -144,6 +144,7 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
     Raises:
         FormatError: It is not; says in what.
     """
+    require_draws(found, path)
     others = ("count", "shard", "compression", "sdm_version", "device")
     for key, value in {**wanted["recipe"], **{k: wanted[k] for k in others}}.items():
         there = found["recipe"].get(key, found.get(key))

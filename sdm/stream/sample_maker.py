@@ -24,6 +24,10 @@ from sdm.stream.samplers import Sampler, as_sampler
 # triangles at most.
 MOST_AT_ONCE, BYTES_AT_ONCE, TRIANGLES_AT_ONCE = 64, 1 << 27, 1 << 21
 
+# Version of the random numbers that a seed stands for. Recipes without one are of version 1, in which seeds were not
+# hashed with their purpose (`sdm.core.random.derive_seed`).
+DRAWS, FIRST_DRAWS = 2, 1
+
 DTYPES = {torch.float32: "float32", torch.float16: "float16", torch.bfloat16: "bfloat16"}
 
 
@@ -96,6 +100,7 @@ class Maker:
             "grid": grid_record(self.grid),
             "seed": self.seed,
             "sampler": str(self.sampler),
+            "draws": DRAWS,
             "dtype": DTYPES[self.dtype],
             "truncate": self.truncate,
         }

@@ -16,7 +16,7 @@ from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.ranks import in_process_group, rank_and_size
-from sdm.stream.sample_maker import Maker, refuse_fork
+from sdm.stream.sample_maker import FIRST_DRAWS, Maker, refuse_fork
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 
@@ -202,7 +202,7 @@ class SDMStream(IterableDataset[Batch]):
         if not isinstance(state, dict) or state.get("version") != VERSION:
             raise SDMError("this is not the state of a stream of this version of sdm")
         mine = self._maker.recipe
-        for key, value in state["recipe"].items():
+        for key, value in {"draws": FIRST_DRAWS, **state["recipe"]}.items():
             if mine.get(key) != value:
                 raise SDMError(
                     f"the state is of a stream whose {key} is {value}, but here it is {mine.get(key)}: "

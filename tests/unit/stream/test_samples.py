@@ -275,5 +275,8 @@ def test_state_of_another_stream_is_refused():
     ):
         with pytest.raises(SDMError, match=key):
             other.load_state_dict(state)
+    del state["recipe"]["draws"]
+    with pytest.raises(SDMError, match="draws is 1, but here it is 2"):
+        stream(Cochlea(600)).load_state_dict(state)
     with pytest.raises(SDMError, match="not the state"):
         stream(Cochlea(600)).load_state_dict({})
