@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
 SHARE = 128
 # Candidates that are drawn at a time, and how often before a family counts as too small.
 BLOCK, MOST_BLOCKS = 8192, 64
+# One in `SHARE`, a power of two, ends in bits that are all zero.
+LAST = np.uint64(SHARE - 1)
 # Of SplitMix64.
+SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
 GAMMA, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
@@ -28,11 +32,15 @@ def is_held_out(theta: Tensor) -> Tensor:
     A function of the row's bits alone. It treats all places of the box alike, so what is left of a distribution is
     distributed as before.
     """
+    return torch.from_numpy(held_out_rows(theta.detach().numpy()))
+
+
+def held_out_rows(theta: np.ndarray) -> np.ndarray:
+    """`is_held_out` of an array (B,P) float32: True (B,) where a row is held out."""
     # Adding 0 turns -0 into 0, which it is equal to.
-    bits = (theta.detach() + 0.0).contiguous().numpy().view(np.uint32).astype(np.uint64)
-    columns = np.arange(1, bits.shape[1] + 1, dtype=np.uint64) * GAMMA
-    word = _mixed(_mixed(bits + columns).sum(1, dtype=np.uint64))
-    return torch.from_numpy(word % np.uint64(SHARE) == 0)
+    bits = np.add(theta, np.float32(0), order="C").view(np.uint32)
+    word = _mix(bits + _columns(bits.shape[1]))
+    return _mix(np.add.reduce(word, axis=1)) & LAST == 0
 
 
 def held_out_samples(family: Family, count: int, seed: int, static: Sampler | None = None) -> Tensor:
@@ -65,8 +73,18 @@ def held_out_samples(family: Family, count: int, seed: int, static: Sampler | No
     return torch.cat(found) if found else torch.empty(0, len(family.parameters), device="cpu")
 
 
-def _mixed(word: np.ndarray) -> np.ndarray:
-    """The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) of uint64 words."""
-    word = (word ^ (word >> np.uint64(30))) * FIRST
-    word = (word ^ (word >> np.uint64(27))) * SECOND
-    return word ^ (word >> np.uint64(31))
+@cache
+def _columns(width: int) -> np.ndarray:
+    return np.arange(1, width + 1, dtype=np.uint64) * GAMMA
+
+
+def _mix(word: np.ndarray) -> np.ndarray:
+    """The finaliser of SplitMix64 (Steele, Lea and Flood, OOPSLA 2014) of uint64 words, in their place."""
+    # Streams wait for this: it allocates little.
+    part = word >> SHIFTS[0]
+    word ^= part
+    word *= FIRST
+    word ^= np.right_shift(word, SHIFTS[1], out=part)
+    word *= SECOND
+    word ^= np.right_shift(word, SHIFTS[2], out=part)
+    return word
