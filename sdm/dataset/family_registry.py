@@ -5,22 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sdm import shapes
 from sdm.errors import SDMError
 from sdm.io.files.one_line import one_line
-from sdm.shapes import Family, MeshFolder
+from sdm.shapes import Family, families, make_family
 
-FAMILIES: dict[str, type[Family]] = {
-    family.name: family
-    for family in (
-        shapes.Cochlea,
-        shapes.Cuboid,
-        shapes.Rhomboid,
-        shapes.Ellipsoid,
-        shapes.Cylinder,
-        shapes.GeometricShapes,
-    )
-}
+# Those that need no files.
+FAMILIES: dict[str, type[Family]] = {name: family for name, family in families.items() if not family.places_meshes}
+FOLDER = "mesh-folder"
 
 
 def describe(name: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -54,11 +45,11 @@ def family_from(source: dict[str, Any]) -> Family:
             folder = options.pop("folder")
             if isinstance(options.get("scale"), list):
                 options["scale"] = tuple(options["scale"])
-            return MeshFolder(folder, skip_bad=True, **options)
+            return make_family(FOLDER, folder, skip_bad=True, **options)
         name = options.pop("family", None)
         if not isinstance(name, str) or name not in FAMILIES:
             raise SDMError(f"the dataset's family {name!r} is not one that sdm knows by name: give it")
-        return FAMILIES[name](**options)
+        return make_family(name, **options)
     # Of options that it has not, or of another type.
     except TypeError as error:
         raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error

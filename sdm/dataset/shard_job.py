@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.dataset.inverse_transform import transforms_of
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.errors import FormatError
 from sdm.runtime.prefetch import prefetch
@@ -100,7 +99,7 @@ class Job:
         maps = torch.empty((end - begin, *self.grid.shape), dtype=self.dtype, device="cpu")
         for first, batch in self._batches(begin, end, maker):
             maps[first - begin : first - begin + len(batch.index)] = batch.sdm[:, 0]
-        transform = transforms_of(self.family, theta)
+        transform = self.family.sample_transforms(theta)
         return theta.numpy(), None if transform is None else transform.numpy(), maps.numpy()
 
     def _batches(self, begin: int, end: int, maker: Maker) -> Iterator[tuple[int, Batch]]:

@@ -4,6 +4,7 @@ from sdm.shapes.cochlea import Cochlea
 from sdm.shapes.cochlea_design import CochleaDesign
 from sdm.shapes.family import Family, Group, Parameter
 from sdm.shapes.mesh_folder import MeshFolder
+from sdm.shapes.registry import families, make_family
 from sdm.shapes.sampling import grid, sobol, uniform
 from sdm.shapes.solids import Cuboid, Cylinder, Ellipsoid, GeometricShapes, Rhomboid
 
@@ -19,7 +20,9 @@ __all__ = [
     "MeshFolder",
     "Parameter",
     "Rhomboid",
+    "families",
     "grid",
+    "make_family",
     "sobol",
     "uniform",
 ]

@@ -12,6 +12,7 @@ from torch import Tensor
 from sdm.errors import MeshError
 from sdm.kernels.shapes import cochlea
 from sdm.shapes.cochlea_design import CochleaDesign
+from sdm.shapes.cochlea_reference import reference_vertices
 from sdm.shapes.family import Family, Parameter, as_theta
 from sdm.shapes.tube import superellipse, tube
 from sdm.shapes.vertex_op import vertex_op
@@ -88,6 +89,14 @@ class Cochlea(Family):
         """Vertices (B,V,3) [mm] for theta (B,4) = (a, alpha, b, phi), differentiable in theta."""
         theta = as_theta(theta, 4, self.name)
         return _cochlea_vertices(theta, self._on(theta.device, "tables", lambda: self._tables), self._count)
+
+    def reference_vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) [mm] for theta (B,4) in theta's type, by plain torch."""
+        return reference_vertices(theta, self._on(theta.device, "tables", lambda: self._tables))
+
+    def with_triangles(self, triangles: int) -> Cochlea:
+        """The same shapes from meshes of about so many triangles."""
+        return Cochlea(triangles, design=self.design)
 
 
 def _angles(steps: int, end: float) -> np.ndarray:

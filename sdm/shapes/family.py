@@ -69,7 +69,8 @@ class Family(ABC):
     parameters: tuple[Parameter, ...]
     triangles: Tensor
     name: ClassVar[str] = "shape"
-    # True if samples are meshes of a user's, whose own coordinates a dataset keeps the way back to.
+    # True if samples are meshes of a user's, read from a folder, whose own coordinates a dataset keeps the way back to:
+    # see `sample_transforms`.
     places_meshes: ClassVar[bool] = False
     # Name and reason of each file that was not used.
     rejected: tuple[tuple[str, str], ...] = ()
@@ -120,6 +121,31 @@ class Family(ABC):
     def probes(self, theta: Tensor) -> list[Tensor]:
         """theta (B,P) with what chooses the faces set, once for each set of faces that `groups` gives: here once."""
         return [theta]
+
+    def reference_vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) for theta (B,P) by code that torch's forward-mode differentiation knows.
+
+        A family whose `vertices` is an operator gives its plain torch twin here, in theta's own type; of any other,
+        they are `vertices`.
+        """
+        return self.vertices(theta)
+
+    def with_triangles(self, triangles: int) -> Family | None:
+        """The same shapes from meshes of about so many triangles; None where that is no matter of choice."""
+        return None
+
+    def sample_transforms(self, theta: Tensor) -> Tensor | None:
+        """Matrices (B,4,4) float64 from a mesh's own coordinates to those of its sample, for theta (B,P) on the host.
+
+        None for families whose shapes have no coordinates of their own: those that do not set `places_meshes`.
+        """
+        return None
+
+    @classmethod
+    def example(cls) -> Family:
+        """A small family of this class, for tests and quick looks."""
+        make: Any = cls
+        return make(triangles=600)
 
     def check(self, theta: Any) -> Tensor:
         """theta as float32 (B,P), after a look at every value (on a GPU this waits for the device).

@@ -13,6 +13,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.demo_mesh import demo_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError, SDMError
 from sdm.kernels.shapes import warped
@@ -166,6 +167,32 @@ class MeshFolder(Family):
             tables = self._on(theta.device, f"tables {number}", partial(self._tables_of, number))
             faces = self._on(theta.device, f"faces {number}", partial(self._faces_of, number))[0]
             yield Group(rows, _warped_vertices(theta[rows], tables, tables[0].shape[0]), faces)
+
+    def sample_transforms(self, theta: Tensor) -> Tensor:
+        """Matrices (B,4,4) float64 of each sample's scale, rotation and shift; the smooth warp comes before them."""
+        plain = theta.clone()
+        plain[:, warped.SINES :] = 0
+        _, _, anchors, frames, constants = self._tables
+        which = theta[:, 0].floor().long().clamp(0, len(self.meshes) - 1)
+        found = torch.empty(theta.shape[0], 4, 4, dtype=torch.float64, device="cpu")
+        for number in which.unique().tolist():
+            rows = which == number
+            centre, half = frames[number, :3], frames[number, 3]
+            # An affine map is known by where it takes a point and three steps from it.
+            points = torch.cat([centre[None], centre + half * torch.eye(3, dtype=torch.float32, device="cpu")])
+            owner = torch.full((4,), number, dtype=torch.int32, device="cpu")
+            moved = _warped_vertices(plain[rows], [points, owner, anchors, frames, constants], 4).double()
+            linear = (moved[:, 1:] - moved[:, :1]).transpose(1, 2) / half.double()
+            matrix = torch.eye(4, dtype=torch.float64, device="cpu").repeat(int(rows.sum()), 1, 1)
+            matrix[:, :3, :3] = linear
+            matrix[:, :3, 3] = moved[:, 0] - linear @ centre.double()
+            found[rows] = matrix
+        return found
+
+    @classmethod
+    def example(cls) -> MeshFolder:
+        """Two small meshes."""
+        return cls([demo_mesh(rings=41, segments=16, cap_rings=3), demo_mesh(rings=21, segments=12, cap_rings=2)])
 
     def _tables_of(self, number: int) -> list[Tensor]:
         begin = sum(self._sizes[:number])

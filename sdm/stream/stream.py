@@ -27,7 +27,7 @@ class SDMStream(IterableDataset[Batch]):
     """Random shapes and their exact signed distance maps, made on the device, endless and never repeated.
 
     Args:
-        family: The shapes, for example `sdm.shapes.Cochlea()`.
+        family: The shapes, for example `sdm.shapes.make_family("cochlea")`.
         grid: Where to measure, for example `family.grid(64)`.
         batch_size: Samples of a batch on each rank.
         seed: Any whole number.

@@ -13,12 +13,11 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 from sdm.fit.model.backend import Backend
-from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.jacobian import vertices_with_jacobian
 from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
 from sdm.io.meshes.write import write_ply
-from sdm.shapes import Cochlea, Family
+from sdm.shapes import Family, make_family
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -105,7 +104,7 @@ def _list(panel: Any, lines: list[str]) -> None:
 
 
 def _vertices(backend: Backend, result: FitResult) -> tuple[Tensor, Tensor, Tensor]:
-    family: Family = backend.family if isinstance(backend, ExactBackend) else Cochlea()
+    family: Family = getattr(backend, "family", None) or make_family("cochlea")
     theta = result.state.theta
     vertices, jacobian = vertices_with_jacobian(family, theta)
     return vertices, jacobian, family.faces_on(theta.device).to(torch.int64)

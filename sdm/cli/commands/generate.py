@@ -201,11 +201,10 @@ def _family(known: dict[str, Any], skip_bad: bool) -> Family:
     from sdm.shapes.triage import KEEP_OPEN
 
     family = family_from(known)
-    rejected: tuple[tuple[str, str], ...] = getattr(family, "rejected", ())
-    for name, reason in rejected:
+    for name, reason in family.rejected:
         print(f"sdm: {name} is not used: {reason.replace(KEEP_OPEN, '--open-meshes keep')}", file=sys.stderr)
-    if rejected and not skip_bad:
-        files = "1 file" if len(rejected) == 1 else f"{len(rejected)} files"
+    if family.rejected and not skip_bad:
+        files = "1 file" if len(family.rejected) == 1 else f"{len(family.rejected)} files"
         raise MeshError(
             f"{files} of {known['folder']} cannot be used: mend what is said, or go on without by --skip-bad"
         )

@@ -11,7 +11,7 @@ from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.exact import TRIANGLES, ExactBackend
 from sdm.fit.model.spline_backend import GridBackend
-from sdm.shapes import Cochlea
+from sdm.shapes import make_family
 from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_surrogate
 
 NAMES = ("exact", "surrogate", "hybrid")
@@ -40,7 +40,7 @@ def make_backends(
     if name not in NAMES:
         raise SDMError(f"there is no backend called {name!r}; use {', '.join(NAMES)}")
     where = choose_device(device)
-    exact = ExactBackend(Cochlea(triangles), where)
+    exact = ExactBackend(make_family("cochlea", triangles), where)
     if name == "exact":
         return exact, None
     model = load_surrogate(weights, device=where).eval()

@@ -15,7 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import MeshIndex
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
-from sdm.shapes import Cochlea, Family
+from sdm.shapes import Family, make_family
 
 # Nearer to the surface than this [mm], the direction is that of the face: a difference of equal numbers has none.
 ON_SURFACE = 1e-5
@@ -29,8 +29,8 @@ class ExactBackend:
     """Exact distances to the meshes of a family.
 
     Args:
-        family: Its vertices must be known to torch's forward-mode differentiation, as `Cochlea`'s are; by default
-            `Cochlea(20_000)`.
+        family: Its `reference_vertices` must be known to torch's forward-mode differentiation; by default the cochlea
+            with 20,000 triangles.
         device: Where to compute; by default a GPU if there is one.
 
     The closest triangles are found in float32; the distances to them and their derivatives are float64.
@@ -41,7 +41,7 @@ class ExactBackend:
 
     def __init__(self, family: Family | None = None, device: str | torch.device | None = None) -> None:
         self.device = choose_device(device)
-        self.family = Cochlea(TRIANGLES) if family is None else family
+        self.family = make_family("cochlea", TRIANGLES) if family is None else family
         self.parameters = self.family.parameters
         self.faces = self.family.faces_on(self.device)
         self.evaluations = 0
@@ -52,9 +52,10 @@ class ExactBackend:
 
     def rough(self) -> ExactBackend | None:
         """The same family from coarser meshes, for coarse images; None where there is nothing to save."""
-        if not isinstance(self.family, Cochlea) or self.faces.shape[0] <= 2 * ROUGH_TRIANGLES:
+        family = self.family.with_triangles(ROUGH_TRIANGLES)
+        if family is None or self.faces.shape[0] <= 2 * ROUGH_TRIANGLES:
             return None
-        rough = ExactBackend(Cochlea(ROUGH_TRIANGLES), self.device)
+        rough = ExactBackend(family, self.device)
         rough.name, rough.centre = f"{self.name}, rough", self.centre
         return rough
 

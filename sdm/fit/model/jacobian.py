@@ -9,15 +9,14 @@ import torch
 from torch import Tensor
 
 from sdm.errors import MeshError
-from sdm.shapes import Cochlea, Family
-from sdm.shapes.cochlea_reference import reference_vertices
+from sdm.shapes import Family
 
 
 def vertices_with_jacobian(family: Family, theta: Tensor) -> tuple[Tensor, Tensor]:
     """Vertices (V,3) and d vertices / d theta (V,3,P), float64, on theta's device.
 
     Args:
-        family: A `Cochlea`, or a family whose `vertices` is plain torch code.
+        family: One whose `reference_vertices` are plain torch code.
         theta: (P,) float64.
 
     Raises:
@@ -33,11 +32,7 @@ def vertices_with_jacobian(family: Family, theta: Tensor) -> tuple[Tensor, Tenso
 
 def vertices_of(family: Family, theta: Tensor) -> Tensor:
     """Vertices (V,3) float64 for theta (P,): as precise as the family's code allows."""
-    if isinstance(family, Cochlea):
-        # Its operator is float32; the plain twin takes any type.
-        tables = family._on(theta.device, "tables", lambda: family._tables)
-        return reference_vertices(theta.double()[None], tables)[0]
-    return family.vertices(theta[None])[0].double()
+    return family.reference_vertices(theta.double()[None])[0].double()
 
 
 def with_jacobian(function: Callable[[Tensor], Tensor], at: Tensor) -> tuple[Tensor, Tensor]:

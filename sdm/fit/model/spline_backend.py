@@ -17,7 +17,7 @@ from sdm.fit.model.backend import Backend, Distances
 from sdm.fit.model.jacobian import with_jacobian
 from sdm.fit.solve.initial import middle_of
 from sdm.fit.solve.threads import threads
-from sdm.shapes import Cochlea, Parameter
+from sdm.shapes import Parameter, families
 
 # How far a surrogate may be off near the surface before the search for the surface's band misses some of it [mm].
 SLACK = 0.1
@@ -53,7 +53,7 @@ class GridBackend:
         exact: Backend | None = None,
     ) -> None:
         self.model, self.grid, self.name, self.slack = model, grid, name, slack
-        self.parameters = Cochlea.parameters if parameters is None else parameters
+        self.parameters = families["cochlea"].parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
         if exact is not None and tuple(exact.parameters) != tuple(self.parameters):
@@ -121,7 +121,7 @@ class GridBackend:
         return inside, ((at - inside) * spacing).norm(dim=1)
 
     def _centre(self) -> Tensor:
-        if tuple(self.parameters) == Cochlea.parameters:
+        if tuple(self.parameters) == families["cochlea"].parameters:
             from sdm.fit.model.exact import ExactBackend
 
             # The same point as the exact backend's, so that the two agree on what a pose is.

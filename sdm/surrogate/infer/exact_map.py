@@ -13,7 +13,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.errors import MeshError
-from sdm.shapes import Cochlea
+from sdm.shapes import make_family
 from sdm.surrogate.networks.grid import GRID, SPACING_MM
 
 # Larger than any cochlea: a typing error, which would ask for more memory than there is.
@@ -38,7 +38,7 @@ def exact_map(theta: Sequence[float], device: str | torch.device | None = "cpu")
             f"a = {a:g}, alpha = {alpha:g} and b = {b:g} give no cochlea: a is above 0 and at most {LARGEST_MM:g} mm, "
             f"alpha at least 0 and at most {LARGEST_MM:g} mm, b from 0 to 1 per radian"
         )
-    family = Cochlea()
+    family = make_family("cochlea")
     mesh = TriangleMesh(family.vertices(torch.tensor([values]))[0], family.faces, family.name)
     low, high = mesh.bounds
     last = np.add(GRID.origin, SPACING_MM * np.subtract(GRID.shape, 1))

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, MeshError
-from sdm.shapes import Cochlea
+from sdm.shapes import make_family
 from sdm.surrogate.infer.runtime import Run, runner
 from sdm.surrogate.infer.weights_file import load_weights
 from sdm.surrogate.networks.grid import GRID
@@ -32,7 +32,7 @@ def load_surrogate(source: Path | str | None = None, *, device: torch.device | s
         source: A file of weights; by default those that come with the package.
         device: Where to put it.
 
-    Differentiable in theta. Parameters are not checked: see `Cochlea.check`.
+    Differentiable in theta. Parameters are not checked: see `Family.check`.
 
     Raises:
         FormatError: A file that is not there or not a surrogate.
@@ -68,7 +68,7 @@ class Predictor:
     ) -> None:
         self.model, self.facts = load_weights(_source(source))
         self._run: Run = runner(self.model, backend, threads)
-        self._family = Cochlea()
+        self._family = make_family("cochlea")
 
     def maps(self, theta: Any) -> Tensor:
         """Maps (B,1,80,64,40) [mm] of theta (B,4).

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
 from sdm.io.files.typed_record import check_record
-from sdm.shapes import Cochlea
+from sdm.shapes import families, make_family
 from sdm.stream.sample_maker import grid_record
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.models import build, name_of
@@ -53,8 +53,8 @@ def save_weights(model: nn.Module, target: Path, **facts: Any) -> None:
         "model": name_of(model),
         "config": model.config,
         "grid": grid_record(GRID),
-        "parameters": [[p.name, p.low, p.high, p.unit] for p in Cochlea.parameters],
-        "family": Cochlea().fingerprint,
+        "parameters": [[p.name, p.low, p.high, p.unit] for p in families["cochlea"].parameters],
+        "family": make_family("cochlea").fingerprint,
         **facts,
     }
     with replacing(target) as part:

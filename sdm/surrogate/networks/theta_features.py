@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from sdm.shapes import Cochlea
+from sdm.shapes import families
 
 # Degree of the Chebyshev polynomials of each parameter, and turning angles [rad] of places on the centre line.
 DEGREE = 4
@@ -30,7 +30,7 @@ class ThetaFeatures(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        box = torch.tensor([[p.low, p.high] for p in Cochlea.parameters], dtype=torch.float64)
+        box = torch.tensor([[p.low, p.high] for p in families["cochlea"].parameters], dtype=torch.float64)
         # Not part of the state: they follow from the family.
         self.register_buffer("middle", box.mean(1).float(), persistent=False)
         self.register_buffer("reach", ((box[:, 1] - box[:, 0]) / 2).float(), persistent=False)

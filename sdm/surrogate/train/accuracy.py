@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import signed_distance
-from sdm.shapes import Cochlea
+from sdm.shapes import make_family
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.train.losses import slopes
 from sdm.surrogate.train.validation import validation_batches
@@ -65,7 +65,7 @@ def measure(
     exact mesh, and of the mesh's vertices to the predicted surface, as the predicted map interpolated there. A shape
     whose predicted map has no inside counts with infinite distances.
     """
-    family = Cochlea()
+    family = make_family("cochlea")
     rows = []
     for batch in validation_batches(theta, device, batch_size):
         maps = surrogate(batch.theta).float()

@@ -15,7 +15,7 @@ from sdm.core.random import derive_seed, generator
 from sdm.errors import FormatError
 from sdm.io.files.atomic import try_to_write
 from sdm.io.files.torch_file import load_torch, save_torch
-from sdm.shapes import Cochlea
+from sdm.shapes import make_family
 from sdm.stream import SDMStream
 from sdm.surrogate.networks.grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
@@ -78,7 +78,7 @@ class Trainer:
             # The store is filled before it is written to, which may take hours.
             try_to_write(checkpoint)
         self.device = choose_device(device)
-        self.family = Cochlea()
+        self.family = make_family("cochlea")
         with own_random_numbers():
             torch.manual_seed(derive_seed(settings.seed, "surrogate weights"))
             self.model = begin(settings).to(self.device)

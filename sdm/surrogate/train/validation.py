@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.random import derive_seed
-from sdm.shapes import Cochlea, Family
+from sdm.shapes import Family, make_family
 from sdm.stream import Batch, Maker
 from sdm.stream.held_out import held_out_samples
 from sdm.stream.sample_maker import grid_record
@@ -31,7 +31,7 @@ def validation_theta(family: Family, count: int = COUNT) -> Tensor:
 
 def validation_name(theta: Tensor) -> str:
     """Name of a set: the number of shapes and 16 digits of the SHA-256 of family, grid and parameters."""
-    recipe = {"family": Cochlea().fingerprint, "grid": grid_record(GRID)}
+    recipe = {"family": make_family("cochlea").fingerprint, "grid": grid_record(GRID)}
     digest = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode())
     digest.update(theta.cpu().numpy().tobytes())
     return f"cochlea-{len(theta)}-{digest.hexdigest()[:16]}"
@@ -39,6 +39,6 @@ def validation_name(theta: Tensor) -> str:
 
 def validation_batches(theta: Tensor, device: torch.device | str, batch_size: int = 8) -> Iterator[Batch]:
     """The exact maps of parameters (N,4), a few at a time: fields theta (B,4) and sdm (B,1,80,64,40) [mm]."""
-    maker = Maker(Cochlea(), GRID, sampler=Table(theta, shuffle=False), device=device)
+    maker = Maker(make_family("cochlea"), GRID, sampler=Table(theta, shuffle=False), device=device)
     for numbers in torch.arange(len(theta), device="cpu").split(batch_size):
         yield maker.make(numbers)

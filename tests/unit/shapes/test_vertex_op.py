@@ -5,32 +5,24 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.core.demo_mesh import demo_mesh
-from sdm.shapes import Cochlea, Family, GeometricShapes, MeshFolder
+from sdm.shapes import Family, families
 
-FAMILIES = {
-    "cochlea": lambda: Cochlea(500),
-    "solids": lambda: GeometricShapes(triangles=48, shift=0.5),
-    "warped": lambda: MeshFolder([demo_mesh(rings=41, segments=16, cap_rings=3)]),
-}
+OPERATORS = {"cochlea": "cochlea_vertices", "geometric-shapes": "solids_vertices", "mesh-folder": "warped_vertices"}
 
 
-@pytest.fixture(params=FAMILIES)
+@pytest.fixture(params=families)
 def family(request) -> Family:
-    return FAMILIES[request.param]()
-
-
-def operator(family: Family):
-    name = {"cochlea": "cochlea_vertices", "geometric-shapes": "solids_vertices", "mesh-folder": "warped_vertices"}
-    return getattr(torch.ops.sdm, name[family.name])
+    return families[request.param].example()
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_opcheck(family):
+@pytest.mark.parametrize("name", OPERATORS)
+def test_opcheck(name):
+    family = families[name].example()
     theta = family.sample(2, device="cpu").requires_grad_()
     tables = list(family._tables)
     count = family.vertices(theta).shape[1]
-    torch.library.opcheck(operator(family), (theta, tables, count))
+    torch.library.opcheck(getattr(torch.ops.sdm, OPERATORS[name]), (theta, tables, count))
 
 
 def test_gradient_leaves_its_input_alone(family):
