@@ -49,17 +49,37 @@ def segment_distance2(q: wp.vec3, e: wp.vec3):
     return wp.dot(r, r)
 
 
-@wp.func
-def projects_into(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+# A call of its own on a GPU: few triangles need it, and inline its float64 numbers would take registers from all.
+@wp.func_native(
+    snippet="""
+    struct Test {
+#if defined(__CUDA_ARCH__)
+        static __device__ __noinline__
+#else
+        static
+#endif
+        bool projects(float px, float py, float pz, float ax, float ay, float az,
+                      float bx, float by, float bz, float cx, float cy, float cz) {
+            const double abx = double(bx) - ax, aby = double(by) - ay, abz = double(bz) - az;
+            const double bcx = double(cx) - bx, bcy = double(cy) - by, bcz = double(cz) - bz;
+            const double cax = double(ax) - cx, cay = double(ay) - cy, caz = double(az) - cz;
+            const double nx = abz * cay - aby * caz, ny = abx * caz - abz * cax, nz = aby * cax - abx * cay;
+            const double ux = double(px) - ax, uy = double(py) - ay, uz = double(pz) - az;
+            if (nx * (aby * uz - abz * uy) + ny * (abz * ux - abx * uz) + nz * (abx * uy - aby * ux) < 0.0)
+                return false;
+            const double vx = double(px) - bx, vy = double(py) - by, vz = double(pz) - bz;
+            if (nx * (bcy * vz - bcz * vy) + ny * (bcz * vx - bcx * vz) + nz * (bcx * vy - bcy * vx) < 0.0)
+                return false;
+            const double wx = double(px) - cx, wy = double(py) - cy, wz = double(pz) - cz;
+            return nx * (cay * wz - caz * wy) + ny * (caz * wx - cax * wz) + nz * (cax * wy - cay * wx) >= 0.0;
+        }
+    };
+    return Test::projects(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]);
+"""
+)
+def projects_into(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> bool:
     """Test of whether p projects into the triangle (a,b,c), which has an area, in float64."""
-    ab = b - a
-    bc = c - b
-    ca = a - c
-    n = wp.cross(ab, -ca)
-    zero = wp.float64(0.0)
-    inside_ab = wp.dot(n, wp.cross(ab, p - a)) >= zero
-    inside_bc = wp.dot(n, wp.cross(bc, p - b)) >= zero
-    return inside_ab and inside_bc and wp.dot(n, wp.cross(ca, p - c)) >= zero
+    ...
 
 
 @wp.func
@@ -82,7 +102,7 @@ def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     inside = inside_ab and inside_bc and inside_ca and length2 > 0.5
     if inside and length2 > 2.0:
         n = 0.5 * n
-        inside = projects_into(wp.vec3d(p), wp.vec3d(a), wp.vec3d(b), wp.vec3d(c))
+        inside = projects_into(p, a, b, c)
     d2 = float(0.0)
     part = int(0)
     if inside:
