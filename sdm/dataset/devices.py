@@ -22,6 +22,6 @@ def devices_for(wanted: str | torch.device | None) -> list[str]:
 
 
 def device_kind(device: str | torch.device) -> str:
-    """What two devices that compute the same bits have in common: the GPU's name, or "cpu"."""
+    """Kind of a device, the same for all that compute the same bits: the GPU's name, or "cpu"."""
     where = torch.device(device)
     return torch.cuda.get_device_name(where) if where.type == "cuda" else "cpu"

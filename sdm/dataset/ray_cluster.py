@@ -127,7 +127,7 @@ class _Crew:
                 left -= self._hear(task, todo)
 
     def _hear(self, task: Any, todo: list[int]) -> int:
-        """What a task has come to: 1 if a shard is done."""
+        """Outcome of a task: 1 if a shard is done."""
         place, number = self._tasks.pop(task)
         try:
             answer = self._ray.get(task)

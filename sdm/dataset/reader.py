@@ -101,7 +101,7 @@ class SDMDataset(Dataset[Batch]):
         return found
 
     def _rows(self, name: str, shards: range) -> np.ndarray:
-        """What some shards have of a small array."""
+        """Rows of a small array that are in some shards."""
         mend = "sdm generate --verify makes it again"
         for number in shards:
             # A file that is gone reads as zeros, and a pose or a parameter may be zero.

@@ -30,7 +30,7 @@ SECTIONS = (
 
 @dataclass(frozen=True)
 class CochleaDesign:
-    """What all cochleae of the family have in common. Lengths in mm, angles in radians."""
+    """Constants that all cochleae of the family have in common. Lengths in mm, angles in radians."""
 
     sections: tuple[tuple[float, ...], ...] = SECTIONS
     # The spiral that the sections were measured on, and how their size follows the radius: size ~ radius^power.

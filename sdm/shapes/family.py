@@ -1,4 +1,4 @@
-"""What a shape family is: a box of parameters, and vertices on fixed faces for every point of the box."""
+"""Shape family: a box of parameters, and vertices on fixed faces for every point of the box."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ class Family(ABC):
         return [low, high - low]
 
     def _on(self, device: torch.device | str, key: str, make: Callable[[], Sequence[Tensor]]) -> list[Tensor]:
-        """What `make` makes, on a device: made and copied there once, then kept under `key`."""
+        """Cached tensors of `make` on a device: made and copied there once, then kept under `key`."""
         where = torch.device(device)
         if where.type == "cuda" and where.index is None:
             where = torch.device("cuda", torch.cuda.current_device())

@@ -205,7 +205,7 @@ class MeshFolder(Family):
 
 
 def _reach(points: Tensor, warp: float, angle: float) -> Tensor:
-    """How far points (V,3), warped and then turned by at most `angle`, come along the axes and against them (2,3)."""
+    """Reach (2,3) along the axes and against them of points (V,3), warped and then turned by at most `angle`."""
     wave = FREQUENCY * points
     # Each coordinate has coefficients of its own, so a point may come to any corner of a cube around it.
     by = AMPLITUDE * warp * (wave.sin().abs() + wave.cos().abs()).sum(1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Which of a user's meshes can be training data, and why not."""
+"""Triage of a user's meshes: those that can be training data, and why others cannot."""
 
 from __future__ import annotations
 

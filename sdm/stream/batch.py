@@ -1,4 +1,4 @@
-"""What a stream gives at each step."""
+"""Batch of a stream's step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of how many processes this is."""
+"""Rank of this process and number of processes."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def rank_and_size(rank: int | None = None, world_size: int | None = None) -> tup
 
 
 def in_process_group() -> bool:
-    """Whether torch.distributed knows this process's rank."""
+    """True if torch.distributed knows this process's rank."""
     return torch.distributed.is_available() and torch.distributed.is_initialized()

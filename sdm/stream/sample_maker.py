@@ -107,7 +107,7 @@ class Maker:
 
     @property
     def at_once(self) -> int:
-        """How many samples to make in one call, where there is a choice."""
+        """Number of samples to make in one call, where there is a choice."""
         triangles = self.family.triangles_per_sample
         return max(1, min(MOST_AT_ONCE, BYTES_AT_ONCE // self.grid.nbytes, TRIANGLES_AT_ONCE // triangles))
 
@@ -140,7 +140,7 @@ class Maker:
 
     @contextmanager
     def _as_ever(self) -> Iterator[None]:
-        """What the caller has turned on changes nothing here."""
+        """Context in which nothing that the caller has turned on counts."""
         with ExitStack() as stack:
             stack.enter_context(torch.inference_mode(False))
             stack.enter_context(torch.no_grad())

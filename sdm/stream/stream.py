@@ -99,7 +99,7 @@ class SDMStream(IterableDataset[Batch]):
 
     @property
     def maker(self) -> Maker:
-        """What makes its samples, and all that they depend on: seed, sampler, type, truncation."""
+        """Maker of its samples, with all that they depend on: seed, sampler, type, truncation."""
         return self._maker
 
     @property
@@ -109,12 +109,12 @@ class SDMStream(IterableDataset[Batch]):
 
     @property
     def grid(self) -> Grid:
-        """Where the maps are measured."""
+        """Grid on which the maps are measured."""
         return self._maker.grid
 
     @property
     def device(self) -> torch.device:
-        """Where batches are made, and are."""
+        """Device on which batches are made, and are."""
         return self._maker.device
 
     @property
@@ -190,7 +190,7 @@ class SDMStream(IterableDataset[Batch]):
         return ValidationSet(self._maker, count)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the stream is, ready for JSON or torch.save. Take it after a step: it counts the batches given."""
+        """State of the stream, ready for JSON or torch.save. Take it after a step: it counts the batches given."""
         return {"version": VERSION, "position": self._position, "own": self._own, "recipe": self._maker.recipe}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -15,10 +15,6 @@ LOOSE_MODULES = {"sdm": 4, "kernels": 3}
 TOPS = ("sdm", "kernels", "bench", "tests")
 # Words that announce a thing without naming it.
 FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
-# Folders whose docstrings do not keep to that yet.
-UNNAMED = (
-    "sdm/dataset", "sdm/fit", "sdm/shapes", "sdm/stream",
-)  # fmt: skip
 # Modules of one name that differ plainly, besides those that `is_plain` knows.
 TWINS = {
     "api", "batch", "grid", "nifti", "ranks", "targets", "validation", "predict", "evaluate",
@@ -91,8 +87,6 @@ def test_unit_tests_mirror_the_tree(root):
 def test_docstrings_name_the_thing(root):
     found = []
     for path in modules(root, *TOPS):
-        if str(path).startswith(UNNAMED):
-            continue
         for node in ast.walk(ast.parse((root / path).read_text())):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 first = (ast.get_docstring(node) or "").split("\n")[0]

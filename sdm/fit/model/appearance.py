@@ -1,4 +1,4 @@
-"""What intensities look like inside and outside: mixtures of Gaussians, estimated by expectation-maximisation.
+"""Appearance: intensities inside and outside as mixtures of Gaussians, estimated by expectation-maximisation.
 
 Two models of a voxel that holds a share p of inside:
 
@@ -42,7 +42,7 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """How likely an image is, and how that changes.
+    """Log-likelihood of an image, with its derivatives.
 
     Args:
         log_likelihood: Of the whole image.
@@ -82,7 +82,7 @@ class Appearance:
         return replace(self, inside=inside, outside=outside)
 
     def evidence(self, image: Tensor, share: Tensor) -> Evidence:
-        """How likely the image is at a share of inside (N,), and how that changes."""
+        """Log-likelihood of the image at a share of inside (N,), with its derivatives."""
         raise NotImplementedError
 
 
@@ -129,7 +129,7 @@ class PartialVolume(Appearance):
         return Evidence(float(log_likelihood.sum()), (belong * slope).sum((1, 2)), rows)
 
     def _design(self, share: Tensor) -> Tensor:
-        """How each pair's mean (N,I,J) depends on the means of the I + J components: (N,I,J,I+J)."""
+        """Derivatives (N,I,J,I+J) of each pair's mean (N,I,J) by the means of the I + J components."""
         count, other = self.inside.means.numel(), self.outside.means.numel()
         first = torch.eye(count, device=share.device).double()[:, None].expand(count, other, count)
         second = torch.eye(other, device=share.device).double()[None].expand(count, other, other)

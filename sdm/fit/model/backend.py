@@ -1,4 +1,4 @@
-"""What a fit asks of a shape: signed distances at points, and their derivatives by parameters and points."""
+"""Backend of a fit: signed distances at points, and their derivatives by parameters and points."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Distances:
 
 
 class Backend(Protocol):
-    """Where signed distances come from: `ExactBackend`, `GridBackend`, or yours."""
+    """Source of signed distances: `ExactBackend`, `GridBackend`, or yours."""
 
     name: str
     # The shape parameters with their ranges.
@@ -59,7 +59,7 @@ class HasRough(Protocol):
 
 
 def rough_of(backend: Backend) -> Backend:
-    """What to look at coarse images with: the backend's cheaper one if there is one, else itself."""
+    """Backend for coarse images: the backend's cheaper one if there is one, else itself."""
     return (backend.rough() if isinstance(backend, HasRough) else None) or backend
 
 
@@ -72,5 +72,5 @@ class HasExact(Protocol):
 
 
 def exact_of(backend: Backend) -> Backend | None:
-    """What to anchor a fit by; None if the backend has nothing."""
+    """Exact backend to anchor a fit by; None if the backend has none."""
     return backend.exact if isinstance(backend, HasExact) else None

@@ -1,4 +1,4 @@
-"""Where a shape is: its parameters, and a rigid motion from its own frame to the world's."""
+"""State of a fit: the shape's parameters, and a rigid motion from its own frame to the world's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is believed before the image is seen: the ranges of the shape, and roughly where it is."""
+"""Prior, before the image is seen: the ranges of the shape, and roughly where it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an answer can be trusted: did the steps converge, and is there such a shape in the image at all?"""
+"""Diagnosis of an answer: did the steps converge, and is there such a shape in the image at all?"""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AROUND = 1.0
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What speaks for an answer and against it.
+    """Evidence for an answer and against it.
 
     Args:
         converged: The last step was far below the posterior's standard deviations.
@@ -58,12 +58,12 @@ class Diagnosis:
 
     @property
     def hopeless(self) -> bool:
-        """Whether finer steps would be a waste of time."""
+        """True if finer steps would be a waste of time."""
         return not self.seen or self.explained < HOPELESS
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing speaks against the answer."""
+        """True if nothing speaks against the answer."""
         return not self.problems
 
 

@@ -41,7 +41,7 @@ CLOSE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class FitOptions:
-    """How to fit.
+    """Options of a fit.
 
     Args:
         model: "partial-volume": voxels mix, as in a scanner; "labels": each voxel is inside or outside (Wang et al.).

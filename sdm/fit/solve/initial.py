@@ -1,4 +1,4 @@
-"""Where to begin: a few plain shapes, each laid over the image wherever it explains most of it."""
+"""Initial states: a few plain shapes, each laid over the image wherever it explains most of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit returns."""
+"""Result of a fit."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FitResult:
 
     @property
     def trusted(self) -> bool:
-        """Whether nothing speaks against the answer."""
+        """True if nothing speaks against the answer."""
         return self.diagnosis.trusted
 
     def require(self) -> FitResult:

@@ -50,7 +50,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Where the steps ended.
+    """Outcome of the steps.
 
     Args:
         point: The last state.

@@ -20,7 +20,7 @@ FINE = 0.05
 
 @dataclass(frozen=True)
 class Scanner:
-    """What a scanner makes of a fluid-filled space in bone. Intensities in Hounsfield units.
+    """A scanner, as it images a fluid-filled space in bone. Intensities in Hounsfield units.
 
     Args:
         spacing: Voxel size [mm].
