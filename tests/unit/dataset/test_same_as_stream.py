@@ -13,8 +13,10 @@ from torch.utils.data import DataLoader
 import sdm
 from sdm.core.demo_mesh import demo_mesh
 from sdm.dataset import SDMDataset, freeze, generate
+from sdm.dataset.family_registry import FAMILIES as FAMILIES_BY_NAME
+from sdm.dataset.family_registry import describe, family_from
 from sdm.errors import FormatError, SDMError
-from sdm.shapes import Cochlea, Ellipsoid, MeshFolder
+from sdm.shapes import Cochlea, Ellipsoid, MeshFolder, families
 from sdm.stream import SDMStream, Table
 
 COUNT = 10
@@ -27,6 +29,25 @@ FAMILIES = {
 def write(path, family, **options):
     options = {"device": "cpu", "seed": 4, "shard": 4, **options}
     return SDMDataset(generate(family, family.grid(10), COUNT, path, **options))
+
+
+@pytest.mark.parametrize("name", families)
+def test_every_family_of_the_registry(tmp_path, name):
+    family = families[name].example()
+    data = write(tmp_path / "d.zarr", family, seed=2)
+    expected = SDMStream(family, data.grid, COUNT, seed=2, device="cpu").sample(list(range(COUNT)))
+    assert data.manifest["recipe"]["family"] == name
+    assert torch.equal(torch.as_tensor(data.theta), expected.theta)
+    assert torch.equal(data[COUNT - 1].sdm, expected.sdm[-1])
+    assert data.manifest["transforms"] == family.places_meshes == (family.sample_transforms(expected.theta) is not None)
+
+
+@pytest.mark.parametrize("name", FAMILIES_BY_NAME)
+def test_a_record_of_a_name_makes_the_family_again(name):
+    """Records of older datasets hold no more than that."""
+    family = family_from({"family": name, "triangles": 600})
+    assert family.fingerprint == families[name].example().fingerprint
+    assert describe(name, {"triangles": 600, "warp": None}) == {"family": name, "triangles": 600}
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -38,13 +38,13 @@ def patches(method):
 
 @pytest.mark.parametrize("method", ["baseline", "pwr"])
 def test_it_learns(method):
-    chosen = settings(method=method, steps=60, filters=4)
+    # Of three seeds each the worst has 0.86 after 120 steps; after 60 it depends on the seed.
+    chosen = settings(method=method, steps=120, filters=4)
     training = train(patches(method), chosen)
     truth = case(5)
     assert truth.label is not None
     found = predict(training.model, truth.image, SIZE)
-    # What 60 steps reach depends on the seed: 0.76 has been seen.
-    assert scores_of(found.label, truth.label, truth.spacing)["dice"] > 0.65
+    assert scores_of(found.label, truth.label, truth.spacing)["dice"] > 0.8
     assert training.losses[-1][1] < 0.75 * training.losses[0][1]
 
 
