@@ -35,8 +35,8 @@ _ROWS = MOMENTS_SIZE // 4
 # An error of so much, a quarter of the winding number, leaves every side open.
 HOPELESS = wp.PI
 FULL = 4.0 * wp.PI
-# Near caps that a stack has room for.
-MOST_NEAR = 256
+# Near caps that a stack has room for, besides the nodes of a descent: at most 32 for each level below the fifth.
+MOST_NEAR = 384
 # Nothing nearer is taken for far: its powers would leave the range of float32.
 NEAREST = 1.0e-8
 # Room for the rounding of rho, and of a bound.
@@ -57,7 +57,7 @@ class Field:
     products: wp.vec3  # and the sums of its entries xy and yx, xz and zx, yz and zy
     error: float  # infinite if nothing is known
     left_out: float  # what near caps that are not in it may add at most
-    near: wp.int32  # how many of them are listed
+    near: wp.int32  # how many of them are listed; without a list they are part of the error
     drift: float  # what the rounding of slope and bend is in proportion to
 
 
@@ -144,7 +144,7 @@ def see_caps(
     """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes.
 
     Caps that are too near for it are added exactly if the radius is zero. Else up to `room` of them, at most MOST_NEAR,
-    are listed on the stack (`near_leaf`), and without room they count as errors.
+    are listed on the stack; if there are more, none is, and they count as errors.
     """
     base = nodes_of(caps.tree, mesh)
     leaves = 1 << caps.tree.depth
@@ -205,12 +205,7 @@ def see_caps(
             if listed:
                 stack[STACK - 1 - near - rank(mask, lane)] = node - leaves
         near = near + members(mask)
-        if room > 0:
-            if near > room or ballot(field.error >= HOPELESS) != wp.uint32(0):
-                field.error = float(wp.inf)
-        elif ballot(field.error + field.left_out >= HOPELESS) != wp.uint32(0):
-            field.error = float(wp.inf)
-        if ballot(field.error == float(wp.inf)) != wp.uint32(0):
+        if ballot(field.error + wp.where(near > room, field.left_out, 0.0) >= HOPELESS) != wp.uint32(0):
             # Nothing will be known, as not all is added up.
             field.error = float(wp.inf)
             waiting = int(0)
@@ -219,6 +214,8 @@ def see_caps(
     field.left_out = sum_of_lanes(field.left_out)
     if near <= room:
         field.near = near
+    else:
+        field.error = field.error + field.left_out
     field.value = sum_of_lanes_in_double(field.value)
     for axis in range(3):
         field.slope[axis] = sum_of_lanes(field.slope[axis])
@@ -228,19 +225,26 @@ def see_caps(
 
 
 @wp.func
-def near_share(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
-    """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
+def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
+    """A lane's part of the solid angle of the listed caps seen from p (scaled), and the largest error of it."""
     angle = float(0.0)
     error = float(0.0)
     i = lane
     while i < near:
         one, wrong = cap_angle(caps, mesh, stack[STACK - 1 - i], p)
         angle = angle + one
-        error = error + wrong
+        # Rounded with every one that is added.
+        error = error + wrong + UNIT * wp.abs(angle)
         i = i + lanes
+    return angle, error
+
+
+@wp.func
+def near_share(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
+    """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
+    angle, error = near_angle(caps, mesh, near, p, stack, lane, lanes)
     angle = sum_of_lanes(angle)
-    # As many additions, each of no more than a turn or two.
-    error = sum_of_lanes(error) + float(near) * UNIT * (8.0 * wp.PI)
+    error = sum_of_lanes(error) + 8.0 * UNIT * FULL
     return angle / FULL, error / FULL
 
 
@@ -264,4 +268,6 @@ def largest_share(field: Field, half: wp.vec3):
     slope = wp.dot(wp.abs(field.slope), half)
     curved = wp.dot(wp.abs(field.squares), wp.cw_mul(half, half)) + wp.abs(field.products[0]) * half[0] * half[1]
     curved = curved + wp.abs(field.products[1]) * half[0] * half[2] + wp.abs(field.products[2]) * half[1] * half[2]
-    return (wp.abs(float(field.value)) + slope + curved + field.error + field.left_out) / FULL
+    return (
+        wp.abs(float(field.value)) + slope + curved + field.error + wp.where(field.near > 0, field.left_out, 0.0)
+    ) / FULL

@@ -29,7 +29,17 @@ from sdm.kernels.primitives.lanes import (
 )
 from sdm.kernels.primitives.shared_stacks import stack_of, stack_room
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
-from sdm.kernels.winding.cap_field import FULL, MOST_NEAR, Field, doubt, largest_share, near_share, see_caps, share_at
+from sdm.kernels.winding.cap_field import (
+    FULL,
+    MOST_NEAR,
+    Field,
+    doubt,
+    largest_share,
+    near_angle,
+    near_share,
+    see_caps,
+    share_at,
+)
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.ray_crossings import count_crossings
 
@@ -39,9 +49,11 @@ wp.set_module_options({"enable_backward": False})
 # error of the winding number there.
 SIZES = (32, 16, 8, 4)
 TOLERANCES = (4e-3, 2e-3, 1e-3, 5e-4)
+# How many near caps are added voxel by voxel there: with more the eighths are tried first, which have fewer.
+ROOMS = (0, 0, 12, 24)
 # The same for boxes of 2^3, for single voxels, and for those that are still in doubt.
-PIECE, PIECE_TOLERANCE = 2, 3e-4
-POINT_TOLERANCE, LAST_TOLERANCE = 3e-4, 1e-5
+PIECE, PIECE_TOLERANCE = 2, 2e-4
+POINT_TOLERANCE, FINER, LAST_TOLERANCE = 5e-5, 0.2, 1e-6
 # Less than a quarter, by more than the rounding of the sums.
 LARGEST_SHARE = 0.249
 # What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
@@ -63,6 +75,8 @@ def is_sure(winding: float, whole: float, error: float):
 @wp.func
 def settle_box(
     field: Field,
+    caps: Caps,
+    stack: wp.array(dtype=wp.int32),
     slab: Slab,
     mesh: int,
     start: wp.vec3i,
@@ -76,8 +90,7 @@ def settle_box(
     """Open all voxels of a box, if the field leaves none of them in doubt; whether it did."""
     if largest_share(field, box.half) < LARGEST_SHARE:
         return True
-    error = doubt(field) + field.left_out / FULL
-    if error > 0.125:
+    if doubt(field) > 0.125:
         return False
     last = wp.min(wp.vec3i(size, size, size), slab.shape - start)
     count = last[0] * last[1] * last[2]
@@ -89,11 +102,13 @@ def settle_box(
             if mine < count:
                 v = start + wp.vec3i(mine / (last[1] * last[2]), mine / last[2] % last[1], mine % last[2])
                 whole = values[mesh, v[0], v[1], v[2]]
-                winding = whole - share_at(field, scale * voxel(slab, v[0], v[1], v[2]) - box.centre)
+                p = scale * voxel(slab, v[0], v[1], v[2])
+                angle, wrong = near_angle(caps, mesh, field.near, p, stack, 0, 1)
+                winding = whole - angle / FULL - share_at(field, p - box.centre)
                 if write == 1:
                     values[mesh, v[0], v[1], v[2]] = winding
                 else:
-                    sure = is_sure(winding, whole, error)
+                    sure = is_sure(winding, whole, doubt(field) + wrong / FULL)
             sure = ballot(not sure) == wp.uint32(0)
             number = number + lanes
     return sure
@@ -106,6 +121,7 @@ def _open_boxes(
     slab: Slab,
     size: int,
     tolerance: float,
+    room: int,
     cells: wp.vec3i,
     eighths: wp.vec3i,
     level: int,
@@ -132,8 +148,8 @@ def _open_boxes(
         start = size * at
         scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
         box = box_of_voxels(slab, start, size, scale)
-        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, 0, stack, lane, lanes)
-        if not settle_box(field, slab, mesh, start, size, box, scale, lane, lanes, values):
+        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, room, stack, lane, lanes)
+        if not settle_box(field, caps, stack, slab, mesh, start, size, box, scale, lane, lanes, values):
             octant = lane
             while octant < 8:
                 child = 2 * at + octant_at(octant)
@@ -190,7 +206,10 @@ def _open_pieces(
         tolerance = PIECE_TOLERANCE * FULL
         field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
         number = int(8)
-        if not settle_box(field, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
+        if field.near > 0:
+            if largest_share(field, box.half) >= LARGEST_SHARE:
+                number = int(0)
+        elif not settle_box(field, caps, stack, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
             number = int(0)
         while number < 8:
             v = start + octant_at(number)
@@ -201,13 +220,13 @@ def _open_pieces(
                 winding = whole - share - share_at(field, point - box.centre)
                 error = error + doubt(field)
                 tolerance = POINT_TOLERANCE * FULL
-                while not is_sure(winding, whole, error) and tolerance > LAST_TOLERANCE * 0.1 * FULL:
+                while not is_sure(winding, whole, error) and tolerance > LAST_TOLERANCE * FULL:
                     here = see_caps(caps, mesh, point, 0.0, tolerance, 0, stack, lane, lanes)
                     winding = whole - share_at(here, wp.vec3())
                     error = doubt(here)
                     if lane == 0:
                         fetch_add(counts, POINTS, 1)
-                    tolerance = wp.where(tolerance > LAST_TOLERANCE * FULL, LAST_TOLERANCE * FULL, 0.0)
+                    tolerance = FINER * tolerance
                 if not is_sure(winding, whole, error):
                     p = scale * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
                     winding = open_voxel(tree, boundary, caps, mesh, p, whole, lane, lanes)
@@ -238,11 +257,11 @@ def open_caps(
     counts.zero_()
     stacks = empty(stack_room(workers, device.is_cuda), wp.int32)
     boxes = empty(1, wp.int32)
-    for level, (size, tolerance) in enumerate(zip(SIZES, TOLERANCES, strict=True)):
+    for level, (size, tolerance, room) in enumerate(zip(SIZES, TOLERANCES, ROOMS, strict=True)):
         cells, eighths = ([-(-n // edge) for n in shape] for edge in (size, size // 2))
         left = empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
         grids = [wp.vec3i(*cells), wp.vec3i(*eighths)]
-        inputs = [caps, slab, size, tolerance * FULL, *grids, level, boxes, left, counts, stacks, lanes, values]
+        inputs = [caps, slab, size, tolerance * FULL, room, *grids, level, boxes, left, counts, stacks, lanes, values]
         launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
         boxes = left
     inputs = [tree, boundary, caps, slab, grids[1], len(SIZES), boxes, counts, stacks, lanes, values]

@@ -13,7 +13,7 @@ from sdm.engine.acceleration import build
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.shared_stacks import STACK, stack_of
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_field import FULL, doubt, near_share, see_caps, share_at
+from sdm.kernels.winding.cap_field import doubt, near_share, see_caps, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.hole_caps import is_far, view_caps
 
@@ -39,8 +39,6 @@ def _field(
         near, wrong = near_share(caps, 0, field.near, at[i] + off[i, k], stack, 0, 1)
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
         error[i, k] = doubt(field) + wrong
-        if field.near == 0:
-            error[i, k] = error[i, k] + field.left_out / FULL
 
 
 @wp.kernel
