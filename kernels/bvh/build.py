@@ -25,7 +25,7 @@ from sdm.kernels.bvh.tree import (
     write_corners,
 )
 from sdm.kernels.geometry.hilbert import curve_bits, curve_code
-from sdm.kernels.geometry.triangle_distance import is_thin, unit_normal
+from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
@@ -163,8 +163,7 @@ def _gather_triangles(
     put_pair(record, 2, to_lattice(tree, mesh, wp.float64(c[1]), wp.float64(c[2])))
     end_record(lattice, record, _LATTICE_SIZE, i, tree.face.shape[0])
     n = wp.vec3(unit_normal(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
-    length = wp.where(is_thin(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)), 2.0, 1.0)
-    write_corners(tree, i, a, b, c, length * n)
+    write_corners(tree, i, a, b, c, n)
     write4(normals, mesh * tree.count + f, n[0], n[1], n[2], 0.0)
 
 

@@ -100,7 +100,9 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
                         if exact2 < wp.float64(0.0):
                             exact2 = exact_distance2(tree, best, best_part, p)
                         e2 = exact_distance2(tree, slot, part, p)
-                        wins = e2 < exact2 or (e2 == exact2 and tree.face[slot] < tree.face[best])
+                        wins = e2 < exact2
+                        if e2 == exact2:
+                            wins = tree.face[slot] < tree.face[best]
                     if wins:
                         best = slot
                         best_part = part

@@ -84,10 +84,7 @@ def first_triangle(tree: Tree, leaf: int):
 
 @wp.func
 def load_corners(tree: Tree, slot: int):
-    """The corners a, b and c of the triangle in a slot (scaled), and its normal.
-
-    That has length 1, or 2 if the triangle is thin, or 0 if it is flat: see `triangle_distance`.
-    """
+    """The corners a, b and c of the triangle in a slot (scaled), and its unit normal, zero if it is flat."""
     r0 = load4_of_vectors(tree.corners, 3 * slot)
     r1 = load4_of_vectors(tree.corners, 3 * slot + 1)
     r2 = load4_of_vectors(tree.corners, 3 * slot + 2)

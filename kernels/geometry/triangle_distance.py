@@ -8,21 +8,17 @@ coordinates: they are at most 1, so that one of them rounds by u = 2^-24, and a 
 **Flat triangles** (h <= FLATTEST max(1, L)) have no plane, and their edges tell all: every point of the triangle is
 within h/2 of an edge, which is less than half a rounding.
 
-**Thin triangles** (h < max(THIN L^2, L/SLENDER)) have their inside test in float64. In float32 a point p at a distance
-d may seem to be on the inner side of an edge's line if it is within r = 9u(L + d) of it: a rounding each of p - a,
-b - a and the normal, three in the cross product and three in the dot product. Beside an edge that changes the distance
-by no more than such a rounding. But beyond a corner of angle A the point may be on the outer side of two lines and r
-from both, that is s = r/sin(A/2) <= 2rL/h from the corner. There the height over the plane, which is less than the
-distance by up to min(s, s^2/2d), would stand alone. Of a triangle that is not thin this is
-
-- at most 4.5u where d <= L: where d <= 9u, s <= 18u L (L/h) <= 18u/THIN; where d is more, s <= 36u L (L/h) <= 9u, and
-  s^2/2d <= 4.5u;
-- at most 648 u^2 d (L/h)^2 <= 648 u^2 d SLENDER^2 <= 0.7u d where d > L,
-
-which is within the room that the search leaves for rounding (`nearest_search.CLOSE`). In float64 the differences of
-float32 numbers are exact, and the test is as dot(n, cross(b - a, p - a)): only the cross product's roundings count, r =
-3 2^-53 (L + d), as those of n tilt it for all three edges alike, and those of the dot product are relative to the
-distance from the line. So s <= 2rL/h <= 6 2^-53 2^26 (L + d) = 0.75u (L + d): less than the distance may be wrong by.
+**Sharp corners.** In float32 a point p at a distance d may seem to be on the inner side of an edge's line if it is
+within r = 9u(L + d) of it: a rounding each of p - a, b - a and the normal, three in the cross product and three in the
+dot product. Beside an edge that changes the distance by no more than r, for any triangle. But beyond a corner of angle
+A the point may be on the outer side of two lines and r from both, that is r/sin(A/2) from the corner, for a sliver half
+an edge away, and there the height over the plane would stand alone. So a point that is in a corner's Voronoi region, by
+the signs of its projections on the two edges that meet there, is not above the triangle. No point of a triangle is: the
+angles between the way from the corner to it and the two edges add up to A, less than 180 degrees. Those signs are right
+but for 5u|p - a| along the edge, with a the corner itself, as p - a is a difference of near numbers where it matters.
+Then a point that passes all tests projects on one edge of each corner, from within it or less than that before its end,
+so it is beside that edge: r from its line on the outer side, or on the inner side and r from the other edge's line, so
+that it is at most r/cos(A) <= 2r away for corners of up to 60 degrees, and r/sin(A/2) <= 2r for others.
 """
 
 from __future__ import annotations
@@ -35,7 +31,6 @@ wp.set_module_options({"enable_backward": False})
 
 # See above.
 FLATTEST = wp.float64(2.0**-26)
-THIN, SLENDER = wp.float64(4.0), wp.float64(128.0)
 
 
 @wp.func
@@ -49,45 +44,12 @@ def segment_distance2(q: wp.vec3, e: wp.vec3):
     return wp.dot(r, r)
 
 
-# A call of its own on a GPU: few triangles need it, and inline its float64 numbers would take registers from all.
-@wp.func_native(
-    snippet="""
-    struct Test {
-#if defined(__CUDA_ARCH__)
-        static __device__ __noinline__
-#else
-        static
-#endif
-        bool projects(float px, float py, float pz, float ax, float ay, float az,
-                      float bx, float by, float bz, float cx, float cy, float cz) {
-            const double abx = double(bx) - ax, aby = double(by) - ay, abz = double(bz) - az;
-            const double bcx = double(cx) - bx, bcy = double(cy) - by, bcz = double(cz) - bz;
-            const double cax = double(ax) - cx, cay = double(ay) - cy, caz = double(az) - cz;
-            const double nx = abz * cay - aby * caz, ny = abx * caz - abz * cax, nz = aby * cax - abx * cay;
-            const double ux = double(px) - ax, uy = double(py) - ay, uz = double(pz) - az;
-            if (nx * (aby * uz - abz * uy) + ny * (abz * ux - abx * uz) + nz * (abx * uy - aby * ux) < 0.0)
-                return false;
-            const double vx = double(px) - bx, vy = double(py) - by, vz = double(pz) - bz;
-            if (nx * (bcy * vz - bcz * vy) + ny * (bcz * vx - bcx * vz) + nz * (bcx * vy - bcy * vx) < 0.0)
-                return false;
-            const double wx = double(px) - cx, wy = double(py) - cy, wz = double(pz) - cz;
-            return nx * (cay * wz - caz * wy) + ny * (caz * wx - cax * wz) + nz * (cax * wy - cay * wx) >= 0.0;
-        }
-    };
-    return Test::projects(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]);
-"""
-)
-def projects_into(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> bool:
-    """Test of whether p projects into the triangle (a,b,c), which has an area, in float64."""
-    ...
-
-
 @wp.func
 def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     """Squared distance of p from the triangle (a,b,c), and what of it is nearest: plane (0), ab (1), bc (2) or ca (3).
 
-    n is the normal: of length 1, or 2 for a thin triangle, or 0 for a flat one (see above). It comes from float64, so
-    that the height over a sliver is as accurate as over any triangle.
+    n is the unit normal, or zero if the triangle is flat (see above). It comes from float64, so that the height over a
+    sliver is as accurate as over any triangle.
     """
     pa = p - a
     pb = p - b
@@ -98,11 +60,13 @@ def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     inside_ab = wp.dot(wp.cross(n, ab), pa) >= 0.0
     inside_bc = wp.dot(wp.cross(n, bc), pb) >= 0.0
     inside_ca = wp.dot(wp.cross(n, ca), pc) >= 0.0
-    length2 = wp.dot(n, n)
-    inside = inside_ab and inside_bc and inside_ca and length2 > 0.5
-    if inside and length2 > 2.0:
-        n = 0.5 * n
-        inside = projects_into(p, a, b, c)
+    inside = inside_ab and inside_bc and inside_ca and wp.dot(n, n) > 0.5
+    if inside:
+        # The two edges that meet in a corner both end there for p.
+        at_a = wp.dot(pa, ab) <= 0.0 and wp.dot(pa, ca) >= 0.0
+        at_b = wp.dot(pb, bc) <= 0.0 and wp.dot(pb, ab) >= 0.0
+        at_c = wp.dot(pc, ca) <= 0.0 and wp.dot(pc, bc) >= 0.0
+        inside = not (at_a or at_b or at_c)
     d2 = float(0.0)
     part = int(0)
     if inside:
@@ -139,18 +103,6 @@ def unit_normal(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     if n2 <= FLATTEST * FLATTEST * longest2 * wp.max(longest2, wp.float64(1.0)):
         return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0))
     return inverse_root(n2) * n
-
-
-@wp.func
-def is_thin(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-    """Test of whether float32 may take a point beyond a corner of the triangle for one above it (see above)."""
-    ab = b - a
-    ca = a - c
-    n = wp.cross(ab, -ca)
-    longest2 = longest_edge2(ab, c - b, ca)
-    # The square of the height times that of the longest edge, twice.
-    n2 = wp.dot(n, n)
-    return n2 < longest2 * longest2 * wp.max(THIN * THIN * longest2, wp.float64(1.0) / (SLENDER * SLENDER))
 
 
 @wp.struct

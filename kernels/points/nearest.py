@@ -37,7 +37,11 @@ def nearest_of_ties(
         for k in range(1, left):
             other = scratch[first + k * lanes]
             d2 = exact_distance2(tree, other >> 2, other & 3, p)
-            if d2 < least2 or (d2 == least2 and tree.face[other >> 2] < tree.face[nearest >> 2]):
+            wins = d2 < least2
+            # Warp would load the faces of all, for what one line asks.
+            if d2 == least2:
+                wins = tree.face[other >> 2] < tree.face[nearest >> 2]
+            if wins:
                 least2 = d2
                 nearest = other
     return nearest >> 2

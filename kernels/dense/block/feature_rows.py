@@ -135,8 +135,6 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
     ab = wp.vec3d(corner_b) - wp.vec3d(corner_a)
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
-    # A thin triangle's is twice as long.
-    normal = wp.where(wp.dot(normal, normal) > 2.0, 0.5, 1.0) * normal
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
     write_row(rows, number, normal[0], normal[1], normal[2], float(h))
     write_number(rows, NUMBERS + number, above_floor(h * h, floor))
