@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.build import build_in_frame
+from sdm.kernels.bvh.build import LEVELS_AT_ONCE, build_in_frame
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of
 from sdm.kernels.launch import launch
+from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.primitives.vector_loads import load4, read4, write4
 
 wp.set_module_options({"enable_backward": False})
@@ -215,13 +216,10 @@ def moved(s: Sums, m: Moments):
     return s
 
 
-@wp.kernel
-def _level_moments(begin: int, caps: Caps, width: int):
-    i = begin + wp.tid()
+@wp.func
+def join_children(caps: Caps, base: int, node: int):
+    """Write a node's moments from those of its children."""
     tree = caps.tree
-    mesh = i / width
-    base = nodes_of(tree, mesh)
-    node = width + i - mesh * width
     left = read_moments(caps.moments, base + 2 * node)
     right = read_moments(caps.moments, base + 2 * node + 1)
     s = Sums()
@@ -237,6 +235,24 @@ def _level_moments(begin: int, caps: Caps, width: int):
     # Children are rounded already.
     s.rough = s.rough + AREA_ROUNDING * wp.float64(0.125) * s.area
     write_sums(caps.moments, base + node, s)
+
+
+@wp.kernel
+def _join_levels(begin: int, lanes: int, caps: Caps, width: int, levels: int):
+    """Moments of `levels` levels, the highest of them `width` nodes wide: one group of lanes for what is below each."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    group = thread / lanes
+    mesh = group / width
+    top = width + group - mesh * width
+    base = nodes_of(caps.tree, mesh)
+    for back in range(levels):
+        down = levels - 1 - back
+        node = (top << down) + lane
+        while node < (top + 1) << down:
+            join_children(caps, base, node)
+            node = node + lanes
+        wait_for_lanes()
 
 
 def build_caps(
@@ -256,5 +272,11 @@ def build_caps(
     # The caps' own normals have no use: they go where the moments come afterwards.
     build_in_frame(tree, vertices, triangles, bounds, keys, slots, caps.moments)
     launch(_leaf_moments, vertices.shape[0] << tree.depth, [caps], device)
-    for level in range(tree.depth - 1, -1, -1):
-        launch(_level_moments, vertices.shape[0] << level, [caps, 1 << level], device)
+    lanes = GPU_LANES if device.is_cuda else 1
+    level = tree.depth
+    while level > 0:
+        # A launch costs more than a few nodes one after the other.
+        levels = min(level, LEVELS_AT_ONCE)
+        level -= levels
+        groups = vertices.shape[0] << level
+        launch(_join_levels, groups * lanes, [lanes, caps, 1 << level, levels], device, smallest=8)

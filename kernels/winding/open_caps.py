@@ -54,6 +54,8 @@ ROOMS = (0, 0, 12, 24)
 # The same for boxes of 2^3, for single voxels, and for those that are still in doubt.
 PIECE, PIECE_TOLERANCE = 2, 2e-4
 POINT_TOLERANCE, FINER, LAST_TOLERANCE = 5e-5, 0.2, 1e-6
+# Larger boxes are too many voxels for one group of lanes: the others would wait for it.
+LARGEST_SETTLED = 8
 # Less than a quarter, by more than the rounding of the sums.
 LARGEST_SHARE = 0.249
 # What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
@@ -90,7 +92,7 @@ def settle_box(
     """Open all voxels of a box, if the field leaves none of them in doubt; whether it did."""
     if largest_share(field, box.half) < LARGEST_SHARE:
         return True
-    if doubt(field) > 0.125:
+    if size > LARGEST_SETTLED or doubt(field) > 0.125:
         return False
     last = wp.min(wp.vec3i(size, size, size), slab.shape - start)
     count = last[0] * last[1] * last[2]
