@@ -30,16 +30,10 @@ TINY = {
 }
 
 
-class Small(Cochlea):
-    """The family with few triangles."""
-
-    def __init__(self) -> None:
-        super().__init__(500)
-
-
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    monkeypatch.setattr(module, "Cochlea", Small)
+    """The family with few triangles."""
+    monkeypatch.setattr(module, "make_family", lambda name: Cochlea(500) if name == "cochlea" else None)
 
 
 def train(steps: int, **more) -> Trainer:
@@ -170,7 +164,7 @@ def test_wrong_settings_are_one_sentence(wrong):
 
 
 def test_the_store_keeps_the_latest_maps():
-    stream = SDMStream(Small(), GRID, 2, sampler="uniform", device="cpu", rank=0, world_size=1)
+    stream = SDMStream(Cochlea(500), GRID, 2, sampler="uniform", device="cpu", rank=0, world_size=1)
     replay = Replay(stream, 3)
     replay.fill()
     assert replay.made == 4
@@ -183,7 +177,7 @@ def test_the_store_keeps_the_latest_maps():
 
 
 def test_losses_are_zero_for_exact_maps_alone():
-    family, theta = Small(), torch.tensor([[3.5, 0.5, 0.14, 0.2]])
+    family, theta = Cochlea(500), torch.tensor([[3.5, 0.5, 0.14, 0.2]])
     exact = next(iter(SDMStream(family, GRID, 1, device="cpu", rank=0, world_size=1))).sdm
     assert surface_weighted(exact, exact, 4.0) == 0
     assert surface_weighted(exact + 0.1, exact, 4.0) > 0.1
