@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from sdm.bench.stream.sizes import Bench
 from sdm.dataset import SDMDataset, generate
-from sdm.dataset.layout import COMPRESSIONS
+from sdm.dataset.manifest import COMPRESSIONS
 
 # Samples of the dataset, those of a shard, and the most workers that read.
 COUNT, SHARD, WORKERS = 1024, 128, 8

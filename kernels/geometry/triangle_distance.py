@@ -13,12 +13,12 @@ within r = 9u(L + d) of it: a rounding each of p - a, b - a and the normal, thre
 dot product. Beside an edge that changes the distance by no more than r, for any triangle. But beyond a corner of angle
 A the point may be on the outer side of two lines and r from both, that is r/sin(A/2) from the corner, for a sliver half
 an edge away, and there the height over the plane would stand alone. So a point that is in a corner's Voronoi region, by
-the signs of its projections on the two edges that meet there, is not above the triangle. No point of a triangle is: the
-angles between the way from the corner to it and the two edges add up to A, less than 180 degrees. Those signs are right
-but for 5u|p - a| along the edge, with a the corner itself, as p - a is a difference of near numbers where it matters.
-Then a point that passes all tests projects on one edge of each corner, from within it or less than that before its end,
-so it is beside that edge: r from its line on the outer side, or on the inner side and r from the other edge's line, so
-that it is at most r/cos(A) <= 2r away for corners of up to 60 degrees, and r/sin(A/2) <= 2r for others.
+its projections on the two edges that meet there, is not above the triangle. No point of a triangle is: the angles
+between the way from the corner to it and the two edges add up to A, less than 180 degrees. The projections are right
+but for 5u(L + d) along the edge. Then a point that passes all tests projects on one edge of each corner, from within it
+or less than that before its end, so it is beside that edge: r from its line on the outer side, or on the inner side and
+r from the other edge's line, so that it is at most r/cos(A) <= 2r away for corners of up to 60 degrees, and r/sin(A/2)
+<= 2r for others.
 """
 
 from __future__ import annotations
@@ -34,14 +34,21 @@ FLATTEST = wp.float64(2.0**-26)
 
 
 @wp.func
-def segment_distance2(q: wp.vec3, e: wp.vec3):
-    """Squared distance of q from the segment 0..e."""
+def nearest_of_segment(q: wp.vec3, e: wp.vec3):
+    """Parameter, from 0 to 1, of the point of the segment 0..e nearest to q, and the squared distance."""
     t = float(0.0)
     length2 = wp.dot(e, e)
     if length2 > 0.0:
         t = wp.clamp(wp.dot(q, e) / length2, 0.0, 1.0)
     r = q - t * e
-    return wp.dot(r, r)
+    return t, wp.dot(r, r)
+
+
+@wp.func
+def segment_distance2(q: wp.vec3, e: wp.vec3):
+    """Squared distance of q from the segment 0..e."""
+    _t, d2 = nearest_of_segment(q, e)
+    return d2
 
 
 @wp.func
@@ -57,32 +64,28 @@ def nearest_part(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3):
     ab = b - a
     bc = c - b
     ca = a - c
+    t_ab, d2 = nearest_of_segment(pa, ab)
+    part = int(1)
+    t_bc, other2 = nearest_of_segment(pb, bc)
+    if other2 < d2:
+        d2 = other2
+        part = int(2)
+    t_ca, other2 = nearest_of_segment(pc, ca)
+    if other2 < d2:
+        d2 = other2
+        part = int(3)
     inside_ab = wp.dot(wp.cross(n, ab), pa) >= 0.0
     inside_bc = wp.dot(wp.cross(n, bc), pb) >= 0.0
     inside_ca = wp.dot(wp.cross(n, ca), pc) >= 0.0
-    inside = inside_ab and inside_bc and inside_ca and wp.dot(n, n) > 0.5
-    if inside:
-        # The two edges that meet in a corner both end there for p.
-        at_a = wp.dot(pa, ab) <= 0.0 and wp.dot(pa, ca) >= 0.0
-        at_b = wp.dot(pb, bc) <= 0.0 and wp.dot(pb, ab) >= 0.0
-        at_c = wp.dot(pc, ca) <= 0.0 and wp.dot(pc, bc) >= 0.0
-        inside = not (at_a or at_b or at_c)
-    d2 = float(0.0)
-    part = int(0)
-    if inside:
+    # In a corner's Voronoi region it is the nearest of both edges that meet there.
+    beyond_a = t_ca == 1.0 and t_ab == 0.0
+    beyond_b = t_ab == 1.0 and t_bc == 0.0
+    beyond_c = t_bc == 1.0 and t_ca == 0.0
+    beyond = beyond_a or beyond_b or beyond_c
+    if inside_ab and inside_bc and inside_ca and not beyond and wp.dot(n, n) > 0.5:
         h = wp.dot(n, pa)
         d2 = h * h
-    else:
-        d2 = segment_distance2(pa, ab)
-        part = int(1)
-        other2 = segment_distance2(pb, bc)
-        if other2 < d2:
-            d2 = other2
-            part = int(2)
-        other2 = segment_distance2(pc, ca)
-        if other2 < d2:
-            d2 = other2
-            part = int(3)
+        part = int(0)
     return d2, part
 
 

@@ -14,8 +14,8 @@ import warp as wp
 
 import sdm
 from sdm.bench.common.meshes import cube, sphere
-from sdm.kernels.launch import launch
-from sdm.runtime.torch_warp import array_at, as_warp, set_array, workspace
+from sdm.kernels.launch import launch, set_array
+from sdm.runtime.torch_warp import array_at, as_warp, workspace
 
 
 @wp.kernel
