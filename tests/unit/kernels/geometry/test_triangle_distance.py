@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 import sdm.engine.acceleration  # noqa: F401 (starts Warp quietly)
-from sdm.kernels.geometry.triangle_distance import closest_point, is_thin, nearest_part, solid_angle, unit_normal
+from sdm.kernels.geometry.triangle_distance import closest_point, nearest_part, solid_angle, unit_normal
 from tests.helpers import oracle
 
 
@@ -26,7 +26,7 @@ def _measure(
     b = wp.vec3d(corner[3 * i + 1])
     c = wp.vec3d(corner[3 * i + 2])
     p = wp.vec3d(points[i])
-    n = wp.where(is_thin(a, b, c), 2.0, 1.0) * wp.vec3(unit_normal(a, b, c))
+    n = wp.vec3(unit_normal(a, b, c))
     distance2, _part = nearest_part(points[i], corner[3 * i], corner[3 * i + 1], corner[3 * i + 2], n)
     fast[i] = distance2
     hit = closest_point(p, a, b, c)
