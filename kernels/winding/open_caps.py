@@ -54,8 +54,6 @@ ROOMS = (0, 0, 12, 24)
 # The same for boxes of 2^3, for single voxels, and for those that are still in doubt.
 PIECE, PIECE_TOLERANCE = 2, 2e-4
 POINT_TOLERANCE, FINER, LAST_TOLERANCE = 5e-5, 0.2, 1e-6
-# With no more near caps than this a lane of a GPU adds them for a voxel of its own, else all lanes for one voxel.
-OWN_NEAR = 64
 # Larger boxes are too many voxels for one group of lanes: the others would wait for it.
 LARGEST_SETTLED = 8
 # Less than a quarter, by more than the rounding of the sums.
@@ -181,33 +179,6 @@ def open_voxel(
     return whole - float(count_crossings(caps.tree, mesh, p)) + float(share)
 
 
-@wp.func
-def settle_voxels(
-    field: Field,
-    caps: Caps,
-    stack: wp.array(dtype=wp.int32),
-    slab: Slab,
-    mesh: int,
-    start: wp.vec3i,
-    box: VoxelBox,
-    scale: float,
-    lane: int,
-    values: wp.array4d(dtype=wp.float32),
-):
-    """Open the voxels of a box of 2^3 that the field leaves in no doubt, each by a lane; one bit for each other one."""
-    left = bool(False)
-    v = start + octant_at(lane & 7)
-    if lane < 8 and is_within(slab, v):
-        whole = values[mesh, v[0], v[1], v[2]]
-        p = scale * voxel(slab, v[0], v[1], v[2])
-        angle, wrong = near_angle(caps, mesh, field.near, p, stack, 0, 1)
-        winding = whole - angle / FULL - share_at(field, p - box.centre)
-        left = not is_sure(winding, whole, doubt(field) + wrong / FULL)
-        if not left:
-            values[mesh, v[0], v[1], v[2]] = winding
-    return ballot(left)
-
-
 @wp.kernel
 def _open_pieces(
     begin: int,
@@ -236,18 +207,15 @@ def _open_pieces(
         box = box_of_voxels(slab, start, PIECE, float(scale))
         tolerance = PIECE_TOLERANCE * FULL
         field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
-        left = wp.uint32(255)
         number = int(8)
-        if largest_share(field, box.half) >= LARGEST_SHARE:
+        if field.near > 0:
+            if largest_share(field, box.half) >= LARGEST_SHARE:
+                number = int(0)
+        elif not settle_box(field, caps, stack, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
             number = int(0)
-            if lanes >= 8 and field.near <= OWN_NEAR:
-                left = settle_voxels(field, caps, stack, slab, mesh, start, box, float(scale), lane, values)
-            elif field.near == 0:
-                if settle_box(field, caps, stack, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
-                    number = int(8)
         while number < 8:
             v = start + octant_at(number)
-            if is_within(slab, v) and ((left >> wp.uint32(number)) & wp.uint32(1)) != wp.uint32(0):
+            if is_within(slab, v):
                 point = float(scale) * voxel(slab, v[0], v[1], v[2])
                 whole = values[mesh, v[0], v[1], v[2]]
                 share, error = near_share(caps, mesh, field.near, point, stack, lane, lanes)
