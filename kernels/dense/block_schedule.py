@@ -1,4 +1,4 @@
-"""Schedule of blocks: the cells of a pass, each as one block or as several with a slice of its candidate list each.
+"""Schedule of blocks: the cells of a pass, each as one block or as several with a split of its candidate list each.
 
 Whole cells are kept by the length of their lists, so that those with long ones come first; coarse cells, which are
 measured brick by brick, apart from them.
@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.dense.counters import COARSE, LENGTHS, SLICED, WHOLE
+from sdm.kernels.dense.counters import COARSE, LENGTHS, SPLIT_CELLS, WHOLE
 from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
 
-# A cell's number, which of its slices, how many there are less one, in one integer.
-CELL_BITS, SLICE_BITS = 18, 6
-_MOST_SLICES = 1 << SLICE_BITS
+# A cell's number, which of its splits, how many there are less one, in one integer.
+CELL_BITS, SPLIT_BITS = 18, 6
+_MOST_SPLITS = 1 << SPLIT_BITS
 
 
 @wp.func
@@ -24,30 +24,30 @@ def cell_of(code: int):
 
 
 @wp.func
-def slice_of(code: int):
-    return (code >> CELL_BITS) & (_MOST_SLICES - 1)
+def split_of(code: int):
+    return (code >> CELL_BITS) & (_MOST_SPLITS - 1)
 
 
 @wp.func
-def slices_of(code: int):
-    return 1 + (code >> (CELL_BITS + SLICE_BITS))
+def splits_of(code: int):
+    return 1 + (code >> (CELL_BITS + SPLIT_BITS))
 
 
 @wp.struct
 class BlockSchedule:
-    """Cells and which slice of their lists, in codes: see `cell_of`, `slice_of` and `slices_of`."""
+    """Cells and which split of their lists, in codes: see `cell_of`, `split_of` and `splits_of`."""
 
     whole: wp.array(dtype=wp.int32)  # (LENGTHS * room) of cells that are measured whole, by the length of their lists
     room: wp.int32  # for so many blocks of each length
     coarse: wp.array(dtype=wp.int32)  # (room) of cells that are measured brick by brick
-    sliced: wp.array(dtype=wp.int32)  # (8 * regions) the cells whose lists are cut into several slices
-    lacking: wp.array(dtype=wp.int32)  # (8 * regions) of those, 1 where the pool ran out for one of the slices
+    split_cells: wp.array(dtype=wp.int32)  # (8 * regions) the cells whose lists are cut into splits
+    lacking: wp.array(dtype=wp.int32)  # (8 * regions) of those, 1 where the pool ran out for one of the splits
     counters: wp.array(dtype=wp.int32)  # (COUNTS) of the pass, see `counters`
 
 
 @wp.func
 def whole_blocks(schedule: BlockSchedule):
-    """Number of blocks that are whole cells, or slices of their lists."""
+    """Number of blocks that are whole cells, or splits of their lists."""
     total = int(0)
     for length in range(LENGTHS):
         total = total + schedule.counters[WHOLE + length]
@@ -82,19 +82,19 @@ def length_class(length: int):
 
 
 @wp.func
-def share_out(schedule: BlockSchedule, whole: bool, number: int, length: int, slice_length: int):
-    """Note a cell, `whole` or brick by brick, once for each slice of its list."""
-    slices = wp.clamp((length + slice_length - 1) / slice_length, 1, _MOST_SLICES)
-    if slices > 1:
-        schedule.sliced[fetch_add(schedule.counters, SLICED, 1)] = number
+def share_out(schedule: BlockSchedule, whole: bool, number: int, length: int, split_length: int):
+    """Note a cell, `whole` or brick by brick, once for each split of its list."""
+    splits = wp.clamp((length + split_length - 1) / split_length, 1, _MOST_SPLITS)
+    if splits > 1:
+        schedule.split_cells[fetch_add(schedule.counters, SPLIT_CELLS, 1)] = number
         schedule.lacking[number] = 0
-    code = number | ((slices - 1) << (CELL_BITS + SLICE_BITS))
+    code = number | ((splits - 1) << (CELL_BITS + SPLIT_BITS))
     if whole:
-        kind = length_class(wp.min(length, slice_length))
-        first = kind * schedule.room + fetch_add(schedule.counters, WHOLE + kind, slices)
-        for i in range(slices):
+        kind = length_class(wp.min(length, split_length))
+        first = kind * schedule.room + fetch_add(schedule.counters, WHOLE + kind, splits)
+        for i in range(splits):
             schedule.whole[first + i] = code | (i << CELL_BITS)
     else:
-        first = fetch_add(schedule.counters, COARSE, slices)
-        for i in range(slices):
+        first = fetch_add(schedule.counters, COARSE, splits)
+        for i in range(splits):
             schedule.coarse[first + i] = code | (i << CELL_BITS)

@@ -42,8 +42,8 @@ MOST_OF_REGION, MOST_OF_CELL = 64, 16
 LONG_FOR_LEAVES = 400
 # A cell's list that is longer is the work of several groups: than so many leaves or, where cells are so few that the
 # last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
-LONG_SLICE, SHORT_SLICE, FEW_CELLS = 512, 370, 1 << 13
-NO_SLICES = 1 << 30
+LONG_SPLIT, SHORT_SPLIT, FEW_CELLS = 512, 370, 1 << 13
+NO_SPLITS = 1 << 30
 # Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
 THINNEST_SLAB = 32
 # Longer lists than this, on average, cost more than one search a voxel (see bench/decisions/0012-search-or-cells.md).
@@ -123,11 +123,11 @@ def levels_left_out(triangles: int, depth: int, shape: Sequence[int]) -> int:
     return levels
 
 
-def slice_for(triangles: int, depth: int, cells: int) -> int:
+def split_length_for(triangles: int, depth: int, cells: int) -> int:
     """Leaves of a cell's list that one group of lanes of a GPU takes, of a tree with 2^depth leaves: a power of two."""
     if cells > FEW_CELLS:
-        return LONG_SLICE
-    return max(GPU_LANES, 1 << max(0, round(math.log2(SHORT_SLICE / triangles) + depth)))
+        return LONG_SPLIT
+    return max(GPU_LANES, 1 << max(0, round(math.log2(SHORT_SPLIT / triangles) + depth)))
 
 
 def largest_pool(memory: int) -> int:

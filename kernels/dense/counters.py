@@ -7,7 +7,7 @@ the pool, and blocks by their kind and the length of their lists.
 from __future__ import annotations
 
 NEXT_WITNESS, NEXT_REGION, NEXT_CELL, NEXT_CELL_TO_SCHEDULE, NEXT_LIST, NEXT_BLOCK = range(6)
-NEXT_CHUNK, COARSE, SLICED, WHOLE = range(6, 10)
-# Whole blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of slices.
+NEXT_CHUNK, COARSE, SPLIT_CELLS, WHOLE = range(6, 10)
+# Whole blocks are counted by the length of their lists: of 2^i leaves and more, up to the longest of splits.
 LENGTHS = 10
 COUNTS = WHOLE + LENGTHS

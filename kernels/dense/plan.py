@@ -11,7 +11,7 @@ import warp as wp
 from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.cost_model import (
     MOST_REGIONS,
-    NO_SLICES,
+    NO_SPLITS,
     cell_for,
     expected_entries,
     levels_left_out,
@@ -19,7 +19,7 @@ from sdm.kernels.dense.cost_model import (
     pool_for,
     search_is_faster,
     shares_of,
-    slice_for,
+    split_length_for,
     uneven_room,
 )
 from sdm.kernels.plan_options import PlanOptions
@@ -59,9 +59,9 @@ class Plan:
         region_shares: Groups of lanes that make the candidate list of a region: a power of two.
         cell_shares: The same for a cell: as many, or a power of two less.
         levels_left_out: Last levels of the tree that candidate lists do without.
-        slice_length: Leaves of a cell's candidate list that one group of lanes takes.
+        split_length: Leaves of a cell's candidate list that one group of lanes takes.
         chunks: Chunks of the pool of candidate lists.
-        blocks: Blocks that there is room for in each class of lengths: every slice but the last of a list is full.
+        blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
         most_columns: See `PlanOptions`.
     """
 
@@ -74,7 +74,7 @@ class Plan:
     region_shares: int
     cell_shares: int
     levels_left_out: int
-    slice_length: int
+    split_length: int
     chunks: int
     blocks: int
     most_columns: int | None
@@ -104,8 +104,8 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     if left_out is None:
         left_out = levels_left_out(work.triangles, work.depth, shape)
     left_out = min(left_out, work.depth)
-    by_model = slice_for(work.triangles, work.depth - left_out, 8 * total) if gpu else NO_SLICES
-    slice_length = options.slice_length or by_model
+    by_model = split_length_for(work.triangles, work.depth - left_out, 8 * total) if gpu else NO_SPLITS
+    split_length = options.split_length or by_model
     region_shares, cell_shares = options.shares or (shares_of(work.triangles, shape, cell) if gpu else (1, 1))
     expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares)
     expected *= uneven_room(work.spacing, work.turned)
@@ -123,8 +123,8 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         region_shares=region_shares,
         cell_shares=cell_shares,
         levels_left_out=left_out,
-        slice_length=slice_length,
+        split_length=split_length,
         chunks=chunks,
-        blocks=8 * most + chunks * CHUNK // slice_length,
+        blocks=8 * most + chunks * CHUNK // split_length,
         most_columns=options.most_columns,
     )

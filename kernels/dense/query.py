@@ -11,20 +11,20 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
-from sdm.kernels.dense.block.shared_layout import ROWS
+from sdm.kernels.dense.block.shared_layout import SCRATCH_ROWS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
-from sdm.kernels.dense.stage2_regions import REGION_BLOCKS, list_regions
-from sdm.kernels.dense.stage3_cells import CELL_BLOCKS, list_cells
-from sdm.kernels.dense.stage4_blocks import SCHEDULE_BLOCKS, schedule_blocks
-from sdm.kernels.dense.stage5_select import SELECT_BLOCKS, select_features
+from sdm.kernels.dense.stage2_regions import REGION_BLOCKS_PER_SM, list_regions
+from sdm.kernels.dense.stage3_cells import CELL_BLOCKS_PER_SM, list_cells
+from sdm.kernels.dense.stage4_blocks import SCHEDULE_BLOCKS_PER_SM, schedule_blocks
+from sdm.kernels.dense.stage5_select import SELECT_BLOCKS_PER_SM, select_features
 from sdm.kernels.dense.stage6_measure import measure_blocks
-from sdm.kernels.dense.stage7_merge import SLICED_BLOCKS, begin_sliced, end_sliced
+from sdm.kernels.dense.stage7_merge import SPLIT_BLOCKS_PER_SM, begin_split, end_split
 from sdm.kernels.dense.voxel_search import mend_slab, search_slab
 from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import set_array, threads
-from sdm.kernels.primitives.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.primitives.shared_stacks import stack_room
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.kernels.winding.winding_number import Winding
@@ -110,21 +110,25 @@ def run_stages(
     gpu = device.is_cuda
     lanes = GPU_LANES if gpu else 1
 
-    def workers(blocks: int) -> int:
-        return gpu_workers(device, blocks) if gpu else 16 * threads()
+    def workers(blocks_per_sm: int) -> int:
+        return gpu_workers(device, blocks_per_sm) if gpu else 16 * threads()
 
     work = make_workspace(plan, empty)
     grid, pool, cache, schedule = work.grid, work.pool, work.cache, work.schedule
     regions, cells, shares, blocks = work.regions, work.cells, work.share_witnesses, work.blocks
-    stacks = empty(stack_room(workers(max(REGION_BLOCKS, SELECT_BLOCKS, GPU_BLOCKS)), gpu), wp.int32)
-    rows = empty(1 if gpu else workers(GPU_BLOCKS) * ROWS * 4, wp.float32)
-    sliced = workers(SLICED_BLOCKS) * lanes
+    stacks = empty(stack_room(workers(max(REGION_BLOCKS_PER_SM, SELECT_BLOCKS_PER_SM, BLOCKS_PER_SM)), gpu), wp.int32)
+    scratch = empty(1 if gpu else workers(BLOCKS_PER_SM) * SCRATCH_ROWS * 4, wp.float32)
+    merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
     out.missed.zero_()
     for first in range(plan.passes):
         work.begin_pass(plan, first)
-        find_witnesses(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS), lanes)
-        list_regions(tree, frames, cones, slab, grid, cache, pool, regions, stacks, workers(REGION_BLOCKS), lanes)
-        list_cells(tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, workers(CELL_BLOCKS), lanes)
+        find_witnesses(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)
+        list_regions(
+            tree, frames, cones, slab, grid, cache, pool, regions, stacks, workers(REGION_BLOCKS_PER_SM), lanes
+        )
+        list_cells(
+            tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, workers(CELL_BLOCKS_PER_SM), lanes
+        )
         schedule_blocks(
             tree,
             frames,
@@ -136,13 +140,13 @@ def run_stages(
             shares,
             cache,
             schedule,
-            plan.slice_length,
-            workers(SCHEDULE_BLOCKS),
+            plan.split_length,
+            workers(SCHEDULE_BLOCKS_PER_SM),
             lanes,
         )
-        with beside() as join_sliced:
+        with beside() as join_split:
             # After the winding numbers, which are made there too.
-            begin_sliced(slab, grid, cache, schedule, out, sliced)
+            begin_split(slab, grid, cache, schedule, out, merge_threads)
         select_features(
             tree,
             frames,
@@ -156,15 +160,27 @@ def run_stages(
             schedule,
             blocks,
             stacks,
-            workers(SELECT_BLOCKS),
+            workers(SELECT_BLOCKS_PER_SM),
             lanes,
         )
         if first == 0:
             # From here on winding numbers are looked at.
             join_winding()
-        join_sliced()
+        join_split()
         measure_blocks(
-            tree, features, slab, grid, cache, schedule, pool, blocks, rows, stacks, out, workers(GPU_BLOCKS), lanes
+            tree,
+            features,
+            slab,
+            grid,
+            cache,
+            schedule,
+            pool,
+            blocks,
+            scratch,
+            stacks,
+            out,
+            workers(BLOCKS_PER_SM),
+            lanes,
         )
-        end_sliced(slab, grid, cache, schedule, out, sliced)
-    mend_slab(whole, slab, out, workers(GPU_BLOCKS) * lanes)
+        end_split(slab, grid, cache, schedule, out, merge_threads)
+    mend_slab(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)

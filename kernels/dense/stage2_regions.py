@@ -24,14 +24,14 @@ from sdm.kernels.primitives.shared_stacks import STACK, stack_of
 
 wp.set_module_options({"enable_backward": False})
 
-# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
-REGION_BLOCKS = 6
+# Thread blocks that a multiprocessor of a GPU holds: this kernel waits for memory more than it works.
+REGION_BLOCKS_PER_SM = 6
 
 # With more shares each has too few nodes to fill its lanes from.
 MOST_WITH_GRANDCHILDREN = 8
 
 
-@wp.kernel(launch_bounds=(128, REGION_BLOCKS))
+@wp.kernel(launch_bounds=(128, REGION_BLOCKS_PER_SM))
 def _list_regions(
     begin: int,
     lanes: int,

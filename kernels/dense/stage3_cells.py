@@ -34,11 +34,11 @@ from sdm.kernels.primitives.atomics import fetch_add_once
 
 wp.set_module_options({"enable_backward": False})
 
-# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
-CELL_BLOCKS = 6
+# Thread blocks that a multiprocessor of a GPU holds: this kernel waits for memory more than it works.
+CELL_BLOCKS_PER_SM = 6
 
 
-@wp.kernel(launch_bounds=(128, CELL_BLOCKS))
+@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
 def _list_cells(
     begin: int,
     lanes: int,

@@ -1,7 +1,7 @@
 """Stage 4 of the dense query: the schedule of blocks, and the surface point that the distances of each are taken from.
 
 A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
-there are several, each with a slice of it: then none is waited for. Of a cell that is too coarse for float32 the eight
+there are several, each with a split of it: then none is waited for. Of a cell that is too coarse for float32 the eight
 bricks are blocks with lists of their own. Blocks with long lists come first, so that those that are left to the end,
 when some of the device has nothing to do, are short.
 """
@@ -27,8 +27,8 @@ from sdm.kernels.primitives.vector_loads import load4
 
 wp.set_module_options({"enable_backward": False})
 
-# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
-SCHEDULE_BLOCKS = 8
+# Thread blocks that a multiprocessor of a GPU holds: this kernel waits for memory more than it works.
+SCHEDULE_BLOCKS_PER_SM = 8
 
 
 @wp.func
@@ -106,11 +106,11 @@ def store_bricks(
         o = o + lanes
 
 
-@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS))
+@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
 def _schedule_blocks(
     begin: int,
     lanes: int,
-    slice_length: int,
+    split_length: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
     features: Features,
@@ -145,7 +145,7 @@ def _schedule_blocks(
                 if grid.cell > BLOCK:
                     store_bricks(tree, slab, grid, cache, number, place, known, lane, lanes)
             if lane == 0:
-                share_out(schedule, not is_coarse(cell), number, length, slice_length)
+                share_out(schedule, not is_coarse(cell), number, length, split_length)
         number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
 
 
@@ -160,14 +160,14 @@ def schedule_blocks(
     share_witnesses: wp.array,
     cache: CellCache,
     schedule: BlockSchedule,
-    slice_length: int,
+    split_length: int,
     workers: int,
     lanes: int,
 ) -> None:
     """Write the schedule of one pass from the cells' lists, and the witnesses of blocks and boxes of bricks.
 
-    One group of lanes takes up to `slice_length` leaves of a cell's list. The cells' boxes are read from the cache, the
+    One group of lanes takes up to `split_length` leaves of a cell's list. The cells' boxes are read from the cache, the
     surface points that were found for them from `share_witnesses`.
     """
-    inputs = [lanes, slice_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule]
+    inputs = [lanes, split_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule]
     launch(_schedule_blocks, workers * lanes, inputs, frames.device, smallest=1)

@@ -1,6 +1,6 @@
 """Stage 5 of the dense query: candidate lists of blocks, the features of triangles that matter to each.
 
-A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a slice
+A block is a cell of 8^3 voxels, or a brick of 4^3 of one that is coarse. One group of lanes takes one block, or a split
 of its list: it goes from the leaves of the list to their triangles, from those that may be nearest to the features of
 them that may be. Each test costs several times the one before, so what passes waits until it fills all lanes.
 
@@ -26,7 +26,7 @@ from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features, features_that_matter
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
 from sdm.kernels.dense.block.voxels import Block
-from sdm.kernels.dense.block_schedule import BlockSchedule, cell_of, slice_of, slices_of, whole_block, whole_blocks
+from sdm.kernels.dense.block_schedule import BlockSchedule, cell_of, split_of, splits_of, whole_block, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache, cached_box, cached_half2
 from sdm.kernels.dense.chunk_pool import (
     CandidateLists,
@@ -51,8 +51,8 @@ from sdm.kernels.primitives.shared_stacks import stack_of
 
 wp.set_module_options({"enable_backward": False})
 
-# A multiprocessor of a GPU holds so many blocks.
-SELECT_BLOCKS = 4
+# Thread blocks that a multiprocessor of a GPU holds.
+SELECT_BLOCKS_PER_SM = 4
 
 
 @wp.func
@@ -104,8 +104,8 @@ def block_of(
     block.mesh = place.mesh
     block.start = place.start
     block.bits = wp.where(size == 4, 2, wp.where(size == 8, 3, 4))
-    block.slice = slice_of(code)
-    block.slices = slices_of(code)
+    block.split = split_of(code)
+    block.splits = splits_of(code)
     block.unscale = float(tree.frame[block.mesh * FRAME_SIZE + UNSCALE])
     block.box = place.box
     block.known = read_witness(cache.witnesses, grid.count + box)
@@ -135,7 +135,7 @@ def find_brick_witness(
 ):
     """The surface point nearest to a brick's centre, which is noted for stage 6: distances are taken from it.
 
-    Of several slices each finds the same.
+    Of several splits each finds the same.
     """
     centre = block.box.centre
     known = nearest_in_list(tree, frames, features, pool, cells, number, block.mesh, centre, block.known, lane, lanes)
@@ -199,7 +199,7 @@ def select_for(
             leaf = upcoming
             reader = read_on(pool, cells, reader, lanes)
             upcoming = read_entry(pool, reader, lane)
-            keep = leaf >= 0 and batch % block.slices == block.slice
+            keep = leaf >= 0 and batch % block.splits == block.split
             if keep:
                 base = nodes_of(tree, block.mesh)
                 if (1 << block.bits) < grid.cell:
@@ -217,7 +217,7 @@ def select_for(
     return chain
 
 
-@wp.kernel(launch_bounds=(128, SELECT_BLOCKS))
+@wp.kernel(launch_bounds=(128, SELECT_BLOCKS_PER_SM))
 def _select_features(
     begin: int,
     lanes: int,
@@ -269,8 +269,8 @@ def _select_features(
                     lanes,
                 )
         if lane == 0:
-            if chain.chunk >= pool.chunks and block.slices > 1 and is_within(slab, block.start):
-                # What the other slices come to is not all.
+            if chain.chunk >= pool.chunks and block.splits > 1 and is_within(slab, block.start):
+                # What the other splits come to is not all.
                 schedule.lacking[number] = 1
             blocks.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
             blocks.lengths[item] = chain.length
@@ -295,7 +295,7 @@ def select_features(
 ) -> None:
     """Write the blocks' lists of one pass, into the pool, from the cells' lists and in the order of the schedule.
 
-    And the witnesses of bricks of coarse cells, and which sliced cells lack room. `workers` groups of lanes are at
+    And the witnesses of bricks of coarse cells, and which split cells lack room. `workers` groups of lanes are at
     work; `stacks` is scratch, see `shared_stacks`.
     """
     inputs = [lanes, tree, frames, features, cones, slab, grid, pool, cells, cache, schedule, blocks, stacks]

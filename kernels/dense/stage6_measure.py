@@ -1,6 +1,6 @@
 """Stage 6 of the dense query: the distances themselves, block by block.
 
-One group of lanes takes one block, or a slice of its list of features. It works the features out for the block's
+One group of lanes takes one block, or a split of its list of features. It works the features out for the block's
 centre, one a lane, and finds the octants that each can be nearest to; then one such pair a lane, and finds the eighths
 of the octant; then measures one feature in one eighth a lane. In the end all voxels are written.
 """
@@ -12,21 +12,21 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.culling.leaf_filter import push
 from sdm.kernels.culling.voronoi_features import Features
-from sdm.kernels.dense.block.feature_rows import (
+from sdm.kernels.dense.block.feature_setup import (
     CORNER_KIND,
     EDGE_KIND,
-    Mix,
+    FeatureBatch,
     add_corner,
     add_edge,
     add_face,
     kind_of,
-    taken_now,
+    next_batch,
     tests_of,
 )
 from sdm.kernels.dense.block.min_values import clear_values, measure_item
-from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of, octants_there
-from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, rows_of
-from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, note_places, read_windings, settle_voxels
+from sdm.kernels.dense.block.octant_tests import eighths_of, octants_in_slab, octants_of
+from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, scratch_of
+from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, read_windings, write_coordinates, write_voxels
 from sdm.kernels.dense.block_schedule import BlockSchedule, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CandidateLists, ChunkPool, Reader, read_entry, read_on, start_reading
@@ -37,9 +37,9 @@ from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.lanes import GPU_BLOCKS, wait_for_lanes
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import small_stack_of
-from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, in_line, put_in_line
+from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, enqueue, queue_entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,11 +49,11 @@ FACES, EDGES, CORNERS = 0, 64, 128
 
 @wp.func
 def measure_features(
-    rows: wp.uint64, mix: Mix, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
+    scratch: wp.uint64, batch: FeatureBatch, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
 ):
-    """Measure the lanes' features, whose rows are noted, where they matter in the block's `octants` (bits) for each.
+    """Measure the lanes' features, whose rows are written, where they matter in the block's `octants` (bits) for each.
 
-    Each step puts work in line for the next, so that all lanes have some.
+    Each step queues work for the next, so that all lanes have some.
     """
     pairs = int(0)
     items = int(0)
@@ -67,11 +67,11 @@ def measure_features(
             if level == 1:
                 boxes = int(0)
                 if first + lane < pairs:
-                    tag = in_line(rows, PAIRS, first + lane)
-                    boxes = eighths_of(rows, tag, tests_of(kind_of(mix, tag & (BATCH - 1))))
+                    tag = queue_entry(scratch, PAIRS, first + lane)
+                    boxes = eighths_of(scratch, tag, tests_of(kind_of(batch, tag & (BATCH - 1))))
             begin = wp.where(level == 0, PAIRS, ITEMS)
             bits = wp.where(level == 0, FEATURE_BITS, PAIR_BITS)
-            total = put_in_line(rows, begin, items, tag, bits, boxes, lane)
+            total = enqueue(scratch, begin, items, tag, bits, boxes, lane)
             if level == 0:
                 pairs = total
                 first = int(0)
@@ -82,8 +82,8 @@ def measure_features(
             taken = wp.min(lanes, items)
             items = items - taken
             if lane < taken:
-                item = in_line(rows, ITEMS, items + lane)
-                measure_item(rows, item, kind_of(mix, item & (BATCH - 1)), room, near, turned)
+                item = queue_entry(scratch, ITEMS, items + lane)
+                measure_item(scratch, item, kind_of(batch, item & (BATCH - 1)), room, near, turned)
         wait_for_lanes()
 
 
@@ -95,7 +95,7 @@ def measure_block(
     pool: ChunkPool,
     blocks: CandidateLists,
     item: int,
-    rows: wp.uint64,
+    scratch: wp.uint64,
     stack: wp.array(dtype=wp.int32),
     out: Output,
     block: Block,
@@ -103,10 +103,10 @@ def measure_block(
     lanes: int,
 ):
     """Measure a block from the features of list `item`; without one, every voxel is missed."""
-    note_places(tree, slab, rows, block, lane, lanes)
-    clear_values(rows, lane, lanes)
-    read_windings(slab, out, rows, block, lane, lanes)
-    octants = octants_there(slab, block.start, block.bits)
+    write_coordinates(tree, slab, scratch, block, lane, lanes)
+    clear_values(scratch, lane, lanes)
+    read_windings(slab, out, scratch, block, lane, lanes)
+    octants = octants_in_slab(slab, block.start, block.bits)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
     reader = Reader()
@@ -129,33 +129,33 @@ def measure_block(
             edges = edges + push(stack, EDGES + edges, is_edge, code + which - 3, lane)
             faces = faces + push(stack, FACES + faces, feature >= 0 and which == 6, code, lane)
         else:
-            mix = taken_now(corners, edges, faces, lanes)
-            corners = corners - mix.corners
-            edges = edges - mix.edges
-            faces = faces - (mix.features - mix.corners - mix.edges)
-            which = kind_of(mix, lane)
+            batch = next_batch(corners, edges, faces, lanes)
+            corners = corners - batch.corners
+            edges = edges - batch.edges
+            faces = faces - (batch.features - batch.corners - batch.edges)
+            which = kind_of(batch, lane)
             there = int(0)
-            if lane < mix.features:
+            if lane < batch.features:
                 if which == CORNER_KIND:
                     code = stack[CORNERS + corners + lane]
-                    add_corner(rows, lane, tree, features, code, block.box, block.floor)
+                    add_corner(scratch, lane, tree, features, code, block.box, block.floor)
                 elif which == EDGE_KIND:
-                    code = stack[EDGES + edges + lane - mix.corners]
-                    add_edge(rows, lane, tree, features, code, block.box, block.floor)
+                    code = stack[EDGES + edges + lane - batch.corners]
+                    add_edge(scratch, lane, tree, features, code, block.box, block.floor)
                 else:
-                    code = stack[FACES + faces + lane - mix.corners - mix.edges]
-                    add_face(rows, lane, tree, features, code, block.box, block.floor)
-                there = octants & octants_of(rows, lane, tests_of(which))
+                    code = stack[FACES + faces + lane - batch.corners - batch.edges]
+                    add_face(scratch, lane, tree, features, code, block.box, block.floor)
+                there = octants & octants_of(scratch, lane, tests_of(which))
             wait_for_lanes()
-            measure_features(rows, mix, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
+            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
         wait_for_lanes()
-    unclear = settle_voxels(slab, out, rows, block, lane, lanes)
+    unclear = write_voxels(slab, out, scratch, block, lane, lanes)
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)
     wait_for_lanes()
 
 
-@wp.kernel(launch_bounds=(128, GPU_BLOCKS))
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
 def _measure_blocks(
     begin: int,
     lanes: int,
@@ -167,7 +167,7 @@ def _measure_blocks(
     schedule: BlockSchedule,
     pool: ChunkPool,
     blocks: CandidateLists,
-    rows: wp.array(dtype=wp.float32),
+    scratch: wp.array(dtype=wp.float32),
     stacks: wp.array(dtype=wp.int32),
     out: Output,
 ):
@@ -187,9 +187,9 @@ def _measure_blocks(
             eighth = (item - bricks) % 8
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         if is_within(slab, block.start):
-            noted = rows_of(rows, worker)
+            own = scratch_of(scratch, worker)
             stack = small_stack_of(stacks, worker)
-            measure_block(tree, features, slab, pool, blocks, listed, noted, stack, out, block, lane, lanes)
+            measure_block(tree, features, slab, pool, blocks, listed, own, stack, out, block, lane, lanes)
         item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 
@@ -202,7 +202,7 @@ def measure_blocks(
     schedule: BlockSchedule,
     pool: ChunkPool,
     blocks: CandidateLists,
-    rows: wp.array,
+    scratch: wp.array,
     stacks: wp.array,
     out: Output,
     workers: int,
@@ -210,8 +210,8 @@ def measure_blocks(
 ) -> None:
     """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes.
 
-    All else is read; `rows` and `stacks` are scratch. Voxels of blocks whose list found no room become infinite with
-    their sign, and are counted in `out.missed`.
+    All else is read; `scratch` and `stacks` are for this alone. Voxels of blocks whose list found no room become
+    infinite with their sign, and are counted in `out.missed`.
     """
-    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, rows, stacks, out]
+    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out]
     launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)

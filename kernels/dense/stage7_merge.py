@@ -1,7 +1,7 @@
-"""Stage 7 of the dense query: voxels of cells whose list is cut into slices. Several blocks measure them, and each
+"""Stage 7 of the dense query: voxels of cells whose list is cut into splits. Several blocks measure them, and each
 lessens what is there.
 
-So before the blocks they are infinite, and only after the last is it known what they came to. If one of the slices
+So before the blocks they are infinite, and only after the last is it known what they came to. If one of the splits
 found no room, that is nothing: the least of the others may not be the least.
 """
 
@@ -11,7 +11,7 @@ import warp as wp
 
 from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import CellCache, cached_start
-from sdm.kernels.dense.counters import SLICED
+from sdm.kernels.dense.counters import SPLIT_CELLS
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
@@ -20,36 +20,36 @@ from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
 
-# A multiprocessor of a GPU holds so many blocks: a voxel is little work, and four reads that wait for each other.
-SLICED_BLOCKS = 16
+# Thread blocks that a multiprocessor of a GPU holds: a voxel is little work, and four reads that wait for each other.
+SPLIT_BLOCKS_PER_SM = 16
 
 
 @wp.func
-def sliced_voxels(grid: RegionGrid, schedule: BlockSchedule):
-    """Number of voxels in cells whose lists are cut into several slices."""
-    return grid.cell * grid.cell * grid.cell * schedule.counters[SLICED]
+def split_voxels(grid: RegionGrid, schedule: BlockSchedule):
+    """Number of voxels in cells whose lists are cut into splits."""
+    return grid.cell * grid.cell * grid.cell * schedule.counters[SPLIT_CELLS]
 
 
 @wp.func
-def sliced_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, number: int):
+def split_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, number: int):
     """The mesh, the cell and the index of one of them; -1 if it is beyond the slab."""
     # Cells have 8 or 16 voxels along an edge, so that nothing has to be divided.
     bits = wp.where(grid.cell == BLOCK, 3, 4)
     last = grid.cell - 1
-    cell = schedule.sliced[number >> (3 * bits)]
+    cell = schedule.split_cells[number >> (3 * bits)]
     mesh, start = cached_start(cache, cell)
     at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
     return mesh, cell, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
 
 
 @wp.kernel
-def _begin_sliced(
+def _begin_split(
     begin: int, threads: int, slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output
 ):
-    """Begin with a distance for several slices to lessen: an infinite one, with its sign."""
+    """Begin with a distance for the splits to lessen: an infinite one, with its sign."""
     number = begin + wp.tid()
-    while number < sliced_voxels(grid, schedule):
-        mesh, _cell, index = sliced_voxel(slab, grid, cache, schedule, number)
+    while number < split_voxels(grid, schedule):
+        mesh, _cell, index = split_voxel(slab, grid, cache, schedule, number)
         if index >= 0:
             winding = out.values[index]
             out.values[index] = with_sign(float(wp.inf), winding)
@@ -59,13 +59,13 @@ def _begin_sliced(
 
 
 @wp.kernel
-def _end_sliced(
+def _end_split(
     begin: int, threads: int, slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output
 ):
-    """End with the distances that the slices came to, which are known after the last of them."""
+    """End with the distances that the splits came to, which are known after the last of them."""
     number = begin + wp.tid()
-    while number < sliced_voxels(grid, schedule):
-        _mesh, cell, index = sliced_voxel(slab, grid, cache, schedule, number)
+    while number < split_voxels(grid, schedule):
+        _mesh, cell, index = split_voxel(slab, grid, cache, schedule, number)
         if index >= 0:
             distance = out.values[index]
             if schedule.lacking[cell] != 0:
@@ -76,15 +76,15 @@ def _end_sliced(
         number = number + threads
 
 
-def begin_sliced(
+def begin_split(
     slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output, threads: int
 ) -> None:
-    """Before `measure_blocks`: infinite distances with their signs in cells whose lists are cut into several slices."""
-    launch(_begin_sliced, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)
+    """Before `measure_blocks`: infinite distances with their signs in cells whose lists are cut into splits."""
+    launch(_begin_split, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)
 
 
-def end_sliced(
+def end_split(
     slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockSchedule, out: Output, threads: int
 ) -> None:
-    """After `measure_blocks`: write what several slices came to where distances go, and count what was missed there."""
-    launch(_end_sliced, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)
+    """After `measure_blocks`: write what the splits came to where distances go, and count what was missed there."""
+    launch(_end_split, threads, [threads, slab, grid, cache, schedule, out], out.values.device, smallest=1)

@@ -29,7 +29,7 @@ class Workspace:
         regions: Leaves for each region, written by stage 2 for stage 3.
         cells: Leaves for each cell, written by stage 3 for stages 4 and 5.
         share_witnesses: Witness of each share of a cell's list, written by stage 3 for stage 4.
-        schedule: Blocks and their slices, written by stage 4 for stages 5 to 7.
+        schedule: Blocks and their splits, written by stage 4 for stages 5 to 7.
         blocks: Features for each block, written by stage 5 for stage 6.
     """
 
@@ -69,7 +69,7 @@ def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspa
     schedule.room = room
     set_array(schedule, "whole", empty(LENGTHS * room, wp.int32))
     set_array(schedule, "coarse", empty(room, wp.int32))
-    set_array(schedule, "sliced", empty(8 * most, wp.int32))
+    set_array(schedule, "split_cells", empty(8 * most, wp.int32))
     set_array(schedule, "lacking", empty(8 * most, wp.int32))
     blocks = _lists(9 * room, 1, empty)
     pool = ChunkPool()

@@ -26,8 +26,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Points of a group.
 GROUP = 32
-# A multiprocessor of a GPU holds so many blocks: the kernels of points wait for memory as much as they work.
-POINT_BLOCKS = 5
+# Thread blocks that a multiprocessor of a GPU holds: the kernels of points wait for memory as much as they work.
+POINT_BLOCKS_PER_SM = 5
 # What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
 # may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
 FAR, COVERED, APART = 1, 2, 4

@@ -15,7 +15,15 @@ from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, read_witness
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_near
 from sdm.kernels.points.group_descent import SCRATCH, TIES
-from sdm.kernels.points.groups import GROUP, NEXT_LIST, POINT_BLOCKS, Groups, group_end, point_or_middle, read_box
+from sdm.kernels.points.groups import (
+    GROUP,
+    NEXT_LIST,
+    POINT_BLOCKS_PER_SM,
+    Groups,
+    group_end,
+    point_or_middle,
+    read_box,
+)
 from sdm.kernels.points.lane_lists import keep_nearest
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import wait_for_lanes
@@ -47,7 +55,7 @@ def nearest_of_ties(
     return nearest >> 2
 
 
-@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS_PER_SM))
 def _find_nearest(
     begin: int,
     lanes: int,

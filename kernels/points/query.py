@@ -29,7 +29,7 @@ from sdm.kernels.points.groups import (
     COVERED,
     FAR,
     GROUP,
-    POINT_BLOCKS,
+    POINT_BLOCKS_PER_SM,
     Groups,
     is_finite,
     look_around,
@@ -210,7 +210,7 @@ def query_points(
     groups.witnesses = empty(4 * groups.count, wp.float32)
     groups.nearest = empty(groups.count, wp.int32)
     groups.hints = empty(groups.count, wp.int32)
-    workers = min(gpu_workers(device, POINT_BLOCKS) if device.is_cuda else 16 * threads(), groups.count)
+    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 16 * threads(), groups.count)
     scratch = empty(workers * SCRATCH, wp.int32)
     groups.counts = empty(COUNTS, wp.int32)
     groups.counts.zero_()

@@ -21,7 +21,7 @@ from sdm.kernels.points.groups import (
     FAR,
     GROUP,
     NEXT_SIDE,
-    POINT_BLOCKS,
+    POINT_BLOCKS_PER_SM,
     Groups,
     group_end,
     point_or_middle,
@@ -92,7 +92,7 @@ def crossings_in_list(
     return wp.where(back, -total, total)
 
 
-@wp.kernel(launch_bounds=(128, POINT_BLOCKS))
+@wp.kernel(launch_bounds=(128, POINT_BLOCKS_PER_SM))
 def _find_sides(
     begin: int,
     lanes: int,

@@ -10,15 +10,15 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 GPU_LANES = 32
-# A multiprocessor holds so many blocks of 128 threads at a time; the compiler shares out registers by it.
-GPU_BLOCKS = 4
-# Groups of lanes in a block.
+# Thread blocks, of 128 threads, that a multiprocessor holds at a time; the compiler shares out registers by it.
+BLOCKS_PER_SM = 4
+# Groups of lanes in a thread block.
 GPU_GROUPS = 4
 
 
-def gpu_workers(device: wp.Device, blocks: int) -> int:
-    """Groups of lanes at work at a time on a GPU, of a kernel of which a multiprocessor holds so many blocks."""
-    return device.sm_count * GPU_GROUPS * blocks
+def gpu_workers(device: wp.Device, blocks_per_sm: int) -> int:
+    """Groups of lanes at work at a time on a GPU, by the thread blocks of a kernel that a multiprocessor holds."""
+    return device.sm_count * GPU_GROUPS * blocks_per_sm
 
 
 @wp.func_native(

@@ -1,4 +1,4 @@
-"""Work put in line so that all lanes have some: octants that features matter to, and eighths of those.
+"""Queues of work, from which all lanes get some: octants that features matter to, and eighths of those.
 
 A pair is a feature's number (5 bits) and one of the block's octants of 4^3 voxels (3 bits); an item is a pair and one
 of that octant's eighths of 2^3 voxels (3 bits). Each lane finds a few of them or none; then each takes one.
@@ -47,19 +47,19 @@ def one_for_each_bit(queue: str, entry: str) -> str:
 
 @wp.func_native(
     snippet=one_for_each_bit(
-        "unsigned short* queue = reinterpret_cast<unsigned short*>(rows) + begin / 2;",
+        "unsigned short* queue = reinterpret_cast<unsigned short*>(scratch) + begin / 2;",
         "(unsigned short)(tag | bit << bits)",
     )
 )
-def put_in_line(rows: wp.uint64, begin: int, top: int, tag: int, bits: int, which: int, lane: int) -> int:
-    """Put the lanes' boxes `which` of `tag`, a number of so many `bits`, in the line that begins at byte `begin`.
+def enqueue(scratch: wp.uint64, begin: int, top: int, tag: int, bits: int, which: int, lane: int) -> int:
+    """Put the lanes' boxes `which` of `tag`, a number of so many `bits`, into the queue that begins at byte `begin`.
 
     There are `top` others; returns how many there are now.
     """
     ...
 
 
-@wp.func_native(snippet="return reinterpret_cast<const unsigned short*>(rows)[begin / 2 + at];")
-def in_line(rows: wp.uint64, begin: int, at: int) -> int:
-    """Entry at a place of a queue."""
+@wp.func_native(snippet="return reinterpret_cast<const unsigned short*>(scratch)[begin / 2 + at];")
+def queue_entry(scratch: wp.uint64, begin: int, at: int) -> int:
+    """Entry of a queue, by its place."""
     ...

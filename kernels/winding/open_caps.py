@@ -20,7 +20,7 @@ from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
-    GPU_BLOCKS,
+    BLOCKS_PER_SM,
     GPU_LANES,
     ballot,
     gpu_workers,
@@ -254,7 +254,7 @@ def open_caps(
     meshes, *shape = values.shape
     lanes, workers = 1, 16 * threads()
     if device.is_cuda:
-        lanes, workers = GPU_LANES, gpu_workers(device, GPU_BLOCKS)
+        lanes, workers = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
     stacks = empty(stack_room(workers, device.is_cuda), wp.int32)

@@ -15,7 +15,7 @@ from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_co
 from sdm.kernels.geometry.voxel_grid import Slab, along, count_below
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
-from sdm.kernels.primitives.lanes import GPU_BLOCKS, GPU_LANES, gpu_workers
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.ray_crossings import covers, crossing_of
 
 wp.set_module_options({"enable_backward": False})
@@ -168,6 +168,6 @@ def scan_triangles(
     larges.zero_()
     launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
     if some_large:
-        lanes, groups = (GPU_LANES, gpu_workers(device, GPU_BLOCKS)) if device.is_cuda else (1, threads())
+        lanes, groups = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, threads())
         inputs = [tree, slab, lanes, groups, counts, large, larges]
         launch(_scan_large, groups * lanes, inputs, device, smallest=1)

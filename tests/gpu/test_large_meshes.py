@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.dense.counters import SLICED
+from sdm.kernels.dense.counters import SPLIT_CELLS
 from tests.helpers.exactness import ROUNDING, assert_exact
 from tests.helpers.watch_measuring import watching
 
@@ -50,7 +50,7 @@ def test_a_torus_of_a_million_triangles():
     assert ((values < 0) == (expected < 0))[clear].all()
 
 
-def test_slices_that_find_no_room():
+def test_splits_that_find_no_room():
     """Of a long list that several groups measure each has a part: where one finds no room, the others are not all."""
     case = load_case("torus-300000")
     index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cuda")
@@ -63,8 +63,8 @@ def test_slices_that_find_no_room():
     lacking = []
 
     def look(work):
-        sliced = work.schedule.sliced.numpy()[: work.counters.numpy()[SLICED]]
-        lacking.append(int(work.schedule.lacking.numpy()[sliced].sum()))
+        split_cells = work.schedule.split_cells.numpy()[: work.counters.numpy()[SPLIT_CELLS]]
+        lacking.append(int(work.schedule.lacking.numpy()[split_cells].sum()))
 
     for most in (1 << 27, 1 << 24, 1 << 22, 3 << 20, 1 << 20, 1 << 17):
         # A replayed recording would not be looked at.

@@ -1,4 +1,4 @@
-"""The least value of each voxel over the features that matter to its eighth: see `feature_rows`.
+"""Least value of each voxel over the features that matter to its eighth: see `feature_setup`.
 
 Each lane measures one feature at the eight voxels of one eighth, which share most of the products. What it finds is
 less than what was known only for a few, so these alone are written, by atomic minima: on a GPU of whole numbers, which
@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.dense.block.shared_layout import BATCH, LATTICE_ROW, LEAST, NUMBERS, PLACES, write_row
+from sdm.kernels.dense.block.shared_layout import BATCH, COORDINATES, LATTICE_ROW, MIN_VALUES, NUMBERS, write_row
 
 wp.set_module_options({"enable_backward": False})
 
 # Voxels of the largest block.
 VOXELS = 512
 
-_LEAST_ROW = LEAST // 4
+_MIN_VALUES_ROW = MIN_VALUES // 4
 _ROWS = VOXELS // 4
 
 
-# What measures one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A compiler
-# sees what voxels of one eighth share. The same text for both devices, and for what is near the surface and far away.
+# Texts that measure one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A
+# compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away.
 _CORNER = (
     "const Row r = row[feature];",
     """
@@ -101,7 +101,7 @@ def _measure(feature: tuple[str, str], places: str) -> str:
 
 # Where the four voxels of one side of an eighth are: of most grids they share x, and each y and z with another.
 _STRAIGHT = f"""
-            const float x0 = number[{PLACES} + i + side];
+            const float x0 = number[{COORDINATES} + i + side];
             const float xs[4] = {{x0, x0, x0, x0}}, ys[4] = {{y0, y0, y1, y1}}, zs[4] = {{z0, z1, z0, z1}};
 """
 _TURNED = """
@@ -123,8 +123,8 @@ def _kinds(places: str) -> str:
 @wp.func_native(
     snippet=f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
-    const Row* row = reinterpret_cast<const Row*>(rows);
-    const float* number = reinterpret_cast<const float*>(rows);
+    const Row* row = reinterpret_cast<const Row*>(scratch);
+    const float* number = reinterpret_cast<const float*>(scratch);
     const float a = near ? 1.0f : 0.0f, b = 2.0f - a;
     const unsigned feature = item & {BATCH - 1}, eighth = (unsigned)item / {BATCH};
     // The eighth's first voxel: its octant, and which one there.
@@ -132,38 +132,38 @@ def _kinds(places: str) -> str:
     const unsigned i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2);
     const unsigned k = (octant << 2 & 4) + (in << 1 & 2);
 #if defined(__CUDA_ARCH__)
-    int* best = reinterpret_cast<int*>(rows) + {LEAST} + 64 * octant + 8 * in;
+    int* best = reinterpret_cast<int*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
 #else
-    float* __restrict best = reinterpret_cast<float*>(rows) + {LEAST} + 64 * octant + 8 * in;
+    float* __restrict best = reinterpret_cast<float*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
 #endif
     if (turned) {{
         const Row o = row[{LATTICE_ROW}], di = row[{LATTICE_ROW + 1}], dj = row[{LATTICE_ROW + 2}];
         const Row dk = row[{LATTICE_ROW + 3}];
         {_kinds(_TURNED)}
     }} else {{
-        const float y0 = number[{PLACES + 8} + j], y1 = number[{PLACES + 9} + j];
-        const float z0 = number[{PLACES + 16} + k], z1 = number[{PLACES + 17} + k];
+        const float y0 = number[{COORDINATES + 8} + j], y1 = number[{COORDINATES + 9} + j];
+        const float z0 = number[{COORDINATES + 16} + k], z1 = number[{COORDINATES + 17} + k];
         {_kinds(_STRAIGHT)}
     }}
 """
 )
-def measure_item(rows: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
+def measure_item(scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
     """Lessen the values of an eighth's voxels to those of a feature, see `work_queues` for what an item is."""
     ...
 
 
 @wp.func
-def clear_values(rows: wp.uint64, lane: int, lanes: int):
+def clear_values(scratch: wp.uint64, lane: int, lanes: int):
     """No voxel of the block has a value yet."""
     row = lane
     while row < _ROWS:
-        write_row(rows, _LEAST_ROW + row, float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
+        write_row(scratch, _MIN_VALUES_ROW + row, float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
         row = row + lanes
 
 
 @wp.func_native(
     snippet=f"""
-    const float* at = reinterpret_cast<const float*>(rows) + {LEAST} + 2 * number;
+    const float* at = reinterpret_cast<const float*>(scratch) + {MIN_VALUES} + 2 * number;
 #if defined(__CUDA_ARCH__)
     const float2 two = *reinterpret_cast<const float2*>(at);
     return wp::vec2(two.x, two.y);
@@ -172,7 +172,7 @@ def clear_values(rows: wp.uint64, lane: int, lanes: int):
 #endif
 """
 )
-def values_of(rows: wp.uint64, number: int) -> wp.vec2:
+def values_of(scratch: wp.uint64, number: int) -> wp.vec2:
     """The least values of the two voxels `number` of the block, see `two_at`; infinite where nothing was measured."""
     ...
 

@@ -35,7 +35,7 @@ _ROW = "struct alignas(16) Row { float x, y, z, w; };"
 
 
 @wp.func
-def octants_there(slab: Slab, start: wp.vec3i, bits: int):
+def octants_in_slab(slab: Slab, start: wp.vec3i, bits: int):
     """The octants of a block, as bits, that have voxels. One of 4^3 voxels has the first alone."""
     # The bits of octants on the far side of an axis go where that side has no voxels.
     there = int(255)
@@ -49,8 +49,10 @@ def octants_there(slab: Slab, start: wp.vec3i, bits: int):
 
 
 @wp.func
-def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, box: VoxelBox, scale: wp.float64, lane: int, lanes: int):
-    """Note where a block's first voxel is, from its centre, and the steps from there to the next ones.
+def write_lattice(
+    slab: Slab, scratch: wp.uint64, start: wp.vec3i, box: VoxelBox, scale: wp.float64, lane: int, lanes: int
+):
+    """Write where a block's first voxel is, from its centre, and the steps from there to the next ones.
 
     And in the fourth place of each, how far rounding may have put a voxel aside.
     """
@@ -69,40 +71,39 @@ def note_lattice(slab: Slab, rows: wp.uint64, start: wp.vec3i, box: VoxelBox, sc
         wider = WIDER * (
             wp.max(wp.vec3(wp.abs(box.centre[0]), wp.abs(box.centre[1]), wp.abs(box.centre[2])) + box.half)
         )
-        write_row(rows, LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
+        write_row(scratch, LATTICE_ROW + row, float(at[0]), float(at[1]), float(at[2]), wider)
         row = row + lanes
 
 
 @wp.func
-def note_witness(rows: wp.uint64, box: VoxelBox, known: Witness, lane: int):
+def write_block_witness(scratch: wp.uint64, box: VoxelBox, known: Witness, lane: int):
     """Note a block's witness, seen from its centre, and its square with room for rounding."""
     if lane == 0:
         u = known.to_surface
-        write_row(rows, WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(box, known))
+        write_row(scratch, WITNESS_ROW, -u[0], -u[1], -u[2], known.distance2 + doubt(box, known))
 
 
 @wp.func
-def note_test(rows: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
-    """Note test `test` of feature `number`: whether some point p of a box, from the block's centre, may have p.u <=
-    most.
+def write_test(scratch: wp.uint64, test: int, number: int, u: wp.vec3, most: float):
+    """Write test `test` of feature `number`: may some point p of a box, from the block's centre, have p.u <= most?
 
     `octants_of` then writes it so that boxes are found by adding.
     """
-    write_row(rows, TEST_ROW + BATCH * test + number, u[0], u[1], u[2], most)
+    write_row(scratch, TEST_ROW + BATCH * test + number, u[0], u[1], u[2], most)
 
 
 @wp.func
-def test_direction(rows: wp.uint64, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
-    """Note whether some point p may have (p - x).u <= 0; x is at q from the block's centre."""
-    note_test(rows, test, number, u, wp.dot(q, u) + room * sum_abs(u))
+def test_direction(scratch: wp.uint64, test: int, number: int, room: float, q: wp.vec3, u: wp.vec3):
+    """Write the test of a direction: may some point p have (p - x).u <= 0? x is at q from the block's centre."""
+    write_test(scratch, test, number, u, wp.dot(q, u) + room * sum_abs(u))
 
 
 @wp.func
-def test_witness(rows: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
-    """Note whether a feature's point may be nearer to a voxel than the witness; all of it is within a ball around q."""
-    witness = read_row(rows, WITNESS_ROW)
+def test_witness(scratch: wp.uint64, test: int, number: int, q: wp.vec3, radius2: float):
+    """Write the test of the witness: may a feature, within a ball around q, be nearer to a voxel than that?"""
+    witness = read_row(scratch, WITNESS_ROW)
     gap = wp.vec3(witness[0], witness[1], witness[2]) - q
-    note_test(rows, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
+    write_test(scratch, test, number, gap, 0.5 * (witness[3] + radius2 - wp.dot(q, q)))
 
 
 @wp.func
@@ -144,9 +145,9 @@ def _eight(step: float) -> str:
 @wp.func_native(
     snippet=f"""
     {_ROW}
-    const Row* lattice = reinterpret_cast<const Row*>(rows) + {LATTICE_ROW};
+    const Row* lattice = reinterpret_cast<const Row*>(scratch) + {LATTICE_ROW};
     const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
-    Row* row = reinterpret_cast<Row*>(rows) + {TEST_ROW} + number;
+    Row* row = reinterpret_cast<Row*>(scratch) + {TEST_ROW} + number;
     unsigned dropped = 0;
     // Not written out several times: code that does not fit into a GPU's cache has to be waited for.
     #pragma unroll 1
@@ -165,7 +166,7 @@ def _eight(step: float) -> str:
     return 255 & ~dropped;
 """
 )
-def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
+def octants_of(scratch: wp.uint64, number: int, tests: int) -> int:
     """The octants of the block, as bits, that pass all the tests of a feature.
 
     These are written anew, in steps of the lattice from its first voxel, as `eighths_of` wants them.
@@ -176,7 +177,7 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
 @wp.func_native(
     snippet=f"""
     {_ROW}
-    const Row* row = reinterpret_cast<const Row*>(rows) + {TEST_ROW} + (pair & {BATCH - 1});
+    const Row* row = reinterpret_cast<const Row*>(scratch) + {TEST_ROW} + (pair & {BATCH - 1});
     const Row* const end = row + {BATCH} * tests;
     const unsigned octant = (unsigned)pair / {BATCH};
     const float a = octant & 4 ? 4.0f : 0.0f, b = octant & 2 ? 4.0f : 0.0f, c = octant & 1 ? 4.0f : 0.0f;
@@ -191,6 +192,6 @@ def octants_of(rows: wp.uint64, number: int, tests: int) -> int:
     return 255 & ~dropped;
 """
 )
-def eighths_of(rows: wp.uint64, pair: int, tests: int) -> int:
+def eighths_of(scratch: wp.uint64, pair: int, tests: int) -> int:
     """The eighths of the octant of a pair (see `work_queues`), as bits, that pass all the tests of its feature."""
     ...

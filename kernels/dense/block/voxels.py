@@ -1,4 +1,4 @@
-"""The voxels of one block: where they are, and what is written."""
+"""Voxels of one block: their coordinates, their winding numbers, and the distances that are written."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import warp as wp
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness
 from sdm.kernels.dense.block.min_values import two_at, values_of
-from sdm.kernels.dense.block.octant_tests import note_lattice, note_witness
-from sdm.kernels.dense.block.shared_layout import PLACES, WINDING, write_number
+from sdm.kernels.dense.block.octant_tests import write_block_witness, write_lattice
+from sdm.kernels.dense.block.shared_layout import COORDINATES, WINDING, write_float
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, along, distances_at, is_unclear, with_sign
 from sdm.kernels.primitives.atomics import fetch_add, shrink
@@ -27,34 +27,34 @@ class Block:
     mesh: wp.int32
     start: wp.vec3i  # its first voxel
     bits: wp.int32  # 2 to 4: the voxels along each edge are 2^bits
-    slice: wp.int32  # which slice of its cell's list counts: every `slices`-th batch of the lanes' entries
-    slices: wp.int32
+    split: wp.int32  # which split of its cell's list counts: every `splits`-th batch of the lanes' entries
+    splits: wp.int32
     index: wp.int32  # of its first voxel, see `index_of`
     unscale: float  # from scaled distances to the mesh's unit
     box: VoxelBox
     known: Witness  # the surface point nearest to its centre
-    floor: float  # less than any distance of its voxels; 0 near the surface, see `feature_rows`
+    floor: float  # less than any distance of its voxels; 0 near the surface, see `feature_setup`
 
 
 @wp.func
-def note_places(tree: Tree, slab: Slab, rows: wp.uint64, block: Block, lane: int, lanes: int):
-    """Note the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple.
+def write_coordinates(tree: Tree, slab: Slab, scratch: wp.uint64, block: Block, lane: int, lanes: int):
+    """Write the voxels' coordinates along each axis, from the block's centre; a turned grid's are not so simple.
 
     And where they would be if they were not rounded, of any grid, and the block's witness.
     """
     scale = tree.frame[block.mesh * FRAME_SIZE + SCALE]
-    note_lattice(slab, rows, block.start, block.box, scale, lane, lanes)
-    note_witness(rows, block.box, block.known, lane)
+    write_lattice(slab, scratch, block.start, block.box, scale, lane, lanes)
+    write_block_witness(scratch, block.box, block.known, lane)
     at = lane
     while at < 8:
         for axis in range(3):
             p = scale * wp.float64(along(slab, axis, block.start[axis] + at))
-            write_number(rows, PLACES + 8 * axis + at, float(p - wp.float64(block.box.centre[axis])))
+            write_float(scratch, COORDINATES + 8 * axis + at, float(p - wp.float64(block.box.centre[axis])))
         at = at + lanes
 
 
 @wp.func
-def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
+def voxel_index(slab: Slab, block: Block, at: wp.vec3i):
     """Index of the voxel `at` from a block's first, see `index_of`; -1 if it is beyond the slab."""
     if not is_within(slab, block.start + at):
         return -1
@@ -63,7 +63,7 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 
 @wp.func_native(
     snippet=f"""
-    float* to = reinterpret_cast<float*>(rows) + {WINDING} + 4 * four;
+    float* to = reinterpret_cast<float*>(scratch) + {WINDING} + 4 * four;
     const float* from = values.data + index;
 #if defined(__CUDA_ARCH__)
     const unsigned there = (unsigned)__cvta_generic_to_shared(to);
@@ -80,9 +80,9 @@ def place_in_map(slab: Slab, block: Block, at: wp.vec3i):
 """
 )
 def begin_reading(
-    rows: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
+    scratch: wp.uint64, four: int, values: wp.array(dtype=wp.float32), index: int, count: int, together: bool
 ):
-    """Have up to four values copied to the rows while other work goes on, until `end_reading`.
+    """Have up to four values copied to the scratch memory while other work goes on, until `end_reading`.
 
     `together`: there are four, and they lie at a multiple of 16 bytes.
     """
@@ -105,7 +105,7 @@ def end_reading():
     snippet=f"""
     // Of the bits of `number` the third is that of the second two of four.
     const unsigned n = number, place = (n >> 3 << 4) + (n << 2 & 12) + (n >> 1 & 2);
-    const float* at = reinterpret_cast<const float*>(rows) + {WINDING} + place;
+    const float* at = reinterpret_cast<const float*>(scratch) + {WINDING} + place;
 #if defined(__CUDA_ARCH__)
     const float2 two = *reinterpret_cast<const float2*>(at);
     return wp::vec2(two.x, two.y);
@@ -114,7 +114,7 @@ def end_reading():
 #endif
 """
 )
-def windings_of(rows: wp.uint64, number: int) -> wp.vec2:
+def windings_of(scratch: wp.uint64, number: int) -> wp.vec2:
     """Winding numbers of the voxels `number`, see `two_at`, that `begin_reading` had read."""
     ...
 
@@ -144,27 +144,27 @@ def twos_of(block: Block):
 
 
 @wp.func
-def read_windings(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+def read_windings(slab: Slab, out: Output, scratch: wp.uint64, block: Block, lane: int, lanes: int):
     """Begin to read the winding numbers of a block's voxels: they take a while to come, and are needed at the end."""
     four = lane
     while 2 * four < twos_of(block):
         at = two_at(four + (four & ~3))
-        index = place_in_map(slab, block, at)
+        index = voxel_index(slab, block, at)
         if index >= 0:
             count = wp.min(4, slab.shape[2] - block.start[2] - at[2])
-            begin_reading(rows, four, out.values, index, count, slab.shape[2] % 4 == 0)
+            begin_reading(scratch, four, out.values, index, count, slab.shape[2] % 4 == 0)
         four = four + lanes
 
 
 @wp.func
-def settled(block: Block, value: float):
+def distance_of(block: Block, value: float):
     """The distance of a voxel; infinite if none was found: the list had no room, or float32 overflowed."""
     distance = block.unscale * wp.sqrt(wp.max(block.floor * block.floor + value, 0.0))
     return wp.where(value < LARGEST_SQUARE and distance < float(wp.inf), distance, float(wp.inf))
 
 
 @wp.func
-def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: int, lanes: int):
+def write_voxels(slab: Slab, out: Output, scratch: wp.uint64, block: Block, lane: int, lanes: int):
     """Write the distances of all voxels of a measured block; returns how many of them have unclear winding numbers.
 
     They are infinite where none was found, and left to the search.
@@ -177,14 +177,14 @@ def settle_voxels(slab: Slab, out: Output, rows: wp.uint64, block: Block, lane: 
     two = lane
     while two < twos_of(block):
         at = two_at(two)
-        index = place_in_map(slab, block, at)
+        index = voxel_index(slab, block, at)
         if index >= 0:
-            least = values_of(rows, two)
-            winding = windings_of(rows, two)
-            first = settled(block, least[0])
-            second = settled(block, least[1])
+            least = values_of(scratch, two)
+            winding = windings_of(scratch, two)
+            first = distance_of(block, least[0])
+            second = distance_of(block, least[1])
             count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
-            if block.slices > 1:
+            if block.splits > 1:
                 if first < float(wp.inf):
                     shrink(out.values, index, first)
                 if count > 1 and second < float(wp.inf):

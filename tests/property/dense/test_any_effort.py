@@ -1,4 +1,4 @@
-"""Whatever lists are made of, by how many, in how many slices and passes, and whatever finds no room: the same map."""
+"""Whatever lists are made of, by how many, in how many splits and passes, and whatever finds no room: the same map."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ fine = st.integers(6, 16).map(lambda rings: strategies.Arrays(*sphere(rings)))
 meshes = st.one_of(strategies.soups(60), strategies.slivers(40), strategies.closed(20), strategies.shells(8), fine)
 efforts = st.fixed_dictionaries(
     {
-        "slice_length": st.sampled_from([1, 2, 7, 30, 10**6]),
+        "split_length": st.sampled_from([1, 2, 7, 30, 10**6]),
         "levels_left_out": st.integers(0, 2),
         "shares": st.sampled_from([(1, 1), (4, 2), (16, 8)]),
         "cell": st.sampled_from([8, 16]),

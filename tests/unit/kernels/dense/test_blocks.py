@@ -1,4 +1,4 @@
-"""Lists made by several groups and measured in slices: maps are right however the work is shared out."""
+"""Lists made by several groups and measured in splits: maps are right however the work is shared out."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import sdm
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.dense import cost_model
-from sdm.kernels.dense.block_schedule import CELL_BITS, SLICE_BITS, cell_of, slice_of, slices_of
-from sdm.kernels.dense.counters import COARSE, LENGTHS, SLICED, WHOLE
+from sdm.kernels.dense.block_schedule import CELL_BITS, SPLIT_BITS, cell_of, split_of, splits_of
+from sdm.kernels.dense.counters import COARSE, LENGTHS, SPLIT_CELLS, WHOLE
 from sdm.kernels.dense.region_grid import BLOCK
 from sdm.kernels.dense.workspace import Workspace
 from sdm.kernels.launch import launch
@@ -37,11 +37,11 @@ def _shrink(begin: int, values: wp.array(dtype=wp.float32), sizes: wp.array(dtyp
 @wp.kernel
 def _decode(codes: wp.array(dtype=int), out: wp.array(dtype=wp.vec3i)):
     i = wp.tid()
-    out[i] = wp.vec3i(cell_of(codes[i]), slice_of(codes[i]), slices_of(codes[i]))
+    out[i] = wp.vec3i(cell_of(codes[i]), split_of(codes[i]), splits_of(codes[i]))
 
 
 def decoded(codes: np.ndarray) -> np.ndarray:
-    """Cell, slice and slices (N,3) of each code."""
+    """Cell, split and splits (N,3) of each code."""
     out = wp.zeros(len(codes), dtype=wp.vec3i, device="cpu")
     wp.launch(_decode, len(codes), [wp.array(codes.astype(np.int32), dtype=int, device="cpu"), out], device="cpu")
     return out.numpy()
@@ -55,12 +55,12 @@ class Seen:
     coarse: list[np.ndarray] = field(default_factory=list)
     lengths: list[np.ndarray] = field(default_factory=list)
     without_room: int = 0
-    sliced_without_room: int = 0
+    split_without_room: int = 0
     used: int = 0
     count: int = 0
 
     def codes(self) -> np.ndarray:
-        """All of them: cell, slice and slices (N,3)."""
+        """All of them: cell, split and splits (N,3)."""
         return np.concatenate([*self.whole, *self.coarse])
 
     def clear(self) -> None:
@@ -83,9 +83,9 @@ def seen() -> Iterator[Seen]:
         found.coarse.append(coarse)
         found.lengths.append(work.cells.lengths.numpy().reshape(-1, work.cells.shares)[scheduled])
         found.without_room += int((work.cells.heads.numpy().reshape(-1, work.cells.shares)[scheduled] < 0).any(1).sum())
-        # Of some cells only a part of the slices found none, so that what the others come to is not all.
-        found.sliced_without_room += int(
-            work.schedule.lacking.numpy()[work.schedule.sliced.numpy()[: counts[SLICED]]].sum()
+        # Of some cells only a part of the splits found none, so that what the others come to is not all.
+        found.split_without_room += int(
+            work.schedule.lacking.numpy()[work.schedule.split_cells.numpy()[: counts[SPLIT_CELLS]]].sum()
         )
         found.used += entries_used(work)
         found.count += work.grid.count
@@ -132,20 +132,20 @@ def check(mesh: sdm.TriangleMesh, grid: sdm.Grid, values: torch.Tensor) -> None:
 
 
 def test_codes_hold_the_largest_numbers():
-    cells, slices = 1 << CELL_BITS, 1 << SLICE_BITS
-    wanted = [(c, s, n) for n in (1, 2, slices) for s in {0, n - 1} for c in (0, 1, cells - 1)]
-    codes = np.array([c | s << CELL_BITS | (n - 1) << CELL_BITS + SLICE_BITS for c, s, n in wanted])
+    cells, splits = 1 << CELL_BITS, 1 << SPLIT_BITS
+    wanted = [(c, s, n) for n in (1, 2, splits) for s in {0, n - 1} for c in (0, 1, cells - 1)]
+    codes = np.array([c | s << CELL_BITS | (n - 1) << CELL_BITS + SPLIT_BITS for c, s, n in wanted])
     assert codes.max() < 1 << 31
     np.testing.assert_array_equal(decoded(codes), wanted)
     # Every cell of the largest pass has a number that fits.
     assert cells >= 8 * cost_model.MOST_REGIONS
 
 
-@pytest.mark.parametrize("slice_length", [20, 300, 10**6])
-def test_each_cell_is_scheduled_once(seen, slice_length):
+@pytest.mark.parametrize("split_length", [20, 300, 10**6])
+def test_each_cell_is_scheduled_once(seen, split_length):
     mesh = mesh_of("all alike")
     grid = sdm.Grid([-0.3] * 3, [0.03] * 3, [16, 16, 32])
-    values = values_of(mesh, grid, slice_length=slice_length)
+    values = values_of(mesh, grid, split_length=split_length)
     codes, lengths = seen.codes(), seen.lengths[0].sum(1)
     assert not len(seen.coarse[0])
     assert np.unique(codes[:, 0]).tolist() == list(range(8 * seen.count))
@@ -153,8 +153,8 @@ def test_each_cell_is_scheduled_once(seen, slice_length):
         mine = codes[codes[:, 0] == number]
         assert sorted(mine[:, 1]) == list(range(len(mine)))
         assert (mine[:, 2] == len(mine)).all()
-        assert len(mine) == min(-(-lengths[number] // slice_length), 1 << SLICE_BITS)
-    assert (slice_length == 10**6) == (len(codes) == 8 * seen.count)
+        assert len(mine) == min(-(-lengths[number] // split_length), 1 << SPLIT_BITS)
+    assert (split_length == 10**6) == (len(codes) == 8 * seen.count)
     check(mesh, grid, values)
 
 
@@ -173,14 +173,14 @@ def test_coarse_cells_are_measured_by_bricks(seen, name):
 @pytest.mark.parametrize("shares", [1, 4])
 @pytest.mark.parametrize("name", [*NAMES, "all alike"])
 def test_large_cells_are_measured_by_bricks_from_one_list(seen, name, shares):
-    """Cells of 16^3 voxels, coarse ones too, in slices and shared, of grids that end anywhere in them."""
+    """Cells of 16^3 voxels, coarse ones too, in splits and shared, of grids that end anywhere in them."""
     mesh = mesh_of(name)
     fine = mesh.numpy()[0].min(0), float(np.ptp(mesh.numpy()[0], 0).max())
     grids = [grid_of(name, mesh), sdm.Grid(fine[0] + 0.3 * fine[1], [fine[1] / 200] * 3, [37, 30, 41])]
     for grid in grids:
-        for slice_length in (10**6, 13):
+        for split_length in (10**6, 13):
             seen.clear()
-            values = values_of(mesh, grid, cell=16, slice_length=slice_length, **shared(shares))
+            values = values_of(mesh, grid, cell=16, split_length=split_length, **shared(shares))
             assert len(seen.codes()) > 0
             check(mesh, grid, values)
     # Of the finer grid no cell is coarse.
@@ -191,14 +191,14 @@ def test_large_cells_are_measured_by_bricks_from_one_list(seen, name, shares):
 def test_slices_change_no_bit(seen, name):
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
-    plain = values_of(mesh, grid, slice_length=10**6)
+    plain = values_of(mesh, grid, split_length=10**6)
     check(mesh, grid, plain)
     assert (seen.codes()[:, 2] == 1).all()
-    for slice_length in (1, 7, 100):
+    for split_length in (1, 7, 100):
         seen.clear()
-        values = values_of(mesh, grid, slice_length=slice_length)
+        values = values_of(mesh, grid, split_length=split_length)
         most = int(seen.codes()[:, 2].max())
-        assert most > (1 if slice_length < 100 or name == "all alike" else 0)
+        assert most > (1 if split_length < 100 or name == "all alike" else 0)
         assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
 
 
@@ -216,7 +216,7 @@ def test_lists_made_by_several_groups(seen, name, shares):
     assert ((lengths > 0).sum(1) > 1).any()
     # What one group does not know of the others' it keeps, but not much.
     assert lengths.sum() < 4 * alone_lengths.sum() + 100 * shares
-    maps.append(values_of(mesh, grid, slice_length=13, **shared(shares)))
+    maps.append(values_of(mesh, grid, split_length=13, **shared(shares)))
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
     for values in maps:
@@ -234,9 +234,9 @@ def test_lists_of_larger_leaves(seen, name, levels):
     plain_entries = sum(lengths.sum() for lengths in seen.lengths)
     centres = grid.points().reshape(-1, 3).numpy()
     limit = torch.from_numpy(8 * ROUNDING * scale_of(*mesh.numpy(), centres)).reshape(grid.shape)
-    for slice_length, shares in ((10**6, 1), (13, 4)):
+    for split_length, shares in ((10**6, 1), (13, 4)):
         seen.clear()
-        options = {"levels_left_out": levels, "slice_length": slice_length, **shared(shares)}
+        options = {"levels_left_out": levels, "split_length": split_length, **shared(shares)}
         values = values_of(mesh, grid, **options)
         if shares == 1:
             # Not of half or a quarter of the length: a larger leaf is nearer.
@@ -255,31 +255,31 @@ def test_lists_of_larger_leaves(seen, name, levels):
 @pytest.mark.parametrize("shares", [1, 4])
 @pytest.mark.parametrize("room", [1 << 11, 1 << 13, 1 << 15, 1 << 16, 3 << 15])
 def test_a_pool_that_runs_out(seen, room, shares):
-    """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its slices."""
+    """Whose list finds no room is searched voxel by voxel: never wrong, whoever else shares its list or its splits."""
     mesh = mesh_of("overlapping shells")
     grid = sdm.Grid.around(mesh, resolution=40)
     plenty = values_of(mesh, grid)
     assert seen.without_room == 0
-    scarce = values_of(mesh, grid, pool_entries=room, slice_length=13, **shared(shares))
-    assert seen.without_room > 0 or seen.sliced_without_room > 0
+    scarce = values_of(mesh, grid, pool_entries=room, split_length=13, **shared(shares))
+    assert seen.without_room > 0 or seen.split_without_room > 0
     check(mesh, grid, scarce)
     assert (plenty.abs() - scarce.abs()).abs().max() <= 4 * ROUNDING * 2
     assert torch.equal(plenty < 0, scarce < 0)
 
 
 @pytest.mark.parametrize("name", ["overlapping shells", "all alike"])
-@pytest.mark.parametrize("slice_length", [1, 4, 13])
-def test_slices_that_find_no_room(seen, name, slice_length):
-    """The least of some slices may not be the least of all: pools of every size, so that any of them is the last."""
+@pytest.mark.parametrize("split_length", [1, 4, 13])
+def test_splits_that_find_no_room(seen, name, split_length):
+    """The least of some splits may not be the least of all: pools of every size, so that any of them is the last."""
     mesh = mesh_of(name)
     grid = grid_of(name, mesh)
     plenty = values_of(mesh, grid)
     limit = 8 * ROUNDING * float(np.max(scale_of(*mesh.numpy(), grid.points().reshape(-1, 3).numpy())))
     for step in range(0, 34, 3):
-        scarce = values_of(mesh, grid, slice_length=slice_length, pool_entries=int(2048 * 1.25**step))
+        scarce = values_of(mesh, grid, split_length=split_length, pool_entries=int(2048 * 1.25**step))
         assert (plenty.abs() - scarce.abs()).abs().max() <= limit
         assert torch.equal(plenty < 0, scarce < 0)
-    assert seen.sliced_without_room > 0
+    assert seen.split_without_room > 0
 
 
 @pytest.mark.parametrize("turned", [False, True])

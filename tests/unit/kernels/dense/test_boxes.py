@@ -1,4 +1,4 @@
-"""Octants and eighths of features, and the lines that they wait in."""
+"""Octants and eighths of features, and the queues that they wait in."""
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false, reportOperatorIssue=false
 
 from __future__ import annotations
@@ -7,16 +7,25 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sdm.kernels.dense.block.feature_rows import kind_of, taken_now
+from sdm.kernels.dense.block.feature_setup import kind_of, next_batch
 from sdm.kernels.dense.block.min_values import two_at, values_of
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_of
-from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, LATTICE_ROW, LEAST, ROWS, TEST_ROW, rows_of, write_row
-from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, in_line, put_in_line
+from sdm.kernels.dense.block.shared_layout import (
+    BATCH,
+    ITEMS,
+    LATTICE_ROW,
+    MIN_VALUES,
+    SCRATCH_ROWS,
+    TEST_ROW,
+    scratch_of,
+    write_row,
+)
+from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, enqueue, queue_entry
 
 wp.set_module_options({"enable_backward": False})
 
 _TEST_ROW, _BATCH, _LATTICE_ROW = wp.constant(TEST_ROW), wp.constant(BATCH), wp.constant(LATTICE_ROW)
-_LEAST_ROW, _LEAST_ROWS = wp.constant(LEAST // 4), wp.constant(128)
+_MIN_VALUES_ROW, _MIN_VALUES_ROWS = wp.constant(MIN_VALUES // 4), wp.constant(128)
 _ITEMS, _FEATURE_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(FEATURE_BITS), wp.constant(PAIR_BITS)
 
 
@@ -29,23 +38,23 @@ def _boxes(
     octants: wp.array(dtype=int),
     eighths: wp.array(dtype=int),
 ):
-    rows = rows_of(memory, 0)
+    scratch = scratch_of(memory, 0)
     for row in range(4):
         at = lattice[row]
-        write_row(rows, _LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
+        write_row(scratch, _LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
     for i in range(pairs.shape[0]):
         feature = pairs[i] % _BATCH
         for t in range(tests.shape[1]):
             u = tests[i, t]
-            write_row(rows, _TEST_ROW + _BATCH * t + feature, u[0], u[1], u[2], u[3])
-        octants[i] = octants_of(rows, feature, tests.shape[1])
+            write_row(scratch, _TEST_ROW + _BATCH * t + feature, u[0], u[1], u[2], u[3])
+        octants[i] = octants_of(scratch, feature, tests.shape[1])
         eighths[i] = 0
         if octants[i] != 0:
-            eighths[i] = eighths_of(rows, pairs[i], tests.shape[1])
+            eighths[i] = eighths_of(scratch, pairs[i], tests.shape[1])
 
 
 def boxes(lattice: np.ndarray, tests: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
+    memory = wp.zeros(4 * SCRATCH_ROWS, dtype=float, device="cpu")
     octants, eighths = (wp.zeros(len(pairs), dtype=int, device="cpu") for _ in range(2))
     given = wp.array(tests.astype(np.float32), dtype=wp.vec4, ndim=2, device="cpu")
     rows = wp.array(lattice.astype(np.float32), dtype=wp.vec3, device="cpu")
@@ -96,22 +105,22 @@ def test_a_box_is_kept_where_a_point_of_it_passes_all_tests(count, turned):
 
 
 @wp.kernel
-def _line(begin: int, memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
-    rows = rows_of(memory, 0)
+def _queue(begin: int, memory: wp.array(dtype=float), which: wp.array(dtype=int), out: wp.array(dtype=int)):
+    scratch = scratch_of(memory, 0)
     top = int(begin)
     for feature in range(which.shape[0]):
-        top = put_in_line(rows, _ITEMS, top, feature, _FEATURE_BITS, which[feature], 0)
+        top = enqueue(scratch, _ITEMS, top, feature, _FEATURE_BITS, which[feature], 0)
     for i in range(top):
-        out[i] = in_line(rows, _ITEMS, i)
+        out[i] = queue_entry(scratch, _ITEMS, i)
     out[out.shape[0] - 1] = top
 
 
-def test_what_is_put_in_line_is_there():
+def test_queues_hold_what_was_put_in():
     rng = np.random.default_rng(0)
     which = rng.integers(0, 256, 24)
     out = wp.zeros(400, dtype=int, device="cpu")
-    memory = wp.zeros(4 * ROWS, dtype=float, device="cpu")
-    wp.launch(_line, 1, [0, memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
+    memory = wp.zeros(4 * SCRATCH_ROWS, dtype=float, device="cpu")
+    wp.launch(_queue, 1, [0, memory, wp.array(which, dtype=int, device="cpu"), out], device="cpu")
     wanted = [feature | box << FEATURE_BITS for feature in range(24) for box in range(8) if which[feature] >> box & 1]
     found = out.numpy()
     assert found[-1] == len(wanted)
@@ -119,23 +128,23 @@ def test_what_is_put_in_line_is_there():
 
 
 @wp.kernel
-def _mix(counts: wp.array(dtype=wp.vec3i), lanes: int, out: wp.array2d(dtype=int)):
+def _batches(counts: wp.array(dtype=wp.vec3i), lanes: int, out: wp.array2d(dtype=int)):
     i = wp.tid()
-    mix = taken_now(counts[i][0], counts[i][1], counts[i][2], lanes)
+    batch = next_batch(counts[i][0], counts[i][1], counts[i][2], lanes)
     for feature in range(lanes):
         out[i, feature] = -1
-        if feature < mix.features:
-            out[i, feature] = kind_of(mix, feature)
+        if feature < batch.features:
+            out[i, feature] = kind_of(batch, feature)
 
 
-def test_parts_are_taken_once_and_full_lanes_first():
+def test_features_are_taken_once_and_full_lanes_first():
     """Repeating what is taken empties all three lists; features of one kind that fill the lanes are by themselves."""
     rng = np.random.default_rng(1)
     left = rng.integers(0, 63, (300, 3))
     for _ in range(8):
         busy = left.sum(1) > 0
         out = wp.zeros((300, 32), dtype=int, device="cpu")
-        wp.launch(_mix, 300, [wp.array(left, dtype=wp.vec3i, device="cpu"), 32, out], device="cpu")
+        wp.launch(_batches, 300, [wp.array(left, dtype=wp.vec3i, device="cpu"), 32, out], device="cpu")
         kinds = out.numpy()
         taken = np.stack([(kinds == kind).sum(1) for kind in range(3)], 1)
         assert (taken <= left).all()
@@ -150,19 +159,19 @@ def test_parts_are_taken_once_and_full_lanes_first():
 
 @wp.kernel
 def _twos(memory: wp.array(dtype=float), at: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec2)):
-    rows = rows_of(memory, 0)
-    for row in range(_LEAST_ROWS):
+    scratch = scratch_of(memory, 0)
+    for row in range(_MIN_VALUES_ROWS):
         first = float(4 * row)
-        write_row(rows, _LEAST_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
+        write_row(scratch, _MIN_VALUES_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
     for two in range(at.shape[0]):
         at[two] = two_at(two)
-        values[two] = values_of(rows, two)
+        values[two] = values_of(scratch, two)
 
 
 def test_values_stand_octant_by_octant_and_eighth_by_eighth():
     at = wp.zeros(256, dtype=wp.vec3i, device="cpu")
     values = wp.zeros(256, dtype=wp.vec2, device="cpu")
-    wp.launch(_twos, 1, [wp.zeros(4 * ROWS, dtype=float, device="cpu"), at, values], device="cpu")
+    wp.launch(_twos, 1, [wp.zeros(4 * SCRATCH_ROWS, dtype=float, device="cpu"), at, values], device="cpu")
     voxels = (at.numpy()[:, None] + [[0, 0, 0], [0, 0, 1]]).reshape(-1, 3)
     assert len(np.unique(voxels, axis=0)) == 512
     assert (voxels[:64].max(0) == 3).all()  # a block of 4^3 voxels has the first 32 twos

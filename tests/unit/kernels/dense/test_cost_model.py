@@ -8,8 +8,8 @@ from sdm.kernels.bvh.tree import LARGEST_LEAF, depth_for
 from sdm.kernels.dense.cost_model import (
     FEW_CELLS,
     LARGEST_POOL,
-    LONG_SLICE,
-    SHORT_SLICE,
+    LONG_SPLIT,
+    SHORT_SPLIT,
     SMALLEST_POOL,
     cell_for,
     expected_entries,
@@ -18,7 +18,7 @@ from sdm.kernels.dense.cost_model import (
     pool_for,
     search_is_faster,
     shares_of,
-    slice_for,
+    split_length_for,
 )
 from sdm.kernels.winding.scan_convert import lanes_for_each
 
@@ -70,14 +70,14 @@ def test_lanes_that_mark_columns():
     assert lanes_for_each(8_000, 60, 1 << 24, 32, 2048) * 8_000 * 60 < 1 << 31
 
 
-def test_slices_of_few_cells_have_about_as_many_triangles_whatever_the_leaves_hold():
+def test_splits_of_few_cells_have_about_as_many_triangles_whatever_the_leaves_hold():
     for triangles in (300, 1_000, 20_088, 69_451, 99_938, 1_000_000, 5_000_000):
         depth = depth_for(triangles)
-        leaves = slice_for(triangles, depth, FEW_CELLS)
+        leaves = split_length_for(triangles, depth, FEW_CELLS)
         assert leaves in (64, 128)
-        assert SHORT_SLICE / 1.42 < leaves * triangles / 2**depth < SHORT_SLICE * 1.42
-        assert slice_for(triangles, depth, FEW_CELLS + 1) == LONG_SLICE
-    assert slice_for(1, 0, 1) >= 32
+        assert SHORT_SPLIT / 1.42 < leaves * triangles / 2**depth < SHORT_SPLIT * 1.42
+        assert split_length_for(triangles, depth, FEW_CELLS + 1) == LONG_SPLIT
+    assert split_length_for(1, 0, 1) >= 32
 
 
 def test_long_lists_are_made_of_larger_leaves():

@@ -10,7 +10,7 @@ import pytest
 from sdm.engine.plan_override import OPTIONS, plan_override
 from sdm.kernels.bvh.tree import depth_for
 from sdm.kernels.dense.chunk_pool import CHUNK
-from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SLICES
+from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
 from sdm.kernels.dense.plan import Plan, Workload, make_plan
 from sdm.kernels.plan_options import PlanOptions
 
@@ -46,7 +46,7 @@ def test_slabs_of_a_grid_are_planned_alike(memory):
 
 def test_a_cpu_has_one_group_for_each_list():
     plan = make_plan(workload(), None, USUAL)
-    assert (plan.region_shares, plan.cell_shares, plan.slice_length) == (1, 1, NO_SLICES)
+    assert (plan.region_shares, plan.cell_shares, plan.split_length) == (1, 1, NO_SPLITS)
     assert plan.passes == 1
 
 
@@ -57,7 +57,7 @@ def test_a_cpu_has_one_group_for_each_list():
         ({"method": "search"}, {"method": "search"}),
         ({"cell": 16}, {"cell": 16, "regions": (4, 4, 4)}),
         ({"shares": (8, 4)}, {"region_shares": 8, "cell_shares": 4}),
-        ({"slice_length": 7}, {"slice_length": 7}),
+        ({"split_length": 7}, {"split_length": 7}),
         ({"levels_left_out": 2}, {"levels_left_out": 2}),
         ({"levels_left_out": 99}, {"levels_left_out": depth_for(20_000)}),
         ({"pool_entries": 1 << 22}, {"chunks": (1 << 22) // CHUNK}),

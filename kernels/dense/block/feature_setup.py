@@ -1,5 +1,4 @@
-"""The features of triangles that can be nearest to a block's voxels, written so that measuring one takes a few
-products.
+"""Setup of features for a block: corners, edges and faces written so that the distance of a voxel takes a few products.
 
 Let c be the block's centre, p a voxel from there, and m the point of a feature's plane, line or corner that is closest
 to c, seen from c. The squared distances are
@@ -31,7 +30,7 @@ from sdm.kernels.bvh.tree import Tree, load_corners
 from sdm.kernels.culling.voronoi_features import INVERSES, Features, last_of_row, load_feature_row, one_of
 from sdm.kernels.culling.witness_bound import bulge_of_edge
 from sdm.kernels.dense.block.octant_tests import room_for, test_direction, test_witness
-from sdm.kernels.dense.block.shared_layout import BATCH, NUMBERS, write_number, write_row
+from sdm.kernels.dense.block.shared_layout import BATCH, NUMBERS, write_float, write_row
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.fast_math import about_root
 from sdm.kernels.primitives.lanes import unknown
@@ -61,12 +60,12 @@ def above_floor(square: wp.float64, floor: float):
 
 
 @wp.func
-def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
+def add_corner(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """Work out feature `number`, corner code % 4 of triangle code / 4: its row, and the tests of boxes."""
     slot = code / 4
     k = code % 4
     before = wp.where(k == 0, 2, k - 1)
-    # All rows at once, four numbers at a time.
+    # All loads at once, four numbers at a time.
     first, second, third, _normal = load_corners(tree, slot)
     one_more = last_of_row(features, slot, 1)
     r3 = load_feature_row(features, slot, 3)
@@ -78,22 +77,22 @@ def add_corner(rows: wp.uint64, number: int, tree: Tree, features: Features, cod
     corner = one_of(k, first, second, third)
     q = corner - box.centre
     m = wp.vec3d(corner) - wp.vec3d(box.centre)
-    write_row(rows, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
+    write_row(scratch, number, -q[0], -q[1], -q[2], above_floor(wp.dot(m, m), floor))
     # Behind its two edges, behind the neighbours' edges there, and behind one more, if one is known.
     further = wp.vec3()
     if one_more == float(k):
         further = wp.vec3(r3[3], r4[3], r5[3]) - corner
     room = room_for(box, q)
-    test_direction(rows, 0, number, room, q, one_of(k, second, third, first) - corner)
-    test_direction(rows, 1, number, room, q, one_of(before, first, second, third) - corner)
-    test_direction(rows, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
-    test_direction(rows, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
-    test_direction(rows, 4, number, room, q, further)
-    test_witness(rows, 5, number, q, 0.0)
+    test_direction(scratch, 0, number, room, q, one_of(k, second, third, first) - corner)
+    test_direction(scratch, 1, number, room, q, one_of(before, first, second, third) - corner)
+    test_direction(scratch, 2, number, room, q, one_of(k, over_ab, over_bc, over_ca) - corner)
+    test_direction(scratch, 3, number, room, q, one_of(before, over_ab, over_bc, over_ca) - corner)
+    test_direction(scratch, 4, number, room, q, further)
+    test_witness(scratch, 5, number, q, 0.0)
 
 
 @wp.func
-def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
+def add_edge(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """`add_corner` for an edge, from corner code % 4 of triangle code / 4 to the next."""
     slot = code / 4
     k = code % 4
@@ -108,23 +107,23 @@ def add_edge(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
     along = -wp.dot(a, ab) * inverse
     m = a + (along * inverse) * ab
     e = wp.vec3(inverse * ab)
-    write_row(rows, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
-    write_row(rows, BATCH + number, e[0], e[1], e[2], float(-along))
-    write_number(rows, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
+    write_row(scratch, number, float(-m[0]), float(-m[1]), float(-m[2]), above_floor(wp.dot(m, m), floor))
+    write_row(scratch, BATCH + number, e[0], e[1], e[2], float(-along))
+    write_float(scratch, NUMBERS + number, float(wp.dot(ab, ab) * inverse - along))
     # Between its ends, outside of the face and of its neighbour.
     edge = end - begin
     p = begin - box.centre
     q = end - box.centre
     room = room_for(box, p)
-    test_direction(rows, 0, number, room, p, -edge)
-    test_direction(rows, 1, number, room_for(box, q), q, edge)
-    test_direction(rows, 2, number, room, p, wp.cross(normal, edge))
-    test_direction(rows, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
-    test_witness(rows, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
+    test_direction(scratch, 0, number, room, p, -edge)
+    test_direction(scratch, 1, number, room_for(box, q), q, edge)
+    test_direction(scratch, 2, number, room, p, wp.cross(normal, edge))
+    test_direction(scratch, 3, number, room, p, wp.vec3(inward[0], inward[1], inward[2]))
+    test_witness(scratch, 4, number, 0.5 * (p + q), bulge_of_edge(edge))
 
 
 @wp.func
-def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
+def add_face(scratch: wp.uint64, number: int, tree: Tree, features: Features, code: int, box: VoxelBox, floor: float):
     """`add_corner` for a face, of triangle code / 4."""
     slot = code / 4
     # All at once: loads one after the other wait for each other.
@@ -136,14 +135,14 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
     bc = wp.vec3d(corner_c) - wp.vec3d(corner_b)
     ca = wp.vec3d(corner_a) - wp.vec3d(corner_c)
     h = -wp.dot(wp.cross(ab, -ca), a) * last_two[1]
-    write_row(rows, number, normal[0], normal[1], normal[2], float(h))
-    write_number(rows, NUMBERS + number, above_floor(h * h, floor))
+    write_row(scratch, number, normal[0], normal[1], normal[2], float(h))
+    write_float(scratch, NUMBERS + number, above_floor(h * h, floor))
     # Not from a ball that is known: the middle is rounded by its distance from the centre alone.
     from_a = (2.0 * wp.vec3(ab) + wp.vec3(bc)) * (1.0 / 3.0)
     from_b = from_a - wp.vec3(ab)
     from_c = from_b - wp.vec3(bc)
     radius2 = wp.max(wp.dot(from_a, from_a), wp.max(wp.dot(from_b, from_b), wp.dot(from_c, from_c)))
-    test_witness(rows, 3, number, wp.vec3(a) + from_a, 1.000001 * radius2)
+    test_witness(scratch, 3, number, wp.vec3(a) + from_a, 1.000001 * radius2)
     inverse = first_two[0]
     then = first_two[1]
     last = last_two[0]
@@ -153,9 +152,9 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
         away = wp.vec3(a - (wp.dot(a, ab) * inverse * inverse) * ab)
         u = wp.cross(normal, wp.vec3(inverse * ab))
         rounding = WITHIN * about_root(wp.dot(away, away))
-        write_row(rows, BATCH * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
+        write_row(scratch, BATCH * (1 + k) + number, u[0], u[1], u[2], -wp.dot(away, u) - rounding)
         # On the inner side of the plane on this edge.
-        test_direction(rows, k, number, room_for(box, away), away, -u)
+        test_direction(scratch, k, number, room_for(box, away), away, -u)
         # The next edge, turning the triangle.
         a = a + ab
         first = ab
@@ -167,8 +166,8 @@ def add_face(rows: wp.uint64, number: int, tree: Tree, features: Features, code:
 
 
 @wp.struct
-class Mix:
-    """So many corners, edges, and features in all."""
+class FeatureBatch:
+    """Counts of the features that are measured together: corners, edges, and all, of which the rest are faces."""
 
     corners: wp.int32
     edges: wp.int32
@@ -176,24 +175,24 @@ class Mix:
 
 
 @wp.func
-def taken_now(corners: int, edges: int, faces: int, lanes: int):
-    """Of the features that wait those to take now."""
-    mix = Mix()
+def next_batch(corners: int, edges: int, faces: int, lanes: int):
+    """The next features to measure, of those that wait: a full batch of one kind, or the rest of all kinds."""
+    batch = FeatureBatch()
     mixed = corners < lanes and edges < lanes and faces < lanes
     if mixed or corners >= lanes:
-        mix.corners = wp.min(corners, lanes)
-        mix.features = mix.corners
-    if mixed or (edges >= lanes and mix.features == 0):
-        mix.edges = wp.min(edges, lanes - mix.features)
-        mix.features = mix.features + mix.edges
-    if mixed or mix.features == 0:
-        mix.features = mix.features + wp.min(faces, lanes - mix.features)
-    return mix
+        batch.corners = wp.min(corners, lanes)
+        batch.features = batch.corners
+    if mixed or (edges >= lanes and batch.features == 0):
+        batch.edges = wp.min(edges, lanes - batch.features)
+        batch.features = batch.features + batch.edges
+    if mixed or batch.features == 0:
+        batch.features = batch.features + wp.min(faces, lanes - batch.features)
+    return batch
 
 
 @wp.func
-def kind_of(mix: Mix, feature: int):
-    """The kind of a feature."""
-    if feature < mix.corners:
+def kind_of(batch: FeatureBatch, feature: int):
+    """The kind of a feature of a batch."""
+    if feature < batch.corners:
         return CORNER_KIND
-    return wp.where(feature < mix.corners + mix.edges, EDGE_KIND, FACE_KIND)
+    return wp.where(feature < batch.corners + batch.edges, EDGE_KIND, FACE_KIND)
