@@ -105,7 +105,10 @@ def _waits(way: Callable[[Tensor], Tensor], moved: list[Tensor], gpu: bool) -> i
         counted += 1
         plain(event)
 
-    with warnings.catch_warnings(record=True) as caught, mock.patch.object(torch.cuda.Event, "synchronize", synchronize):
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        mock.patch.object(torch.cuda.Event, "synchronize", synchronize),
+    ):
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
