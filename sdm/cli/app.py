@@ -14,6 +14,7 @@ from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
+from sdm.cli.commands.bench import program
 from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
@@ -136,6 +137,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
     brief = not (words and words[0] in COMMANDS)
     if words and brief and not words[0].startswith("-"):
         raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")
+    if words[:1] == ["bench"] and (found := program(words[1:])) is not None:
+        return found
     modules = {name: importlib.import_module(f"sdm.cli.commands.{name}") for name in COMMANDS}
     commands = {name: _later(getattr(module, name), brief) for name, module in modules.items()}
     said = io.StringIO()

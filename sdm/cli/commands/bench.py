@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+# Benchmarks with words of their own, each a module with a `main` that takes these.
+PROGRAMS = {"zoo": "sdm.bench.zoo.__main__", "zoo-speed": "sdm.bench.zoo.speed"}
+
+
+def program(words: Sequence[str]) -> Callable[[], int] | None:
+    """The benchmark that the words after `sdm bench` begin with the name of; None if they are options of `bench`."""
+    if not words or words[0] not in PROGRAMS:
+        return None
+    return partial(importlib.import_module(PROGRAMS[words[0]]).main, words[1:])
 
 
 def bench(
@@ -21,6 +34,9 @@ def bench(
     add: tuple[Path, ...] = (),
 ) -> int:
     """Time sdm and every other library that is installed, each checked against a float64 brute force first.
+
+    Folders of meshes as they come: `sdm bench zoo FOLDER` (is each measured right?) and `sdm bench zoo-speed FOLDER`
+    (how fast is each one's first map beside stock Warp?), each with a `--help` of its own.
 
     The extra `bench` brings the other libraries: `pip install ".[bench]"` in a clone.
 
