@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
     from sdm.core.signed_distance_map import SDM
     from sdm.dataset import SDMDataset
-    from sdm.engine.api import MeshIndex, signed_distance, signed_distance_map, signed_distance_maps
+    from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps
     from sdm.engine.distance_transform import euclidean_distance_transform
+    from sdm.engine.mesh_index import MeshIndex
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save, save_mesh
@@ -57,7 +58,7 @@ _HOMES = {
     "Grid": "core.grid",
     "GridError": "errors",
     "MeshError": "errors",
-    "MeshIndex": "engine.api",
+    "MeshIndex": "engine.mesh_index",
     "MeshReport": "inspect",
     "SDMDataset": "dataset",
     "SDMError": "errors",

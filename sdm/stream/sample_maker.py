@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.core.device import choose_device, require_memory
 from sdm.core.grid import Grid
-from sdm.engine.api import batch_maps
+from sdm.engine.maps import batch_maps
 from sdm.errors import DeviceError, SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.shapes import Family

@@ -15,8 +15,8 @@ from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.api import MeshIndex
 from sdm.engine.map_check import doubts_about
+from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.inspect import orient_outward
 from sdm.io import check_target, grid_like, load_mesh, write_streamed

@@ -19,7 +19,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.deepsdf.samples import UnitSphere, surface_points
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
 from sdm.metrics import dice
 
 # As J. Park et al., CVPR 2019, section 6.

@@ -17,7 +17,7 @@ from sdm.deepsdf.samples.batch import Samples
 from sdm.deepsdf.samples.distribution import REACH, SampleDistribution
 from sdm.deepsdf.samples.surface_points import triangle_areas
 from sdm.deepsdf.samples.unit_sphere import UnitSphere
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
 from sdm.kernels.shapes.surface_samples import Law, Scene, draw

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
 from sdm.shapes import Family, make_family

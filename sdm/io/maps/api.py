@@ -21,7 +21,7 @@ from sdm.io.maps.record import MADE_FROM
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from sdm.engine.api import MeshIndex
+    from sdm.engine.mesh_index import MeshIndex
 
 
 class VoxelCounts(NamedTuple):

@@ -107,7 +107,7 @@ def test_inspect_too(name, place, capsys):
 
 def test_a_zarr_larger_than_memory_is_not_refused(place, monkeypatch):
     """Only the first slab is made, which is all that has to fit."""
-    from sdm.engine.api import MeshIndex
+    from sdm.engine.mesh_index import MeshIndex
 
     class Asked(Exception):
         pass

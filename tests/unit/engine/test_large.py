@@ -20,7 +20,7 @@ def test_a_map_of_several_slabs_is_the_map(monkeypatch):
     several = sdm.signed_distance_maps(batch, MESH.faces, GRID, device="cpu")
     for most in (32 * 40 * 40, 2 * 32 * 40 * 40):
         monkeypatch.setattr(maps, "LARGEST_SLAB", most)
-        monkeypatch.setattr("sdm.engine.api.LARGEST_SLAB", most)
+        monkeypatch.setattr("sdm.engine.mesh_index.LARGEST_SLAB", most)
         assert torch.equal(sdm.signed_distance_map(MESH, GRID, device="cpu").values, whole)
         assert torch.equal(sdm.signed_distance_maps(batch, MESH.faces, GRID, device="cpu"), several)
 

@@ -7,7 +7,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
 from sdm.io import FORMATS, grid_like, load, save, write_streamed
 from sdm.io.maps.api import made_from
 from sdm.io.maps.record import digest_of

@@ -14,7 +14,7 @@ import trimesh
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
 from sdm.io import FORMATS, grid_like, load, write_streamed
 from sdm.io.maps import zarr as zarr_io
 

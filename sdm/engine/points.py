@@ -1,0 +1,55 @@
+"""Signed distances of scattered points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.core.mesh import TriangleMesh, as_tensor
+from sdm.engine.acceleration import AccelerationStructure
+from sdm.engine.arguments import refuse_forward_mode
+from sdm.engine.closest_points import Closest
+from sdm.engine.ops import points_closest, points_distance
+from sdm.engine.repeated_faces import RepeatedFaces
+from sdm.errors import MeshError
+
+
+def as_points(points: Any, device: torch.device) -> Tensor:
+    """Points (...,3) float32 on a device."""
+    at = as_tensor(points, torch.float32, "the points", device=device)
+    if at.ndim == 0 or at.shape[-1] != 3:
+        raise MeshError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
+    refuse_forward_mode(at)
+    return at
+
+
+def at_points(
+    mesh: TriangleMesh,
+    points: Any,
+    return_closest: bool,
+    structure: AccelerationStructure | None,
+    repeated: RepeatedFaces | None = None,
+) -> Tensor | tuple[Tensor, Closest]:
+    """Signed distances of points from a mesh, as `sdm.signed_distance` gives them.
+
+    Args:
+        mesh: The mesh, on its device.
+        points: (...,3).
+        return_closest: Also return where the closest points are.
+        structure: The mesh's, or None to build it here.
+        repeated: The triangles that it has many times, if it has such.
+    """
+    at = as_points(points, mesh.device)
+    shape, at = at.shape[:-1], at.reshape(-1, 3)
+    if not return_closest and not (at.requires_grad or mesh.vertices.requires_grad):
+        values = points_distance(mesh.vertices, mesh.faces, at, structure)
+        return (values if repeated is None else repeated.signed(values, at)).reshape(shape)
+    values, point, face, barycentric = points_closest(mesh.vertices, mesh.faces, at, structure)
+    if repeated is not None:
+        values, face = repeated.signed(values, at), repeated.faces(face)
+    values = values.reshape(shape)
+    if not return_closest:
+        return values
+    return values, Closest(point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3))
