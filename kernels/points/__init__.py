@@ -1,1 +1,1 @@
-"""Signed distances of scattered points: groups of 32 neighbours, or one search for each."""
+"""Signed distances of scattered points: packets of 32 neighbours, or one search for each."""

@@ -1,4 +1,4 @@
-"""Candidate triangles of a group of points: those that may be nearest, and those that rays from them may meet.
+"""Candidate triangles of a packet of points: those that may be nearest, and those that rays from them may meet.
 
 Found slots are left in the worker's scratch. A list too long for it is given up: its points are then searched one by
 one, which is slower, never wrong.

@@ -20,7 +20,7 @@ from sdm.kernels.bvh.nearest_search import NodeStack, exact_hit, slot_part
 from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, first_triangle, node_distance2
 from sdm.kernels.geometry.triangle_distance import Hit, unit_normal
 from sdm.kernels.launch import launch
-from sdm.kernels.points.groups import numbered
+from sdm.kernels.points.packets import numbered
 
 wp.set_module_options({"enable_backward": False})
 

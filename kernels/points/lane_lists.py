@@ -1,4 +1,4 @@
-"""From a group's list of triangles to those that matter to one of its points: each lane has a point of its own.
+"""From a packet's list of triangles to those that matter to one of its points: each lane has a point of its own.
 
 Each lane reads a triangle's bounds and shows them to all others, so that the memory is asked once for each triangle,
 not once for each triangle and point; what a lane keeps for its own point goes to its own column of the scratch.
@@ -12,12 +12,12 @@ from sdm.kernels.bvh.nearest_search import moved_square, room_at, slot_part
 from sdm.kernels.bvh.tree import Tree
 from sdm.kernels.points.group_descent import FOUND, OWN, OWN_ROOM, SQUARES, TIES, TIES_ROOM
 from sdm.kernels.primitives.lane_broadcast import (
-    board_of_group,
-    nearest_shown,
-    show,
-    show_whole,
-    shown_around,
-    shown_within,
+    broadcast,
+    broadcast_around,
+    broadcast_buffer,
+    broadcast_ints,
+    broadcast_within,
+    nearest_of_broadcast,
 )
 from sdm.kernels.primitives.lanes import ballot, first_member
 from sdm.kernels.primitives.vector_loads import load4
@@ -31,7 +31,7 @@ _TO_SQUARE = SQUARES - TIES
 
 @wp.func
 def own(at: int, k: int, lane: int, lanes: int):
-    """Offset in the scratch of the place that the lane's own triangle number k has in its group's list."""
+    """Offset in the scratch of the place that the lane's own triangle number k has in its packet's list."""
     return at + OWN + k * lanes + lane
 
 
@@ -51,8 +51,8 @@ def nearest_middle(
     lane: int,
     lanes: int,
 ):
-    """Of the triangles found for a group, the slot of one whose ball's middle is nearest to the lane's point p."""
-    board = board_of_group()
+    """Of the triangles found for a packet, the slot of one whose ball's middle is nearest to the lane's point p."""
+    buffer = broadcast_buffer()
     least2 = float(wp.inf)
     place = int(0)
     first = int(0)
@@ -60,8 +60,8 @@ def nearest_middle(
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if first + lane < found:
             ball = load4(balls, scratch[at + FOUND + first + lane])
-        show(board, ball, lane)
-        nearest = nearest_shown(board, wp.min(lanes, found - first), p, ball)
+        broadcast(buffer, ball, lane)
+        nearest = nearest_of_broadcast(buffer, wp.min(lanes, found - first), p, ball)
         if nearest[0] < least2:
             least2 = nearest[0]
             place = first + int(nearest[1])
@@ -126,12 +126,12 @@ def keep_nearest(
     lane: int,
     lanes: int,
 ):
-    """Keep for the lane those triangles found for its group that float32 cannot tell from the nearest to p (scaled).
+    """Keep for the lane those triangles found for its packet that float32 cannot tell from the nearest to p (scaled).
 
     Returns how many; each is four times its slot, and its nearest part as in `geometry.nearest_part`. None means that
     there was no room for all.
     """
-    board = board_of_group()
+    buffer = broadcast_buffer()
     room = room_at(p)
     ties = Ties()
     d2, _part = slot_part(tree, nearest_middle(balls, p, scratch, at, found, lane, lanes), p)
@@ -145,8 +145,8 @@ def keep_nearest(
         ball = wp.vec4(0.0, 0.0, 0.0, 0.0)
         if first + lane < found:
             ball = load4(balls, scratch[at + FOUND + first + lane])
-        show(board, ball, lane)
-        near = shown_within(board, wp.min(lanes, found - first), p, bound, ball)
+        broadcast(buffer, ball, lane)
+        near = broadcast_within(buffer, wp.min(lanes, found - first), p, bound, ball)
         while near != wp.uint32(0):
             k = first_member(near)
             near = near & (near - wp.uint32(1))
@@ -179,11 +179,11 @@ def keep_covering(
     lane: int,
     lanes: int,
 ):
-    """Keep for the lane those triangles found for its group that the ray along x at its q (on the lattice) may meet.
+    """Keep for the lane those triangles found for its packet that the ray along x at its q (on the lattice) may meet.
 
     Returns how many there are; OWN_ROOM of them are kept.
     """
-    board = board_of_group()
+    buffer = broadcast_buffer()
     kept = int(0)
     first = int(0)
     while first < found:
@@ -191,8 +191,8 @@ def keep_covering(
         if first + lane < found:
             low, high = lattice_box(tree, scratch[at + FOUND + first + lane])
             box = wp.vec4i(low[0], low[1], high[0], high[1])
-        show_whole(board, box, lane)
-        around = shown_around(board, wp.min(lanes, found - first), q, box)
+        broadcast_ints(buffer, box, lane)
+        around = broadcast_around(buffer, wp.min(lanes, found - first), q, box)
         while around != wp.uint32(0):
             k = first_member(around)
             around = around & (around - wp.uint32(1))

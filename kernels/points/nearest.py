@@ -1,4 +1,4 @@
-"""The triangles nearest to scattered points: each group's list, and of it the nearest to each of its points.
+"""The triangles nearest to scattered points: each packet's list, and of it the nearest to each of its points.
 
 Which of a list's triangles is the nearest is decided as by `nearest_search.nearest_slot`: in float32, and in float64
 among those that float32 cannot tell apart.
@@ -15,16 +15,16 @@ from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, read_witness
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_near
 from sdm.kernels.points.group_descent import SCRATCH, TIES
-from sdm.kernels.points.groups import (
-    GROUP,
+from sdm.kernels.points.lane_lists import keep_nearest
+from sdm.kernels.points.packets import (
     NEXT_LIST,
+    PACKET,
     POINT_BLOCKS_PER_SM,
-    Groups,
-    group_end,
+    Packets,
+    packet_end,
     point_or_middle,
     read_box,
 )
-from sdm.kernels.points.lane_lists import keep_nearest
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import wait_for_lanes
 
@@ -64,22 +64,22 @@ def _find_nearest(
     cones: Cones,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array(dtype=wp.int32),
     slots: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
     room = (thread / lanes) * SCRATCH
-    group = fetch_add_once(groups.counts, NEXT_LIST, 1, lane)
-    while group < groups.count:
-        box = read_box(groups, group)
-        known = read_witness(groups.witnesses, group)
+    packet = fetch_add_once(packets.counts, NEXT_LIST, 1, lane)
+    while packet < packets.count:
+        box = read_box(packets, packet)
+        known = read_witness(packets.witnesses, packet)
         found = int(0)
         if known.distance2 < LARGEST_SQUARE and box.half2 < LARGEST_SQUARE:
             found = gather_near(tree, balls, cones, box, known, scratch, room, lane, lanes)
-        end = group_end(group, points.shape[0])
-        first = GROUP * group
+        end = packet_end(packet, points.shape[0])
+        first = PACKET * packet
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
@@ -92,7 +92,7 @@ def _find_nearest(
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(groups.counts, NEXT_LIST, 1, lane)
+        packet = fetch_add_once(packets.counts, NEXT_LIST, 1, lane)
 
 
 def find_nearest(
@@ -101,7 +101,7 @@ def find_nearest(
     cones: Cones,
     points: wp.array,
     order: wp.array,
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array,
     slots: wp.array,
     workers: int,
@@ -111,5 +111,5 @@ def find_nearest(
 
     `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, balls, cones, points, order, groups, scratch, slots]
+    inputs = [lanes, tree, balls, cones, points, order, packets, scratch, slots]
     launch(_find_nearest, workers * lanes, inputs, points.device, smallest=1)

@@ -1,11 +1,11 @@
 """Queries at scattered points.
 
 The plain path (`_query`) is a search of the tree and a winding number for each point. Points are sorted along a curve
-first and taken in groups of neighbours (`groups`), each of which begins with the triangle nearest to its middle.
+first and taken in packets of neighbours (`packets`), each of which begins with the triangle nearest to its middle.
 
-The fast path finds both answers for whole groups before, as a dense query does for blocks of voxels: one list of
-triangles that may be nearest to any of a group's points (`nearest`), and one of those that rays from them may meet
-(`signs`), gathered from the tree by all lanes together (`candidates`). The plain path is then left with groups so wide
+The fast path finds both answers for whole packets before, as a dense query does for blocks of voxels: one list of
+triangles that may be nearest to any of a packet's points (`nearest`), and one of those that rays from them may meet
+(`signs`), gathered from the tree by all lanes together (`candidates`). The plain path is then left with packets so wide
 that their lists are too long, and with those near an open mesh's holes.
 """
 
@@ -24,18 +24,18 @@ from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.points.closest import Hits, name_faces
 from sdm.kernels.points.group_descent import SCRATCH
-from sdm.kernels.points.groups import (
+from sdm.kernels.points.nearest import find_nearest
+from sdm.kernels.points.packets import (
     COUNTS,
     COVERED,
     FAR,
-    GROUP,
+    PACKET,
     POINT_BLOCKS_PER_SM,
-    Groups,
+    Packets,
     is_finite,
     look_around,
     numbered,
 )
-from sdm.kernels.points.nearest import find_nearest
 from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
 from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
@@ -110,7 +110,7 @@ def _query(
     winding: Winding,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
-    groups: Groups,
+    packets: Packets,
     slots: wp.array(dtype=wp.int32),
     sides: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
@@ -138,12 +138,12 @@ def _query(
             elif slot < 0 or side == UNKNOWN:
                 if slot < 0:
                     if guess < 0:
-                        guess = groups.nearest[at / GROUP]
+                        guess = packets.nearest[at / PACKET]
                     slot = nearest_slot(tree, 0, float(scale) * point, guess)
                     guess = slot
                 inside = side == INSIDE
                 if side == UNKNOWN:
-                    hint = groups.hints[at / GROUP]
+                    hint = packets.hints[at / PACKET]
                     inside = inside_at(tree, winding, scale * wp.vec3d(point), (hint & FAR) != 0, (hint & COVERED) != 0)
                 answer(tree, slot, inside, point, i, values, hits)
 
@@ -204,27 +204,27 @@ def query_points(
     """
     count, device = points.shape[0], points.device
     lanes = GPU_LANES if device.is_cuda else 1
-    groups = Groups()
-    groups.count = plan.groups
-    groups.boxes = empty(8 * groups.count, wp.float32)
-    groups.witnesses = empty(4 * groups.count, wp.float32)
-    groups.nearest = empty(groups.count, wp.int32)
-    groups.hints = empty(groups.count, wp.int32)
-    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 16 * threads(), groups.count)
+    packets = Packets()
+    packets.count = plan.packets
+    packets.boxes = empty(8 * packets.count, wp.float32)
+    packets.witnesses = empty(4 * packets.count, wp.float32)
+    packets.nearest = empty(packets.count, wp.int32)
+    packets.hints = empty(packets.count, wp.int32)
+    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 16 * threads(), packets.count)
     scratch = empty(workers * SCRATCH, wp.int32)
-    groups.counts = empty(COUNTS, wp.int32)
-    groups.counts.zero_()
-    look_around(tree, winding, points, order, groups, scratch, workers, lanes)
+    packets.counts = empty(COUNTS, wp.int32)
+    packets.counts.zero_()
+    look_around(tree, winding, points, order, packets, scratch, workers, lanes)
     slots = empty(count if plan.lists else 0, wp.int32)
     sides = empty(count if plan.lists else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
     if plan.lists:
-        find_nearest(tree, features.balls, cones, points, order, groups, scratch, slots, workers, lanes)
-        find_sides(tree, winding, points, order, groups, scratch, sides, workers, lanes)
+        find_nearest(tree, features.balls, cones, points, order, packets, scratch, slots, workers, lanes)
+        find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
-    inputs = [plan.run, tree, winding, points, order, groups, slots, sides, values, wanted]
+    inputs = [plan.run, tree, winding, points, order, packets, slots, sides, values, wanted]
     launch(_query, -(-count // plan.run), inputs, device)
     if hits is not None:
         name_faces(tree, points, order, wanted)

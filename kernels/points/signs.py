@@ -1,8 +1,8 @@
-"""Signs of scattered points: each group's list of triangles that rays along x from its points may meet.
+"""Signs of scattered points: each packet's list of triangles that rays along x from its points may meet.
 
-Where a whole number of crossings tells the side (a closed mesh, or a group far from an open one's holes), all points of
-a group use one list; where the surface does not come into the group's box, they are on one side of it, that of its
-centre. Elsewhere each point has its own winding number, which is not found here.
+Where a whole number of crossings tells the side (a closed mesh, or a packet far from an open one's holes), all points
+of a packet use one list; where the surface does not come into the packet's box, they are on one side of it, that of
+its centre. Elsewhere each point has its own winding number, which is not found here.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.points.candidates import gather_on_rays
 from sdm.kernels.points.group_descent import OWN_ROOM, SCRATCH
-from sdm.kernels.points.groups import (
+from sdm.kernels.points.lane_lists import keep_covering, own_slot
+from sdm.kernels.points.packets import (
     APART,
     COVERED,
     FAR,
-    GROUP,
     NEXT_SIDE,
+    PACKET,
     POINT_BLOCKS_PER_SM,
-    Groups,
-    group_end,
+    Packets,
+    packet_end,
     point_or_middle,
     read_box,
 )
-from sdm.kernels.points.lane_lists import keep_covering, own_slot
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import wait_for_lanes
 from sdm.kernels.winding.ray_crossings import count_crossings, count_on_ray, crossing_on_ray, ray_from
@@ -80,7 +80,7 @@ def crossings_in_list(
     lane: int,
     lanes: int,
 ):
-    """`count_on_ray` from the lane's p (scaled), of the triangles found for its group."""
+    """`count_on_ray` from the lane's p (scaled), of the triangles found for its packet."""
     q = to_lattice(tree, 0, p[1], p[2])
     kept = keep_covering(tree, q, scratch, room, found, lane, lanes)
     if kept > OWN_ROOM:
@@ -100,7 +100,7 @@ def _find_sides(
     winding: Winding,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array(dtype=wp.int32),
     sides: wp.array(dtype=wp.int32),
 ):
@@ -108,10 +108,10 @@ def _find_sides(
     lane = thread % lanes
     room = (thread / lanes) * SCRATCH
     low, high = node_box(tree, 1)
-    group = fetch_add_once(groups.counts, NEXT_SIDE, 1, lane)
-    while group < groups.count:
-        box = read_box(groups, group)
-        hint = groups.hints[group]
+    packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
+    while packet < packets.count:
+        box = read_box(packets, packet)
+        hint = packets.hints[packet]
         covered = (hint & COVERED) != 0
         apart = (hint & APART) != 0
         back = low[0] + high[0] > 2.0 * box.centre[0] and not covered
@@ -120,8 +120,8 @@ def _find_sides(
             if apart:
                 box.half = wp.vec3(0.0, 0.0, 0.0)
             found = list_rays(tree, box, back, scratch, room, lane, lanes)
-        end = group_end(group, points.shape[0])
-        first = GROUP * group
+        end = packet_end(packet, points.shape[0])
+        first = PACKET * packet
         while first < end:
             at = first + lane
             p = wp.vec3d(box.centre)
@@ -138,7 +138,7 @@ def _find_sides(
             first = first + lanes
         # The scratch is read until here.
         wait_for_lanes()
-        group = fetch_add_once(groups.counts, NEXT_SIDE, 1, lane)
+        packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
 
 
 def find_sides(
@@ -146,7 +146,7 @@ def find_sides(
     winding: Winding,
     points: wp.array,
     order: wp.array,
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array,
     sides: wp.array,
     workers: int,
@@ -156,5 +156,5 @@ def find_sides(
 
     `workers` groups of lanes are at work; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, winding, points, order, groups, scratch, sides]
+    inputs = [lanes, tree, winding, points, order, packets, scratch, sides]
     launch(_find_sides, workers * lanes, inputs, points.device, smallest=1)

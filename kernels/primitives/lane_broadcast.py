@@ -23,23 +23,23 @@ wp.set_module_options({"enable_backward": False})
 #endif
 """
 )
-def board_of_group() -> wp.uint64:
-    """The address of a group's board; a CPU, of which a group has one lane, needs none."""
+def broadcast_buffer() -> wp.uint64:
+    """The address of a group's buffer in shared memory; a CPU, of which a group has one lane, needs none."""
     ...
 
 
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    // What was shown before is read until here.
+    // What was broadcast before is read until here.
     __syncwarp();
-    reinterpret_cast<float4*>(board)[lane] = make_float4(mine[0], mine[1], mine[2], mine[3]);
+    reinterpret_cast<float4*>(buffer)[lane] = make_float4(mine[0], mine[1], mine[2], mine[3]);
     __syncwarp();
 #endif
 """
 )
-def show(board: wp.uint64, mine: wp.vec4, lane: int):
-    """Show four numbers; all lanes must come here."""
+def broadcast(buffer: wp.uint64, mine: wp.vec4, lane: int):
+    """Broadcast four numbers of each lane; all lanes must come here."""
     ...
 
 
@@ -47,7 +47,7 @@ def show(board: wp.uint64, mine: wp.vec4, lane: int):
     snippet="""
 #if defined(__CUDA_ARCH__)
     // Always as many: loads are then far ahead of their use.
-    const float4* row = reinterpret_cast<const float4*>(board);
+    const float4* row = reinterpret_cast<const float4*>(buffer);
     float least = __int_as_float(0x7f800000);
     int nearest = 0;
     #pragma unroll 8
@@ -65,15 +65,15 @@ def show(board: wp.uint64, mine: wp.vec4, lane: int):
 #endif
 """
 )
-def nearest_shown(board: wp.uint64, count: int, p: wp.vec3, mine: wp.vec4) -> wp.vec2:
-    """Of `count` balls (middle, radius) that are shown: the least squared distance from p to a middle, and whose."""
+def nearest_of_broadcast(buffer: wp.uint64, count: int, p: wp.vec3, mine: wp.vec4) -> wp.vec2:
+    """The least squared distance from p to the middle of one of the first `count` balls broadcast, and its number."""
     ...
 
 
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    const float4* row = reinterpret_cast<const float4*>(board);
+    const float4* row = reinterpret_cast<const float4*>(buffer);
     unsigned found = 0;
     #pragma unroll 8
     for (int k = 0; k < 32; ++k) {
@@ -90,8 +90,8 @@ def nearest_shown(board: wp.uint64, count: int, p: wp.vec3, mine: wp.vec4) -> wp
 #endif
 """
 )
-def shown_within(board: wp.uint64, count: int, p: wp.vec3, bound: float, mine: wp.vec4) -> wp.uint32:
-    """One bit for each of the first `count` balls that are shown and come within `bound` of p."""
+def broadcast_within(buffer: wp.uint64, count: int, p: wp.vec3, bound: float, mine: wp.vec4) -> wp.uint32:
+    """One bit for each of the first `count` balls broadcast that come within `bound` of p."""
     ...
 
 
@@ -99,20 +99,20 @@ def shown_within(board: wp.uint64, count: int, p: wp.vec3, bound: float, mine: w
     snippet="""
 #if defined(__CUDA_ARCH__)
     __syncwarp();
-    reinterpret_cast<int4*>(board)[lane] = make_int4(mine[0], mine[1], mine[2], mine[3]);
+    reinterpret_cast<int4*>(buffer)[lane] = make_int4(mine[0], mine[1], mine[2], mine[3]);
     __syncwarp();
 #endif
 """
 )
-def show_whole(board: wp.uint64, mine: wp.vec4i, lane: int):
-    """`show` for whole numbers."""
+def broadcast_ints(buffer: wp.uint64, mine: wp.vec4i, lane: int):
+    """`broadcast` of whole numbers."""
     ...
 
 
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    const int4* row = reinterpret_cast<const int4*>(board);
+    const int4* row = reinterpret_cast<const int4*>(buffer);
     unsigned found = 0;
     #pragma unroll 8
     for (int k = 0; k < 32; ++k) {
@@ -125,6 +125,6 @@ def show_whole(board: wp.uint64, mine: wp.vec4i, lane: int):
 #endif
 """
 )
-def shown_around(board: wp.uint64, count: int, q: wp.vec2i, mine: wp.vec4i) -> wp.uint32:
-    """One bit for each of the first `count` boxes (least, greatest) that are shown and hold q."""
+def broadcast_around(buffer: wp.uint64, count: int, q: wp.vec2i, mine: wp.vec4i) -> wp.uint32:
+    """One bit for each of the first `count` boxes (least, greatest) broadcast that hold q."""
     ...

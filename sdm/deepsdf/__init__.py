@@ -7,7 +7,7 @@ for shape representation", CVPR 2019. Negative inside; lengths inside a model ar
 from sdm.deepsdf.infer.code_file import ShapeCode, load_code, save_code
 from sdm.deepsdf.infer.encode import encode_meshes, encode_scan
 from sdm.deepsdf.infer.estimate_codes import Estimate, estimate_codes
-from sdm.deepsdf.infer.marching_bricks import decode_mesh, decode_near_surface
+from sdm.deepsdf.infer.isosurface import decode_mesh, decode_near_surface
 from sdm.deepsdf.infer.scan import Scan, half_of
 from sdm.deepsdf.infer.scores import ShapeScores, box_diagonal, chamfer_distance, score_shape
 from sdm.deepsdf.infer.sphere_trace import interpolation_strip, render, save_picture, sphere_trace

@@ -1,4 +1,4 @@
-"""Orientation of parts: outward, inside out, or a cavity of others."""
+"""Orientation of components: outward, inside out, or a cavity of others."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from sdm.inspect.agreement import agreeing_turns
+from sdm.inspect.components import Components, components_of
 from sdm.inspect.edges import edges_of
 from sdm.inspect.nesting import Nesting
-from sdm.inspect.parts import Parts, parts_of
 
-# A part is inside another if that one's winding number about it is more than this.
+# A component is inside another if that one's winding number about it is more than this.
 INSIDE = 0.5
 
 
@@ -22,7 +22,7 @@ def outward_turns(corners: Float64[np.ndarray, "F 3 3"], merged: Int64[np.ndarra
         merged: (F,3) vertex indices that tell positions apart.
     """
     edges = edges_of(merged, int(merged.max()) + 1)
-    part, count = edges.component, edges.components
+    component, count = edges.component, edges.components
     turn = np.zeros(len(merged), dtype=bool)
     if count == 0:
         return turn
@@ -30,28 +30,28 @@ def outward_turns(corners: Float64[np.ndarray, "F 3 3"], merged: Int64[np.ndarra
     if edges.disagreeing.any():
         uneven = np.zeros(count, dtype=bool)
         uneven[edges.component_of_edge[edges.disagreeing]] = True
-        mended = np.flatnonzero((part >= 0) & uneven[part])
+        mended = np.flatnonzero((component >= 0) & uneven[component])
         area = np.linalg.norm(np.cross(*np.moveaxis(corners[mended, 1:] - corners[mended, :1], 1, 0)), axis=1)
         turn[mended], patch, patches = agreeing_turns(merged[mended], area)
-        # Where more than two faces meet, nobody knows which of them belong together: each patch is a part of its own.
-        part, gaps = part.copy(), np.concatenate([gaps, np.ones(patches, dtype=bool)])
-        part[mended] = count + patch
-        names, number = np.unique(part[part >= 0], return_inverse=True)
-        part[part >= 0] = number
+        # Where more than two faces meet, nobody knows which of them belong together: each patch is one component.
+        component, gaps = component.copy(), np.concatenate([gaps, np.ones(patches, dtype=bool)])
+        component[mended] = count + patch
+        names, number = np.unique(component[component >= 0], return_inverse=True)
+        component[component >= 0] = number
         gaps, count = gaps[names], len(names)
         corners = np.where(turn[:, None, None], corners[:, ::-1], corners)
         merged = np.where(turn[:, None], merged[:, ::-1], merged)
-    parts = parts_of(corners, merged, part, gaps)
-    if not parts.reversed.any():
+    components = components_of(corners, merged, component, gaps)
+    if not components.reversed.any():
         return turn
-    return turn ^ ((part >= 0) & to_turn(corners, parts)[part])
+    return turn ^ ((component >= 0) & to_turn(corners, components)[component])
 
 
-def to_turn(corners: Float64[np.ndarray, "F 3 3"], parts: Parts) -> Bool[np.ndarray, " C"]:
-    """The parts (C,) to turn: those that face inward and are inside no other, with all that is inside them."""
-    wrong = np.zeros(len(parts.volume), dtype=bool)
-    nesting = Nesting(corners, parts.part, parts.nearly_closed, parts.caps == 0)
-    for suspect in np.flatnonzero(parts.reversed):
+def to_turn(corners: Float64[np.ndarray, "F 3 3"], components: Components) -> Bool[np.ndarray, " C"]:
+    """The components (C,) to turn: those that face inward and are inside no other, with all that is inside them."""
+    wrong = np.zeros(len(components.volume), dtype=bool)
+    nesting = Nesting(corners, components.of_face, components.nearly_closed, components.caps == 0)
+    for suspect in np.flatnonzero(components.reversed):
         times = [nesting.winding(outer, suspect) for outer in nesting.around(suspect)]
         wrong[suspect] = all(found is not None and abs(found) < INSIDE for found in times)
     outermost = np.flatnonzero(wrong)
@@ -62,21 +62,21 @@ def to_turn(corners: Float64[np.ndarray, "F 3 3"], parts: Parts) -> Bool[np.ndar
     return wrong
 
 
-def inside_out(corners: Float64[np.ndarray, "F 3 3"], parts: Parts) -> tuple[int, int]:
-    """Count the parts that face inward without being a cavity of the others.
+def inside_out(corners: Float64[np.ndarray, "F 3 3"], components: Components) -> tuple[int, int]:
+    """Count the components that face inward without being a cavity of the others.
 
     Args:
         corners: (F,3,3) float64.
-        parts: The parts.
+        components: The components.
 
     Returns:
-        How many are inside out, and how many could not be judged because it would take too long. A part that faces
+        How many are inside out, and how many could not be judged because it would take too long. A component that faces
         inward is a cavity, and right, where the winding number of the others is above 0.5.
     """
-    suspects = np.flatnonzero(parts.reversed)
+    suspects = np.flatnonzero(components.reversed)
     if len(suspects) == 0:
         return 0, 0
-    nesting = Nesting(corners, parts.part, parts.nearly_closed, parts.caps == 0)
+    nesting = Nesting(corners, components.of_face, components.nearly_closed, components.caps == 0)
     wrong = 0
     for position, suspect in enumerate(suspects):
         times = [nesting.winding(outer, suspect) for outer in nesting.around(suspect)]

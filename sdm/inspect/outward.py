@@ -7,16 +7,16 @@ from sdm.inspect.quick_look import look_at
 
 
 def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Turn faces so that they face outward, where closed or nearly closed parts say which side that is.
+    """Turn faces so that they face outward, where closed or nearly closed components say which side that is.
 
     1. Where faces that share an edge disagree, the fewer (by area) are turned: faces agree over every edge of exactly
        two. One-sided surfaces stay as they are.
-    2. Then each part is judged by the volume that it encloses, gaps closed by flat caps: one that is inside no other
-       and whose volume is negative is turned, with all that is inside it.
+    2. Then each component is judged by the volume that it encloses, gaps closed by flat caps: one that is inside no
+       other and whose volume is negative is turned, with all that is inside it.
 
-    So cavities stay cavities: a shell inside another keeps its meaning beside that one. Sheets and parts that are wide
-    open (flat caps over their gaps would be more than a third of their own area) have no inside to face, and are only
-    made to agree. Parts are what edges hold together.
+    So cavities stay cavities: a shell inside another keeps its meaning beside that one. Sheets and components that are
+    wide open (flat caps over their gaps would be more than a third of their own area) have no inside to face, and are
+    only made to agree. Components are what edges hold together.
 
     Args:
         mesh: Any mesh, on any device; looked at on the host.

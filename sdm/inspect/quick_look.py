@@ -17,7 +17,7 @@ from sdm.inspect.report import inspect_mesh
 
 # A volume below this share of what the area could enclose is none.
 LEAST_VOLUME = 1e-9
-# Faces whose parts are found step by step.
+# Faces whose components are found step by step.
 MOST_BY_STEPS = 20_000
 
 
@@ -41,7 +41,7 @@ class MeshLook:
         return self._states is not None and self._faces() is mesh.faces and self._states == _states(mesh)
 
     def is_plain(self, mesh: TriangleMesh) -> bool:
-        """True if faces agree and every part faces outward, which is found by less than `inspect_mesh`."""
+        """True if faces agree and every component faces outward, which is found by less than `inspect_mesh`."""
         if self._plain is None:
             self._plain = _is_plain(mesh)
         return self._plain
@@ -86,7 +86,7 @@ def _turned(mesh: TriangleMesh) -> list[Tensor]:
 
 
 def _is_plain(mesh: TriangleMesh) -> bool:
-    """True if no edge is left over twice and no part encloses less than nothing, nor nothing if it is closed."""
+    """True if no edge is left over twice and no component encloses less than nothing, nor nothing if it is closed."""
     # `sdm inspect` needs nothing of Warp, whose start takes a third of a second.
     from sdm.topology.boundary_edges import boundary_edges
     from sdm.topology.face_pairing import pairing_of
@@ -102,14 +102,14 @@ def _is_plain(mesh: TriangleMesh) -> bool:
         merged = first_at_position(vertices)[faces].astype(np.int32)
         around = pairing_of(torch.from_numpy(merged), len(vertices)).neighbours
     other = around.cpu().numpy()[:, :3] // 3
-    part = _parts(np.where(other < 0, np.arange(len(faces))[:, None], other))
-    volume, area = _sizes(vertices[faces].astype(np.float64), part)
+    component = _components(np.where(other < 0, np.arange(len(faces))[:, None], other))
+    volume, area = _sizes(vertices[faces].astype(np.float64), component)
     least = LEAST_VOLUME * area**1.5
     return bool((volume > -least if edges.shape[0] else volume > least).all())
 
 
-def _parts(other: np.ndarray) -> np.ndarray:
-    """The number of the part of each face, given three faces (F,3) that it meets, itself where there is none."""
+def _components(other: np.ndarray) -> np.ndarray:
+    """The number of the component of each face, given three faces (F,3) that it meets, itself where there is none."""
     count = len(other)
     if count > MOST_BY_STEPS:
         return label(np.repeat(np.arange(count), 3), other.reshape(-1), count)
@@ -122,10 +122,10 @@ def _parts(other: np.ndarray) -> np.ndarray:
     return np.unique(lowest, return_inverse=True)[1].reshape(-1)
 
 
-def _sizes(corners: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed volume of each part about its middle, and its area."""
-    count = np.bincount(part)
-    middle = np.stack([np.bincount(part, corners[:, :, k].mean(1)) for k in range(3)], 1) / count[:, None]
-    a, b, c = np.moveaxis(corners - middle[part][:, None], 1, 0)
+def _sizes(corners: np.ndarray, component: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed volume of each component about its middle, and its area."""
+    count = np.bincount(component)
+    middle = np.stack([np.bincount(component, corners[:, :, k].mean(1)) for k in range(3)], 1) / count[:, None]
+    a, b, c = np.moveaxis(corners - middle[component][:, None], 1, 0)
     normal = np.cross(b - a, c - a)
-    return np.bincount(part, (a * normal).sum(1)) / 6, np.bincount(part, np.linalg.norm(normal, axis=1)) / 2
+    return np.bincount(component, (a * normal).sum(1)) / 6, np.bincount(component, np.linalg.norm(normal, axis=1)) / 2

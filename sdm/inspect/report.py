@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.inspect.components import components_of
 from sdm.inspect.degenerate import zero_area
 from sdm.inspect.duplicates import first_copies
 from sdm.inspect.edges import edges_of
 from sdm.inspect.orientation import inside_out, to_turn
-from sdm.inspect.parts import parts_of
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.problems import problems_of, sign_problems
 
@@ -98,11 +98,11 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
     corners = vertices[faces]
     low, high = mesh.bounds
     exact = corners.astype(np.float64)
-    parts = parts_of(exact, merged, edges.component, edges.open_components)
+    components = components_of(exact, merged, edges.component, edges.open_components)
 
     closed = not edges.chain.any()
-    volume = float(parts.volume.sum())
-    wrong, unjudged = inside_out(exact, parts)
+    volume = float(components.volume.sum())
+    wrong, unjudged = inside_out(exact, components)
     nonmanifold = int((edges.uses > 2).sum())
     boundary = int((edges.uses == 1).sum())
     first, same_side = first_copies(merged, len(vertices))
@@ -121,7 +121,7 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         "outward": (volume > 0 and wrong == 0) if closed and volume != 0 else None,
         "manifold": nonmanifold == 0 and edges.split_vertices == 0,
         "components": edges.components,
-        "inside_out": wrong > 0 and bool(to_turn(exact, parts)[parts.volume != 0].all()),
+        "inside_out": wrong > 0 and bool(to_turn(exact, components)[components.volume != 0].all()),
         "inside_out_components": wrong,
         "degenerate_faces": int(zero_area(corners).sum()),
         "duplicate_faces": int((first != np.arange(len(faces))).sum()),
@@ -131,6 +131,6 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         "nonmanifold_edges": nonmanifold,
         "nonmanifold_vertices": edges.split_vertices,
         "volume": volume if closed else None,
-        "area": float(parts.area.sum()),
+        "area": float(components.area.sum()),
     }
     return MeshReport(**facts, problems=problems_of(facts, unjudged))

@@ -1,4 +1,4 @@
-"""Both ways to query points, by lists of triangles for groups of points and by one search a point, and hard cases."""
+"""Both ways to query points, by lists of triangles for packets of points and by one search a point, and hard cases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import sdm
 from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.points.group_descent import MOST, OWN_ROOM
-from sdm.kernels.points.groups import GROUP
+from sdm.kernels.points.packets import PACKET
 from tests.helpers import strategies
 from tests.helpers.exactness import assert_exact
 
@@ -22,7 +22,7 @@ meshes = st.one_of(strategies.soups(40), strategies.slivers(), strategies.closed
 
 
 def clusters(rng: np.random.Generator, vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
-    """Clouds of one group of points each, from much smaller than a triangle to much larger than the mesh."""
+    """Clouds of one packet of points each, from much smaller than a triangle to much larger than the mesh."""
     used = vertices[faces].astype(np.float64)
     low, high = used.min((0, 1)), used.max((0, 1))
     size = max(float((high - low).max()), 1e-3 * float(np.abs(used).max())) or 1.0
@@ -30,7 +30,7 @@ def clusters(rng: np.random.Generator, vertices: np.ndarray, faces: np.ndarray, 
     on_surface = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(3), count), corner)
     middle = np.where(rng.random((count, 1)) < 0.5, on_surface, rng.uniform(low - size, high + size, (count, 3)))
     reach = size * 10.0 ** rng.uniform(-6, 0.5, (count, 1, 3))
-    return (middle[:, None] + reach * rng.uniform(-1, 1, (count, GROUP, 3))).reshape(-1, 3).astype(np.float32)
+    return (middle[:, None] + reach * rng.uniform(-1, 1, (count, PACKET, 3))).reshape(-1, 3).astype(np.float32)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -61,13 +61,13 @@ def test_named_meshes(name):
 
 @pytest.mark.parametrize("reach", [1e-7, 1e-3, 0.3, 30.0])
 def test_lists_that_are_too_long(reach):
-    """Around the centre of a sphere all its triangles are as near as each other: too many for a group, or a point."""
+    """Around the centre of a sphere all its triangles are as near as each other: too many for a packet, or a point."""
     rng = np.random.default_rng(2)
     for fineness, fewest in ((10, OWN_ROOM), (42, MOST)):
         vertices, faces = sphere(fineness)
         assert len(faces) > fewest
         vertices = (vertices @ np.linalg.qr(rng.normal(size=(3, 3)))[0]).astype(np.float32)
-        points = (reach * rng.uniform(-1, 1, (3 * GROUP, 3))).astype(np.float32)
+        points = (reach * rng.uniform(-1, 1, (3 * PACKET, 3))).astype(np.float32)
         for device in DEVICES:
             with plan_override(points_method="lists"):
                 values = sdm.signed_distance(sdm.TriangleMesh(vertices, faces), points, device=device).cpu()

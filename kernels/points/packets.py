@@ -1,7 +1,7 @@
-"""Groups of neighbouring points, which share most of the work of a query.
+"""Packets of neighbouring points, which share most of the work of a query, as rays do in packet traversal.
 
-Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a group. Of a
-group this file keeps the box around its points (`VoxelBox`); the triangle nearest to its centre;
+Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a packet. Of a
+packet this file keeps the box around its points (`VoxelBox`); the triangle nearest to its centre;
 and what can be said about the signs of all its points at once (see `hole_caps` for open meshes).
 """
 
@@ -24,11 +24,11 @@ from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, Winding
 
 wp.set_module_options({"enable_backward": False})
 
-# Points of a group.
-GROUP = 32
+# Points of a packet.
+PACKET = 32
 # Thread blocks that a multiprocessor of a GPU holds: the kernels of points wait for memory as much as they work.
 POINT_BLOCKS_PER_SM = 5
-# What a group's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
+# What a packet's hints say. Its holes are so far away that they do not decide about sides; the line along x through it
 # may meet what closes them; the surface does not come into its box, so that all its points are on one side of it.
 FAR, COVERED, APART = 1, 2, 4
 # Places of the shared counts.
@@ -38,15 +38,15 @@ ROOM = 1.0e-5
 
 
 @wp.struct
-class Groups:
-    """Boxes, witnesses and hints of `count` groups of points."""
+class Packets:
+    """Boxes, witnesses and hints of `count` packets of points."""
 
     boxes: wp.array(dtype=wp.float32)  # (count * 8) of each box its `VoxelBox`: centre (3), half2, half (3), diagonal
     witnesses: wp.array(dtype=wp.float32)  # (count * 4) the surface point nearest to the centre, see `Witness`
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
     count: wp.int32
-    counts: wp.array(dtype=wp.int32)  # (COUNTS) which group each stage takes next, zero at the start
+    counts: wp.array(dtype=wp.int32)  # (COUNTS) which packet each stage takes next, zero at the start
 
 
 @wp.func
@@ -63,16 +63,16 @@ def numbered(order: wp.array(dtype=wp.int32), at: int):
 
 
 @wp.func
-def group_end(group: int, points: int):
-    """One past the last of a group's places in the order."""
-    return wp.min(GROUP * (group + 1), points)
+def packet_end(packet: int, points: int):
+    """One past the last of a packet's places in the order."""
+    return wp.min(PACKET * (packet + 1), points)
 
 
 @wp.func
 def point_or_middle(
     tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, box: VoxelBox
 ):
-    """The point at a place before `end`, scaled; without one, or if it is not finite, the middle of its group's box."""
+    """The point at a place before `end`, scaled; without one, or if it is not finite, its packet's middle."""
     p = wp.vec3d(box.centre)
     if at < end:
         point = points[numbered(order, at)]
@@ -83,13 +83,13 @@ def point_or_middle(
 
 @wp.func
 def box_around(
-    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), group: int, lane: int, lanes: int
+    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), packet: int, lane: int, lanes: int
 ):
-    """The box around a group's finite points, scaled; without any, or where it is not finite, at the origin."""
+    """The box around a packet's finite points, scaled; without any, or where it is not finite, at the origin."""
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     negated_high = low
-    at = GROUP * group + lane
-    while at < group_end(group, points.shape[0]):
+    at = PACKET * packet + lane
+    while at < packet_end(packet, points.shape[0]):
         i = numbered(order, at)
         if is_finite(points[i]):
             p = float(tree.frame[SCALE]) * points[i]
@@ -112,9 +112,9 @@ def box_around(
 
 
 @wp.func
-def read_box(groups: Groups, group: int):
-    """A group's box; `half2` is infinite if there is none."""
-    return box_of_rows(load4(groups.boxes, 2 * group), load4(groups.boxes, 2 * group + 1))
+def read_box(packets: Packets, packet: int):
+    """A packet's box; `half2` is infinite if there is none."""
+    return box_of_rows(load4(packets.boxes, 2 * packet), load4(packets.boxes, 2 * packet + 1))
 
 
 @wp.kernel
@@ -125,14 +125,14 @@ def _look_around(
     winding: Winding,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    group = fetch_add_once(groups.counts, NEXT_BOX, 1, lane)
-    while group < groups.count:
-        box = box_around(tree, points, order, group, lane, lanes)
+    packet = fetch_add_once(packets.counts, NEXT_BOX, 1, lane)
+    while packet < packets.count:
+        box = box_around(tree, points, order, packet, lane, lanes)
         slot = nearest_together(tree, box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
         known = no_witness()
         hint = int(0)
@@ -149,12 +149,12 @@ def _look_around(
                 hint = hint + APART
         if lane == 0:
             half = box.half
-            write4(groups.boxes, 2 * group, box.centre[0], box.centre[1], box.centre[2], box.half2)
-            write4(groups.boxes, 2 * group + 1, half[0], half[1], half[2], box.diagonal)
-            write_witness(groups.witnesses, group, known)
-            groups.nearest[group] = slot
-            groups.hints[group] = hint
-        group = fetch_add_once(groups.counts, NEXT_BOX, 1, lane)
+            write4(packets.boxes, 2 * packet, box.centre[0], box.centre[1], box.centre[2], box.half2)
+            write4(packets.boxes, 2 * packet + 1, half[0], half[1], half[2], box.diagonal)
+            write_witness(packets.witnesses, packet, known)
+            packets.nearest[packet] = slot
+            packets.hints[packet] = hint
+        packet = fetch_add_once(packets.counts, NEXT_BOX, 1, lane)
 
 
 def look_around(
@@ -162,14 +162,14 @@ def look_around(
     winding: Winding,
     points: wp.array,
     order: wp.array,
-    groups: Groups,
+    packets: Packets,
     scratch: wp.array,
     workers: int,
     lanes: int,
 ) -> None:
-    """Fill `groups` for points (N,) in their order, or as they come if `order` is empty.
+    """Fill `packets` for points (N,) in their order, or as they come if `order` is empty.
 
-    `workers` groups of lanes are at work; `groups.counts` must be zero; `scratch` has room for workers * SCRATCH.
+    `workers` groups of lanes are at work; `packets.counts` must be zero; `scratch` has room for workers * SCRATCH.
     """
-    inputs = [lanes, tree, winding, points, order, groups, scratch]
+    inputs = [lanes, tree, winding, points, order, packets, scratch]
     launch(_look_around, workers * lanes, inputs, points.device, smallest=1)

@@ -1,4 +1,4 @@
-"""Parts of a surface: the volume that each encloses, once flat caps close its gaps."""
+"""Connected components of a surface: the volume that each encloses, once flat caps close its gaps."""
 
 from __future__ import annotations
 
@@ -9,68 +9,68 @@ from jaxtyping import Bool, Float64, Int64, Integer
 
 from sdm.inspect.edges import label
 
-# A signed volume below this share of what it is the sum of is rounding: the part encloses nothing.
+# A signed volume below this share of what it is the sum of is rounding: the component encloses nothing.
 VOLUME_ROUNDING = 1e-12
-# A part is nearly closed, so that it has an inside, while its caps are at most this share of its own area. A box
+# A component is nearly closed, so that it has an inside, while its caps are at most this share of its own area. A box
 # without its lid has 1/5, a hemisphere 1/2, a sheet 1.
 MOST_CAPS = 1 / 3
 
 
 @dataclass(frozen=True)
-class Parts:
-    """The parts of a mesh, each with its size.
+class Components:
+    """The components of a mesh, each with its size.
 
     Args:
-        part: (F,) which part each face belongs to; -1 for none.
+        of_face: (F,) number of the component that each face belongs to; -1 for none.
         volume: (C,) signed volume of each with its caps, positive if it faces outward; 0 where that is rounding.
         area: (C,) its area, without the caps.
-        caps: (C,) area of its caps, 0 for closed parts.
+        caps: (C,) area of its caps, 0 for closed components.
     """
 
-    part: Integer[np.ndarray, " F"]
+    of_face: Integer[np.ndarray, " F"]
     volume: Float64[np.ndarray, " C"]
     area: Float64[np.ndarray, " C"]
     caps: Float64[np.ndarray, " C"]
 
     @property
     def nearly_closed(self) -> Bool[np.ndarray, " C"]:
-        """Marks of the parts (C,) that have an inside: closed, or open by little."""
+        """Marks of the components (C,) that have an inside: closed, or open by little."""
         return (self.area > 0) & (self.caps <= MOST_CAPS * self.area)
 
     @property
     def reversed(self) -> Bool[np.ndarray, " C"]:
-        """Marks of the parts (C,) that have an inside and face it."""
+        """Marks of the components (C,) that have an inside and face it."""
         return self.nearly_closed & (self.volume < 0)
 
 
-def parts_of(
+def components_of(
     corners: Float64[np.ndarray, "F 3 3"],
     merged: Int64[np.ndarray, "F 3"],
-    part: Integer[np.ndarray, " F"],
+    component: Integer[np.ndarray, " F"],
     gaps: Bool[np.ndarray, " C"],
-) -> Parts:
-    """Measure the parts of a mesh.
+) -> Components:
+    """Measure the components of a mesh.
 
     Args:
         corners: (F,3,3) float64.
         merged: (F,3) vertex indices that tell positions apart.
-        part: (F,) the part of each face, -1 for none.
-        gaps: (C,) the parts that may have gaps.
+        component: (F,) the component of each face, -1 for none.
+        gaps: (C,) the components that may have gaps.
 
-    What is left of a part's directed edges bounds its gaps. Each loop of them is closed by a fan about its middle, so
-    that the volume depends on no origin.
+    What is left of a component's directed edges bounds its gaps. Each loop of them is closed by a fan about its middle,
+    so that the volume depends on no origin.
     """
     # A first corner as the origin costs no digits where the mesh is far from its coordinates' zero.
     zero = corners[0, 0]
     a, b, c = np.moveaxis(corners - zero, 1, 0)
-    own, count = part >= 0, len(gaps)
+    own, count = component >= 0, len(gaps)
     volumes = (a * np.cross(b, c)).sum(1)[own] / 6
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)[own] / 2
-    total = _sums(part[own], volumes, count)
-    size = _sums(part[own], np.abs(volumes), count)
-    area = _sums(part[own], areas, count)
+    total = _sums(component[own], volumes, count)
+    size = _sums(component[own], np.abs(volumes), count)
+    area = _sums(component[own], areas, count)
     caps = np.zeros(count)
-    number, low, high, times = borders_of(merged, part, gaps)
+    number, low, high, times = borders_of(merged, component, gaps)
     if len(number):
         position = np.empty((int(merged.max()) + 1, 3))
         position[merged.reshape(-1)] = corners.reshape(-1, 3) - zero
@@ -78,20 +78,24 @@ def parts_of(
         total += _sums(number, volumes, count)
         size += _sums(number, np.abs(volumes), count)
         caps = _sums(number, areas, count)
-    return Parts(part, np.where(np.abs(total) > VOLUME_ROUNDING * size, total, 0.0), area, caps)
+    return Components(component, np.where(np.abs(total) > VOLUME_ROUNDING * size, total, 0.0), area, caps)
 
 
 def borders_of(
-    merged: Int64[np.ndarray, "F 3"], part: Integer[np.ndarray, " F"], gaps: Bool[np.ndarray, " C"]
+    merged: Int64[np.ndarray, "F 3"], component: Integer[np.ndarray, " F"], gaps: Bool[np.ndarray, " C"]
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Border edges of each part with gaps: those left over of its directed edges.
+    """Border edges of each component with gaps: those left over of its directed edges.
 
     Returns:
-        The part, the lower vertex, the higher, and how often the edge leads up, less how often back: (n,) each.
+        The component, the lower vertex, the higher, and how often the edge leads up, less how often back: (n,) each.
     """
     following = np.roll(merged, -1, 1)
-    used = np.flatnonzero((part >= 0) & gaps[part] & (merged != following).all(1)) if gaps.any() else part[:0]
-    start, end, number = merged[used].reshape(-1), following[used].reshape(-1), np.repeat(part[used], 3)
+    used = (
+        np.flatnonzero((component >= 0) & gaps[component] & (merged != following).all(1))
+        if gaps.any()
+        else component[:0]
+    )
+    start, end, number = merged[used].reshape(-1), following[used].reshape(-1), np.repeat(component[used], 3)
     low, high, times = np.minimum(start, end), np.maximum(start, end), np.where(start < end, 1, -1)
     if len(number) == 0:
         return number, low, high, times
@@ -114,7 +118,7 @@ def _fans(
     position: np.ndarray, number: np.ndarray, low: np.ndarray, high: np.ndarray, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Signed volume and area of the cap's triangle at each border edge (n,)."""
-    # Parts that touch at a vertex have loops of their own.
+    # Components that touch at a vertex have loops of their own.
     width = len(position)
     ends, index = np.unique(np.concatenate([number * width + low, number * width + high]), return_inverse=True)
     one, other = index[: len(low)], index[len(low) :]

@@ -8,7 +8,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.kernels.points.query import GROUP
+from sdm.kernels.points.query import PACKET
 from tests.helpers.oracle import distance, winding_number
 
 
@@ -27,7 +27,7 @@ def clouds(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("holes", [0, 1, 40])
-@pytest.mark.parametrize("count", [3, GROUP + 1, 5_000])
+@pytest.mark.parametrize("count", [3, PACKET + 1, 5_000])
 def test_signs_are_those_of_the_winding_number(holes: int, count: int) -> None:
     mesh = bowl(holes)
     points = clouds(np.random.default_rng(count), count)
@@ -42,12 +42,12 @@ def test_signs_are_those_of_the_winding_number(holes: int, count: int) -> None:
 
 def test_a_group_of_points_far_apart() -> None:
     mesh = bowl(40)
-    points = np.random.default_rng(0).uniform(-3, 3, (GROUP, 3)).astype(np.float32)
+    points = np.random.default_rng(0).uniform(-3, 3, (PACKET, 3)).astype(np.float32)
     points[3] = np.nan
     points[7] = [1e30, -1e30, 1e30]
     values = sdm.MeshIndex(mesh, "cpu").signed_distance(points).numpy()
     assert np.isnan(values[3])
-    ordinary = [i for i in range(GROUP) if i not in (3, 7)]
+    ordinary = [i for i in range(PACKET) if i not in (3, 7)]
     vertices, faces = mesh.numpy()
     inside = winding_number(vertices, faces, points[ordinary]) > 0.5
     expected = distance(vertices, faces, points[ordinary])[0] * (1 - 2 * inside)

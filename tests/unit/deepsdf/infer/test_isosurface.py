@@ -1,4 +1,4 @@
-"""Surfaces from learned functions: bricks, holes in them, and places in the world."""
+"""Surfaces from learned functions: tiles, holes in them, and places in the world."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from sdm.deepsdf import DeepSDF, decode_mesh, local, published
-from sdm.deepsdf.infer.marching_bricks import refine
+from sdm.deepsdf.infer.isosurface import refine
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder
 from sdm.deepsdf.samples import UnitSphere
 from sdm.errors import GridError, SDMError
@@ -21,7 +21,7 @@ def ball() -> DeepSDF:
 
 
 @pytest.mark.parametrize("resolution", [16, 50, 64])
-def test_only_bricks_near_the_surface_are_evaluated_and_every_sign_is_right(resolution: int) -> None:
+def test_only_tiles_near_the_surface_are_evaluated_and_every_sign_is_right(resolution: int) -> None:
     seen = 0
 
     def function(points: torch.Tensor) -> torch.Tensor:
@@ -43,8 +43,8 @@ def test_only_bricks_near_the_surface_are_evaluated_and_every_sign_is_right(reso
         assert not bool(refined.all())
 
 
-def test_a_surface_that_the_middles_of_bricks_do_not_show_is_followed() -> None:
-    """A function whose values are much too large, save at one brick: the sign leads from there to the rest."""
+def test_a_surface_that_the_middles_of_tiles_do_not_show_is_followed() -> None:
+    """A function whose values are much too large, save at one tile: the sign leads from there to the rest."""
 
     def steep(points: torch.Tensor) -> torch.Tensor:
         values = (points.norm(dim=1) - 0.6) * 40

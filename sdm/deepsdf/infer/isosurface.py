@@ -1,4 +1,4 @@
-"""The surface of a learned function, from coarse to fine: only bricks that it may cross are decoded."""
+"""Isosurface of a learned function, from coarse to fine: only tiles of the grid that it may cross are decoded."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from sdm.deepsdf.networks.model import CHUNK, DeepSDF
 from sdm.deepsdf.samples import UnitSphere
 from sdm.errors import GridError, SDMError
 
-BRICK = 8
-# How much faster than a distance the function may change before a brick could be missed at first.
+TILE = 8
+# How much faster than a distance the function may change before a tile could be missed at first.
 SLOPE = 1.5
 
 
@@ -65,7 +65,7 @@ def decode_near_surface(
 def refine(function: Callable[[Tensor], Tensor], resolution: int, device: torch.device | str) -> tuple[Tensor, Tensor]:
     """A function's values on `resolution`^3 points of [-1,1]^3, evaluated only where zero may be near.
 
-    Bricks of 8^3 points begin with the value at their middle. Those where it is small enough for a zero in the brick
+    Tiles of 8^3 points begin with the value at their middle. Those where it is small enough for a zero in the tile
     or in the cells that join it to the next ones are evaluated, and then, as long as there are any, those across
     whose face the sign changes. So a surface that was found anywhere is followed to its end.
 
@@ -75,42 +75,42 @@ def refine(function: Callable[[Tensor], Tensor], resolution: int, device: torch.
         device: Where to compute.
 
     Returns:
-        Values (n,n,n), and which of the bricks (m,m,m) were evaluated.
+        Values (n,n,n), and which of the tiles (m,m,m) were evaluated.
 
     Raises:
         GridError: Fewer points.
     """
-    if resolution < 2 * BRICK:
-        raise GridError(f"a resolution of {resolution} is too low for a surface; give {2 * BRICK} or more")
-    step, bricks = 2.0 / (resolution - 1), -(-resolution // BRICK)
-    size = bricks * BRICK
-    every = torch.cartesian_prod(*[torch.arange(bricks, device=device)] * 3)
-    middle = function((every.float() * BRICK + (BRICK - 1) / 2) * step - 1)
-    # Values of a view by brick and place in it are values of the whole.
+    if resolution < 2 * TILE:
+        raise GridError(f"a resolution of {resolution} is too low for a surface; give {2 * TILE} or more")
+    step, tiles = 2.0 / (resolution - 1), -(-resolution // TILE)
+    size = tiles * TILE
+    every = torch.cartesian_prod(*[torch.arange(tiles, device=device)] * 3)
+    middle = function((every.float() * TILE + (TILE - 1) / 2) * step - 1)
+    # Values of a view by tile and place in it are values of the whole.
     whole = torch.empty(size, size, size, device=device, dtype=middle.dtype)
-    view = whole.view(bricks, BRICK, bricks, BRICK, bricks, BRICK).permute(0, 2, 4, 1, 3, 5)
-    view.copy_(middle.reshape(bricks, bricks, bricks, 1, 1, 1).expand_as(view))
-    inner = torch.cartesian_prod(*[torch.arange(BRICK, device=device)] * 3)
-    reach = SLOPE * 3**0.5 * (BRICK + 1) / 2 * step
-    refined = torch.zeros(bricks, bricks, bricks, dtype=torch.bool, device=device)
+    view = whole.view(tiles, TILE, tiles, TILE, tiles, TILE).permute(0, 2, 4, 1, 3, 5)
+    view.copy_(middle.reshape(tiles, tiles, tiles, 1, 1, 1).expand_as(view))
+    inner = torch.cartesian_prod(*[torch.arange(TILE, device=device)] * 3)
+    reach = SLOPE * 3**0.5 * (TILE + 1) / 2 * step
+    refined = torch.zeros(tiles, tiles, tiles, dtype=torch.bool, device=device)
     wanted = (middle.abs() <= reach).reshape(refined.shape)
     while bool(wanted.any()):
         chosen = wanted.nonzero()
-        points = ((chosen[:, None] * BRICK + inner).float() * step - 1).reshape(-1, 3)
-        view[wanted] = function(points).reshape(-1, BRICK, BRICK, BRICK)
+        points = ((chosen[:, None] * TILE + inner).float() * step - 1).reshape(-1, 3)
+        view[wanted] = function(points).reshape(-1, TILE, TILE, TILE)
         refined |= wanted
-        wanted = _crossed(whole, bricks) & ~refined
+        wanted = _crossed(whole, tiles) & ~refined
     return whole[:resolution, :resolution, :resolution].contiguous(), refined
 
 
-def _crossed(whole: Tensor, bricks: int) -> Tensor:
-    """Bricks (m,m,m) across one of whose faces the sign changes."""
+def _crossed(whole: Tensor, tiles: int) -> Tensor:
+    """Tiles (m,m,m) across one of whose faces the sign changes."""
     inside = whole < 0
-    crossed = torch.zeros(bricks, bricks, bricks, dtype=torch.bool, device=whole.device)
+    crossed = torch.zeros(tiles, tiles, tiles, dtype=torch.bool, device=whole.device)
     for axis in range(3):
-        last = inside.movedim(axis, 0)[BRICK - 1 : -1 : BRICK]
-        first = inside.movedim(axis, 0)[BRICK::BRICK]
-        faces = (last != first).reshape(bricks - 1, bricks, BRICK, bricks, BRICK).any(4).any(2)
+        last = inside.movedim(axis, 0)[TILE - 1 : -1 : TILE]
+        first = inside.movedim(axis, 0)[TILE::TILE]
+        faces = (last != first).reshape(tiles - 1, tiles, TILE, tiles, TILE).any(4).any(2)
         moved = crossed.movedim(axis, 0)
         moved[:-1] |= faces
         moved[1:] |= faces
