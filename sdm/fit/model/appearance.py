@@ -77,9 +77,13 @@ class Appearance:
 
     def with_means(self, image: Tensor, share: Tensor) -> Appearance:
         """The same step for the means alone: weights and variances are held."""
-        new = self.update(image, share)
-        inside, outside = replace(self.inside, means=new.inside.means), replace(self.outside, means=new.outside.means)
-        return replace(self, inside=inside, outside=outside)
+        means = self.means(image, share)
+        inside, outside = means.split([self.inside.means.numel(), self.outside.means.numel()])
+        return replace(self, inside=replace(self.inside, means=inside), outside=replace(self.outside, means=outside))
+
+    def means(self, image: Tensor, share: Tensor) -> Tensor:
+        """Means (I+J,) of the components inside, then outside, after one step."""
+        raise NotImplementedError
 
     def evidence(self, image: Tensor, share: Tensor) -> Evidence:
         """Log-likelihood of the image at a share of inside (N,), with its derivatives."""
@@ -92,21 +96,14 @@ class PartialVolume(Appearance):
     def update(self, image: Tensor, share: Tensor) -> PartialVolume:
         """One step: components' shares, their means by weighted least squares, then their variances."""
         _, variance, belong, _ = self._pairs(image, share)
-        count = self.inside.means.numel(), self.outside.means.numel()
+        count = self.inside.means.numel()
         design = self._design(share)
-        weight = belong / variance
-        normal = torch.einsum("nij,nijk,nijl->kl", weight, design, design)
-        right = torch.einsum("nij,nijk,n->k", weight, design, image)
-        # A component without voxels keeps its mean.
-        ridge = 1e-9 * normal.diagonal().max().clamp_min(1e-30)
-        old = torch.cat([self.inside.means, self.outside.means])
-        identity = torch.eye(len(old), dtype=torch.float64, device=old.device)
-        means = torch.linalg.solve(normal + ridge * identity, right + ridge * old)
+        means = self._solve_means(image, belong / variance, design)
         square = (image[:, None, None] - torch.einsum("nijk,k->nij", design, means)) ** 2
         parts = []
         for axis, mixture, part, chosen in (
-            (2, self.inside, share, means[: count[0]]),
-            (1, self.outside, 1 - share, means[count[0] :]),
+            (2, self.inside, share, means[:count]),
+            (1, self.outside, 1 - share, means[count:]),
         ):
             own = belong * part[:, None, None]
             mass = own.sum(axis).sum(0)
@@ -114,6 +111,11 @@ class PartialVolume(Appearance):
             spread = torch.where(mass > 1e-6, spread, mixture.variances).clamp_min(self.least)
             parts.append(Mixture((mass + 1e-9) / (mass + 1e-9).sum(), chosen, spread))
         return replace(self, inside=parts[0], outside=parts[1])
+
+    def means(self, image: Tensor, share: Tensor) -> Tensor:
+        """See `Appearance.means`: by weighted least squares."""
+        _, variance, belong, _ = self._pairs(image, share)
+        return self._solve_means(image, belong / variance, self._design(share))
 
     def evidence(self, image: Tensor, share: Tensor) -> Evidence:
         """See `Appearance.evidence`."""
@@ -127,6 +129,16 @@ class PartialVolume(Appearance):
         by_mean = torch.einsum("nij,nijk->nk", belong * root, self._design(share))
         rows = torch.cat([by_share[:, None], by_mean], 1)
         return Evidence(float(log_likelihood.sum()), (belong * slope).sum((1, 2)), rows)
+
+    def _solve_means(self, image: Tensor, weight: Tensor, design: Tensor) -> Tensor:
+        """Least squares over pairs of components, by their weights (N,I,J) and means' derivatives (N,I,J,I+J)."""
+        normal = torch.einsum("nij,nijk,nijl->kl", weight, design, design)
+        right = torch.einsum("nij,nijk,n->k", weight, design, image)
+        # A component without voxels keeps its mean.
+        ridge = 1e-9 * normal.diagonal().max().clamp_min(1e-30)
+        old = torch.cat([self.inside.means, self.outside.means])
+        identity = torch.eye(len(old), dtype=torch.float64, device=old.device)
+        return torch.linalg.solve(normal + ridge * identity, right + ridge * old)
 
     def _design(self, share: Tensor) -> Tensor:
         """Derivatives (N,I,J,I+J) of each pair's mean (N,I,J) by the means of the I + J components."""
@@ -156,12 +168,16 @@ class Labels(Appearance):
         count = self.inside.means.numel()
         parts = []
         for mixture, own in ((self.inside, belong[:, :count]), (self.outside, belong[:, count:])):
-            mass = own.sum(0).clamp_min(1e-9)
-            means = torch.where(mass > 1e-6, (own * image[:, None]).sum(0) / mass, mixture.means)
+            mass, means = _weighted_means(image, own, mixture.means)
             spread = (own * (image[:, None] - means) ** 2).sum(0) / mass
             spread = torch.where(mass > 1e-6, spread, mixture.variances).clamp_min(self.least)
             parts.append(Mixture(mass / mass.sum(), means, spread))
         return replace(self, inside=parts[0], outside=parts[1])
+
+    def means(self, image: Tensor, share: Tensor) -> Tensor:
+        """See `Appearance.means`: by responsibilities."""
+        belong, _, _ = self._classes(image, share)
+        return _weighted_means(image, belong, torch.cat([self.inside.means, self.outside.means]))[1]
 
     def evidence(self, image: Tensor, share: Tensor) -> Evidence:
         """See `Appearance.evidence`."""
@@ -186,6 +202,12 @@ class Labels(Appearance):
 
 
 MODELS: dict[str, type[Appearance]] = {"partial-volume": PartialVolume, "labels": Labels}
+
+
+def _weighted_means(image: Tensor, own: Tensor, old: Tensor) -> tuple[Tensor, Tensor]:
+    """Mass and mean (K,) of components by their responsibilities (N,K); one without voxels keeps its old mean."""
+    mass = own.sum(0).clamp_min(1e-9)
+    return mass, torch.where(mass > 1e-6, (own * image[:, None]).sum(0) / mass, old)
 
 
 def _spread(image: Tensor, weight: Tensor, count: int, least: float) -> Mixture:
