@@ -8,6 +8,7 @@ current stream. Folders know only those below them, so read them from the bottom
 - `bvh`: the hierarchy of boxes, and the plain search for the nearest triangle.
 - `winding`: winding numbers, by crossings of rays, scan conversion, and the boundary of open meshes.
 - `culling`: what can be dropped, by witnesses, cones of normals, and features of triangles.
+- `closest`: closest points, and the face that is named where several are equally near.
 - `dense`: distances at every voxel. First `voxel_search`, the plain path; then `plan`, which decides, and `query`,
   which runs the stages `stage1_witnesses` to `stage7_merge`.
 - `points`: distances at scattered points. First `query`, the plain path and the fast one.

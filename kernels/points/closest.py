@@ -1,106 +1,17 @@
-"""Closest points, and the face that each is said to be on where several meet.
-
-A closest point on an edge or a corner of the mesh is on all faces there. Of those that are as near to the query point,
-to within float64's rounding (`EQUAL`), the one whose plane faces it most is named, that is with the largest |cos| of
-the angle between its normal and the way from the closest point; of those whose |cos| is the same to within SAME, the
-one with the smallest number. Faces that are nearly segments have no plane, and |cos| 0; of a query point on the
-surface all have. (Where points far apart are equally near, `nearest_slot` takes the one of the smallest face.)
-
-The rule depends on the mesh and the point alone, so that normals and textures that are looked up do. At an edge of two
-faces with normals m and n the way is v = a m + b n with a, b >= 0, outside of a convex one. Then (v.m)^2 - (v.n)^2 =
-(a^2 - b^2)(1 - (m.n)^2): the face that faces most is m where a >= b, and v.m >= a - b >= 0. So its normal tells the
-side, however acute the edge is, where the other's may be wrong.
-"""
+"""Closest points of scattered points, and the face that each is on."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.nearest_search import NodeStack, exact_hit, slot_part
-from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, first_triangle, node_distance2
-from sdm.kernels.geometry.triangle_distance import Hit, unit_normal
+from sdm.kernels.bvh.nearest_search import exact_hit
+from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree
+from sdm.kernels.closest.facing import facing_slot
+from sdm.kernels.closest.hits import Hits
 from sdm.kernels.launch import launch
 from sdm.kernels.points.packets import numbered
 
 wp.set_module_options({"enable_backward": False})
-
-# Room in "equally near", in units of the largest coordinate: eight times what float64 rounds.
-EQUAL = wp.float64(2.0**-48)
-# Nearer than this, in the same units, a query point is on the surface.
-ON_SURFACE = wp.float64(2.0**-24)
-# Squared distance, scaled, within which float32 takes a point of the surface to be on a triangle, or in a box.
-TOUCHING2 = 4.0e-12
-# Room in "faces as much".
-SAME = wp.float64(1.0e-6)
-
-
-@wp.struct
-class Hits:
-    """Closest points, if `wanted`."""
-
-    points: wp.array(dtype=wp.vec3)
-    faces: wp.array(dtype=wp.int32)  # -1 for a point that is not finite; on the way, the slots of nearest triangles
-    barycentric: wp.array(dtype=wp.vec3)
-    wanted: wp.int32
-
-
-@wp.func
-def facing(tree: Tree, slot: int, p: wp.vec3d, hit: Hit, least: wp.float64):
-    """|cos| between the normal of the triangle in a slot and the way from its closest point to p; 0 within `least`."""
-    way = p - hit.point
-    length = wp.sqrt(hit.distance2)
-    if length <= least:
-        return wp.float64(0.0)
-    n = unit_normal(
-        wp.vec3d(tree.corners[4 * slot]), wp.vec3d(tree.corners[4 * slot + 1]), wp.vec3d(tree.corners[4 * slot + 2])
-    )
-    return wp.abs(wp.dot(n, way)) / length
-
-
-@wp.func
-def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
-    """The slot to name, given one whose triangle is nearest to p (scaled)."""
-    largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
-    least = ON_SURFACE * largest
-    hit = exact_hit(tree, slot, p)
-    at = wp.vec3(hit.point)
-    reach = wp.sqrt(hit.distance2) + EQUAL * largest
-    best = int(slot)
-    most = facing(tree, slot, p, hit, least)
-    best_facing = most
-    leaves = 1 << tree.depth
-    nodes = NodeStack()
-    waiting = int(0)
-    node = int(1)
-    # Always to the left first, so that the way does not depend on the slot that is given.
-    while node > 0:
-        if node >= leaves:
-            leaf = node - leaves
-            for other in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                d2, _part = slot_part(tree, other, at)
-                if d2 <= TOUCHING2 and other != slot:
-                    hit = exact_hit(tree, other, p)
-                    if wp.sqrt(hit.distance2) <= reach:
-                        # The largest so far counts, not the chosen one's, which may be less.
-                        faces = facing(tree, other, p, hit, least)
-                        wins = faces >= most - SAME and tree.face[other] < tree.face[best]
-                        wins = wins or faces > best_facing + SAME
-                        most = wp.max(most, faces)
-                        if wins:
-                            best = other
-                            best_facing = faces
-            node = int(0)
-        else:
-            left = node_distance2(tree, 2 * node, at) <= TOUCHING2
-            right = node_distance2(tree, 2 * node + 1, at) <= TOUCHING2
-            if left and right:
-                nodes[waiting] = 2 * node + 1
-                waiting = waiting + 1
-            node = wp.where(left, 2 * node, wp.where(right, 2 * node + 1, 0))
-        if node == 0 and waiting > 0:
-            waiting = waiting - 1
-            node = nodes[waiting]
-    return best
 
 
 @wp.kernel

@@ -18,11 +18,12 @@ import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
 from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, node_box
+from sdm.kernels.closest.hits import Hits
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
 from sdm.kernels.launch import launch, threads
-from sdm.kernels.points.closest import Hits, name_faces
+from sdm.kernels.points.closest import name_faces
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.nearest import find_nearest
 from sdm.kernels.points.packets import (
