@@ -308,39 +308,49 @@ def queue_build(
 
     If the topology is found on a branch of the graph that is being recorded, `join` is called before it is read.
     """
-    count, edges = faces.shape[0], topology.boundary.shape[0]
-    kind = kind_of(edges, count)
-    meshes, device = vertices.shape[0], vertices.device
-    structure = AccelerationStructure.empty(Sizes(meshes, count, edges, kind), device)
-    empty = workspace(device)
+    meshes, count, edges = vertices.shape[0], faces.shape[0], topology.boundary.shape[0]
+    sizes = Sizes(meshes, count, edges, kind_of(edges, count))
+    structure = AccelerationStructure.empty(sizes, vertices.device)
     with on_current_stream(vertices, vertices, faces, *topology):
-        view = structure.view
-        corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
-        normals = empty(4 * meshes * count, wp.float32)
-        bounds = empty(6 * meshes, wp.float32)
-        build_tree(
-            view.tree,
-            corners,
-            triples,
-            bounds,
-            empty(2 * meshes * count, wp.int64),
-            empty(2 * meshes * count, wp.int32),
-            normals,
-        )
-        if join is not None:
-            join()
-        shared = as_warp(topology.neighbours, wp.int32)
-        # None of these fills a GPU by itself.
-        with kernels_beside(vertices) as join_parts:
-            voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
-        triangle_frames.make_frames(view.tree, view.frames)
-        normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-        join_parts()
-        if kind in VISITING:
-            gather_boundary(view.winding.boundary, view.tree, corners, as_warp(topology.boundary, wp.int32))
-            room = 2 * meshes * edges
-            caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
-            cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
-        if kind in WITH_DIPOLES:
-            dipole_tree.build_moments(view.tree, view.winding.moments, meshes)
+        bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
+        fill_surface(structure.view, vertices, faces, topology.neighbours, as_warp(bounds, wp.float32), join)
+        fill_boundary(structure, vertices, topology, as_warp(bounds, wp.float32))
     return structure
+
+
+def fill_surface(
+    view: KernelView,
+    vertices: Tensor,
+    faces: Tensor,
+    neighbours: Tensor,
+    bounds: wp.array,
+    join: Join | None = None,
+) -> None:
+    """Queue the kernels that do not depend on a boundary, and fill each mesh's `bounds`, as `build_tree` does."""
+    meshes, count, empty = vertices.shape[0], faces.shape[0], workspace(vertices.device)
+    corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
+    normals = empty(4 * meshes * count, wp.float32)
+    keys, slots = empty(2 * meshes * count, wp.int64), empty(2 * meshes * count, wp.int32)
+    build_tree(view.tree, corners, triples, bounds, keys, slots, normals)
+    if join is not None:
+        join()
+    shared = as_warp(neighbours, wp.int32)
+    # None of these fills a GPU by itself.
+    with kernels_beside(vertices) as join_parts:
+        voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
+    triangle_frames.make_frames(view.tree, view.frames)
+    normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
+    join_parts()
+
+
+def fill_boundary(structure: AccelerationStructure, vertices: Tensor, topology: MeshTopology, bounds: wp.array) -> None:
+    """Queue the kernels that depend on a boundary, after those of `fill_surface`."""
+    view, (meshes, _, edges, kind) = structure.view, structure.sizes
+    if kind in VISITING:
+        empty, corners = workspace(vertices.device), as_warp(vertices, wp.vec3)
+        gather_boundary(view.winding.boundary, view.tree, corners, as_warp(topology.boundary, wp.int32))
+        room = 2 * meshes * edges
+        caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
+        cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
+    if kind in WITH_DIPOLES:
+        dipole_tree.build_moments(view.tree, view.winding.moments, meshes)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, build, check_count, queue_build, topology_for
+from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.errors import GridError
@@ -83,13 +84,18 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     guessed = guesses.guess(faces, count)
 
     def settle() -> tuple[tuple[Tensor, ...], Call | None]:
-        topology = topology_for(vertices, faces)
+        if guesses.is_hopeless(faces, count):
+            topology = topology_for(vertices, faces)
+            guesses.remember(faces, count, topology.boundary)
+            return graphs.run(_known_call(vertices[None], faces, grid, topology.boundary)), None
+        structure, topology = build_first(vertices, faces)
+        found = structure_slab(structure, grid, 0, grid.shape[0])
+        found = found if topology.boundary.shape[0] else found[:1]
         guesses.remember(faces, count, topology.boundary)
         better = guesses.guess(faces, count)
-        if not guesses.is_right(better, faces, count):
-            return graphs.run(_known_call(vertices[None], faces, grid, topology.boundary)), None
-        found = _queue_maps(grid, graphs.unverified, vertices[None], faces, *topology)
-        return found, _guessed_call(better, vertices, faces, grid)
+        if guesses.is_right(better, faces, count):
+            return found, _guessed_call(better, vertices, faces, grid)
+        return found, _known_call(vertices[None], faces, grid, topology.boundary)
 
     found, was_guessed = graphs.speculate(_guessed_call(guessed, vertices, faces, grid), settle)
     if was_guessed and guessed == guesses.CLOSED:

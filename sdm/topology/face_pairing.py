@@ -94,7 +94,12 @@ def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
     if around.is_cuda:
         ready = torch.cuda.Event()
         ready.record(torch.cuda.current_stream(around.device))
-    _known[faces] = state_of(faces, count), Pairing(faces.new_empty((0, 3)), around, ready=ready)
+    remember(faces, count, Pairing(faces.new_empty((0, 3)), around, ready=ready))
+
+
+def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
+    """Remember the pairing of faces and so many vertices, for `pairing_of`."""
+    _known[faces] = state_of(faces, count), pairing
 
 
 def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -120,15 +125,46 @@ def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return flags, unmatched, around
 
 
+class PairingUnderWay:
+    """A pairing whose kernels are queued, and whose flags are on their way to the host.
+
+    Args:
+        faces: (F,3) int32, contiguous.
+        count: Number of vertices.
+    """
+
+    def __init__(self, faces: Tensor, count: int) -> None:
+        self._faces, self._count = faces, count
+        flags, self._unmatched, self.neighbours = queue_pairing(faces, count)
+        self._flags, self._there = flags, None
+        if flags.is_cuda:
+            self._flags = torch.empty(FLAGS, dtype=torch.int32, pin_memory=True)
+            self._flags.copy_(flags, non_blocking=True)
+            self._there = torch.cuda.Event()
+            self._there.record(torch.cuda.current_stream(flags.device))
+
+    def finish(self) -> Pairing:
+        """The pairing, once the device has found it.
+
+        Raises:
+            MeshError: A face index out of range.
+        """
+        if self._there is not None:
+            self._there.synchronize()
+        out_of_range, open_edges = self._flags.tolist()
+        if out_of_range:
+            low, high = (int(bound) for bound in self._faces.aminmax())
+            bad = low if low < 0 else high
+            raise MeshError(
+                f"a face uses vertex {bad}, but the {self._count} vertices are numbered 0 to {self._count - 1}"
+            )
+        unmatched = self._unmatched[:open_edges] if open_edges else self._unmatched.new_empty((0, 3))
+        return Pairing(unmatched, self.neighbours)
+
+
 def _pair_up(faces: Tensor, count: int) -> Pairing:
     """All that faces say, from one sort of all edges; waits for the device once."""
-    flags, unmatched, around = queue_pairing(faces.contiguous(), count)
-    out_of_range, open_edges = flags.tolist()
-    if out_of_range:
-        low, high = (int(bound) for bound in faces.aminmax())
-        bad = low if low < 0 else high
-        raise MeshError(f"a face uses vertex {bad}, but the {count} vertices are numbered 0 to {count - 1}")
-    return Pairing(unmatched[:open_edges] if open_edges else unmatched.new_empty((0, 3)), around)
+    return PairingUnderWay(faces.contiguous(), count).finish()
 
 
 def state_of(tensor: Tensor, count: int = 0) -> tuple[int, int] | None:

@@ -29,8 +29,8 @@ class Guess(NamedTuple):
 
 CLOSED = Guess()
 
-# Of the last open mesh, by numbers of faces and vertices.
-_last_open: OrderedDict[tuple[int, int], Guess] = OrderedDict()
+# Of the last open mesh, by numbers of faces and vertices; None if it was not one to guess by.
+_last_open: OrderedDict[tuple[int, int], Guess | None] = OrderedDict()
 
 
 def guess(faces: Tensor, count: int) -> Guess:
@@ -38,7 +38,12 @@ def guess(faces: Tensor, count: int) -> Guess:
 
     Nor if the kernels of `queue_guessed` are not made for so many.
     """
-    return _last_open.get((faces.shape[0], count), CLOSED)
+    return _last_open.get((faces.shape[0], count)) or CLOSED
+
+
+def is_hopeless(faces: Tensor, count: int) -> bool:
+    """True if the last open mesh with as many faces and vertices has numbers that are not to be guessed by."""
+    return _last_open.get((faces.shape[0], count), CLOSED) is None
 
 
 def remember(faces: Tensor, count: int, edges: Tensor) -> None:
@@ -46,11 +51,13 @@ def remember(faces: Tensor, count: int, edges: Tensor) -> None:
     unmatched = pairing_of(faces, count).unmatched.shape[0]
     key = faces.shape[0], count
     _last_open.pop(key, None)
+    if unmatched == 0:
+        return
     # Loops that meet are not followed on the device.
-    if 0 < unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0])):
-        _last_open[key] = Guess(unmatched, edges.shape[0])
-        while len(_last_open) > MOST_KEPT:
-            _last_open.popitem(last=False)
+    possible = unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0]))
+    _last_open[key] = Guess(unmatched, edges.shape[0]) if possible else None
+    while len(_last_open) > MOST_KEPT:
+        _last_open.popitem(last=False)
 
 
 def is_right(guessed: Guess, faces: Tensor, count: int) -> bool:

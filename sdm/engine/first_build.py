@@ -1,0 +1,53 @@
+"""Build of a mesh never seen before, whose boundary is found while its tree is made.
+
+What a mesh's faces say has to be known on the host before the kernels for its boundary can be launched. A wait for that
+would leave the device idle while the host prepares all that follows; so the kernels that do not depend on it are queued
+first, and by the time that they are the answer is there.
+"""
+
+from __future__ import annotations
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.engine.acceleration import (
+    AccelerationStructure,
+    Sizes,
+    fill_boundary,
+    fill_surface,
+    kind_of,
+    topology_for,
+)
+from sdm.runtime.torch_warp import as_warp, on_current_stream
+from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.face_pairing import PairingUnderWay, remember
+
+
+def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure, MeshTopology]:
+    """The structure of one mesh whose faces were never seen, and their topology; both contiguous, (V,3) and (F,3).
+
+    Raises:
+        MeshError: A face index out of range.
+    """
+    count, device, batch = vertices.shape[0], vertices.device, vertices[None]
+    under_way = PairingUnderWay(faces, count)
+    # The kernels trust the faces, which only later turn out to be out of range.
+    within = faces.clamp(0, count - 1)
+    closed = AccelerationStructure.empty(Sizes(1, faces.shape[0], 0, kind_of(0, faces.shape[0])), device)
+    room = torch.empty(6, dtype=torch.float32, device=device)
+    with on_current_stream(vertices, vertices, within):
+        bounds = as_warp(room, wp.float32)
+        fill_surface(closed.view, batch, within, under_way.neighbours, bounds)
+        remember(faces, count, under_way.finish())
+        topology = topology_for(vertices, faces)
+        edges = topology.boundary.shape[0]
+        if edges == 0:
+            return closed, topology
+        sizes = Sizes(1, faces.shape[0], edges, kind_of(edges, faces.shape[0]))
+        structure = AccelerationStructure.empty(sizes, device)
+        # The arrays of a closed mesh come first, at the same places.
+        length = closed.memory[0].shape[0]
+        structure.memory[0][:length].copy_(closed.memory[0])
+        fill_boundary(structure, batch, topology, bounds)
+    return structure, topology

@@ -1,0 +1,41 @@
+"""The build of a mesh never seen before: bit for bit that of one whose topology is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.bench.common.meshes import load_case
+from sdm.engine.acceleration import build
+from sdm.engine.first_build import build_first
+from sdm.engine.ops import structure_slab
+from sdm.errors import MeshError
+from sdm.topology.face_pairing import is_known
+
+
+@pytest.mark.parametrize("name", ["torus-500", "open hemisphere", "random soup", "unmerged sphere", "three sheets"])
+def test_the_same_structure(name):
+    case = load_case(name)
+    vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
+    found, topology = build_first(vertices, faces)
+    assert is_known(faces, vertices.shape[0])
+    expected = build(vertices[None], faces.clone())
+    assert found.sizes == expected.sizes
+    assert topology.boundary.shape[0] == expected.sizes.edges
+    for array in ("corners", "lattice", "face"):
+        assert np.array_equal(getattr(found.view.tree, array).numpy(), getattr(expected.view.tree, array).numpy())
+    grid = sdm.Grid([-1.1] * 3, [0.2] * 3, [12] * 3)
+    for ours, theirs in zip(structure_slab(found, grid, 0, 12), structure_slab(expected, grid, 0, 12), strict=True):
+        assert torch.equal(ours, theirs)
+
+
+@pytest.mark.parametrize("bad", [-1, 1000])
+def test_a_face_out_of_range_is_refused(bad):
+    case = load_case("torus-500")
+    faces = torch.from_numpy(case.faces).clone()
+    faces[7, 1] = bad
+    with pytest.raises(MeshError, match=f"uses vertex {bad}, but the"):
+        build_first(torch.from_numpy(case.vertices), faces)
+    assert not is_known(faces, len(case.vertices))
