@@ -1,4 +1,4 @@
-"""The build of a mesh never seen before: bit for bit that of one whose topology is known."""
+"""Builds: of meshes never seen before, bit for bit that of known ones; of too many triangles, refused."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import sdm
-from sdm.bench.common.meshes import load_case
+from sdm.bench.common.meshes import cube, load_case
 from sdm.engine.acceleration import build
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import structure_slab
@@ -39,3 +39,10 @@ def test_a_face_out_of_range_is_refused(bad):
     with pytest.raises(MeshError, match=f"uses vertex {bad}, but the"):
         build_first(torch.from_numpy(case.vertices), faces)
     assert not is_known(faces, len(case.vertices))
+
+
+def test_too_many_triangles():
+    vertices, faces = (torch.tensor(array) for array in cube())
+    batch = vertices[None].expand(10_000_000, -1, -1)
+    with pytest.raises(MeshError, match="10,000,000 meshes of 12 triangles are more than the 100,000,000"):
+        build(batch, faces)
