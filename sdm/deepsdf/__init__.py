@@ -8,6 +8,7 @@ from sdm.deepsdf.infer.code_file import ShapeCode, load_code, save_code
 from sdm.deepsdf.infer.encode import encode_meshes, encode_scan
 from sdm.deepsdf.infer.estimate_codes import Estimate, estimate_codes
 from sdm.deepsdf.infer.isosurface import decode_mesh, decode_near_surface
+from sdm.deepsdf.infer.paper_measures import PaperMeasures, earth_movers_distance
 from sdm.deepsdf.infer.scan import Scan, half_of
 from sdm.deepsdf.infer.scores import ShapeScores, box_diagonal, chamfer_distance, score_shape
 from sdm.deepsdf.infer.sphere_trace import interpolation_strip, render, save_picture, sphere_trace
@@ -21,6 +22,7 @@ __all__ = [
     "DeepSDF",
     "Estimate",
     "LocalDecoder",
+    "PaperMeasures",
     "PublishedDecoder",
     "Scan",
     "Settings",
@@ -30,6 +32,7 @@ __all__ = [
     "chamfer_distance",
     "decode_mesh",
     "decode_near_surface",
+    "earth_movers_distance",
     "encode_meshes",
     "encode_scan",
     "estimate_codes",

@@ -1,4 +1,4 @@
-"""Scores of a surface: the paper's Chamfer distance, distances in the mesh's unit, and overlap.
+"""Scores of a surface: the paper's measures, distances in the mesh's unit, and overlap.
 
 The paper's Chamfer distances are not in the unit sphere that its network sees. Its evaluation undoes that normalisation
 (`gen_points / scale - offset` in deep_sdf/metrics/chamfer.py of github.com/facebookresearch/DeepSDF at 48c19b8, against
@@ -10,7 +10,7 @@ github.com/fwilliams/point-cloud-utils, issue 53, has sides of 0.230, 0.400 and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import Tensor
@@ -18,6 +18,7 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
+from sdm.deepsdf.infer.paper_measures import PaperMeasures, paper_measures
 from sdm.deepsdf.samples import UnitSphere, surface_points
 from sdm.engine.mesh_index import MeshIndex
 from sdm.metrics import dice
@@ -27,8 +28,8 @@ POINTS = 30_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapeScores:
-    """Scores of one shape.
+class ShapeScores(PaperMeasures):
+    """Scores of one shape: those of `PaperMeasures` (earth mover's distance, accuracy, completion, normals), and these.
 
     Args:
         chamfer: 1000 times the sum of both mean squared distances between 30,000 random points of each surface, in
@@ -97,7 +98,9 @@ def score_shape(
     unit = [sphere.to_unit(p) for p in (found, right, again)]
     chamfer, floor = chamfer_distance(unit[0], unit[1]), chamfer_distance(unit[1], unit[2])
     diagonal = box_diagonal(truth) / sphere.radius
+    more = paper_measures(own, index, box_diagonal(truth), seed=seed)
     return ShapeScores(
+        **asdict(more),
         chamfer=chamfer,
         chamfer_floor=floor,
         chamfer_surface=1000 * squares,
