@@ -1,8 +1,9 @@
 """Fuzz the readers and the numerics: `python -m sdm.bench.fuzz --minutes 10 --out FILE.json`.
 
-Parts: `mesh_files`, `map_files`, `datasets`, `models` (damage to bytes: right, or refused in one sentence) and
-`numerics` (random nasty meshes against the float64 brute force). Trial number n of a seed is always the same, whatever
-came before it: `--first n --trials 1` runs it again.
+Parts: `mesh_files`, `map_files`, `datasets`, `models` (damage to bytes: right, or refused in one sentence), `numerics`
+(random nasty meshes against the float64 brute force) and `near_degenerate` (slivers and T-junctions against exact
+rational arithmetic). Trial number n of a seed is always the same, whatever came before it: `--first n --trials 1` runs
+it again.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from sdm.bench.common.machine import describe
 from sdm.bench.fuzz.trial import Finding, Outcome
 from sdm.core.random import derive_seed
 
-PARTS = ("numerics", "mesh_files", "map_files", "datasets", "models")
+PARTS = ("numerics", "near_degenerate", "mesh_files", "map_files", "datasets", "models")
+NUMERIC = {"numerics", "near_degenerate"}
 # A trial that takes longer hangs, as far as a user is concerned.
 MOST_SECONDS = 30.0
 
@@ -47,9 +49,9 @@ def run_trial(part: str, seed: int, number: int) -> tuple[Outcome | None, str]:
 
 def fuzz(parts: Sequence[str], seed: int, minutes: float, first: int = 0, trials: int | None = None) -> dict[str, Any]:
     """Run trials of the parts by turns until the time is over; what was tried, refused and found."""
-    if "numerics" in parts:
+    for part in sorted(NUMERIC & set(parts)):
         # Kernels compile once, which is no trial's fault.
-        run_trial("numerics", seed, first)
+        run_trial(part, seed, first)
     report: dict[str, Any] = {part: {"trials": 0, "refused": 0, "kinds": Counter(), "findings": []} for part in parts}
     stop = time.monotonic() + 60 * minutes
     number = first

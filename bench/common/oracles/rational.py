@@ -67,3 +67,52 @@ def _from_segment(p: Vector, start: Vector, end: Vector) -> Fraction:
         beyond = _minus(p, end)
         return _dot(beyond, beyond)
     return _dot(to_point, to_point) - along**2 / length2
+
+
+def winding_number(corners: np.ndarray, point: np.ndarray, seed: int = 0) -> int:
+    """The winding number of triangles (F,3,3) that close a surface, around a point (3,) off it, exactly.
+
+    Signed crossings of a ray. Its direction is drawn again where it meets an edge, so nothing is rounded or nudged.
+
+    Raises:
+        ValueError: The point lies on the surface.
+    """
+    rng = np.random.default_rng(seed)
+    p = _vector(point)
+    triangles = [tuple(_minus(_vector(row), p) for row in corner) for corner in corners]
+    for _ in range(_DIRECTIONS):
+        crossings = _crossings(triangles, _vector(rng.integers(-(10**6), 10**6, 3)))
+        if crossings is not None:
+            return crossings
+    raise ValueError("the point lies on the surface")
+
+
+# A random direction meets an edge with next to no probability, unless the point is on the surface.
+_DIRECTIONS = 8
+
+
+def _crossings(triangles: list[tuple[Vector, ...]], ray: Vector) -> int | None:
+    """Signed crossings of a ray from the origin; None if it meets an edge or starts on a triangle."""
+    total = 0
+    for a, b, c in triangles:
+        sides = [_dot(ray, _cross(u, v)) for u, v in ((a, b), (b, c), (c, a))]
+        if any(s > 0 for s in sides) and any(s < 0 for s in sides):
+            continue
+        if not any(sides):
+            # Edge-on, or without area: touched only if the ray's line meets one of its edges.
+            if _touches(a, b, ray) or _touches(b, c, ray) or _touches(c, a, ray):
+                return None
+            continue
+        volume = _dot(a, _cross(b, c))
+        if volume == 0 or not all(sides):
+            return None
+        # The ray leaves through a face that it sees from behind.
+        if (volume > 0) == (sides[0] > 0):
+            total += 1 if sides[0] > 0 else -1
+    return total
+
+
+def _touches(u: Vector, v: Vector, ray: Vector) -> bool:
+    """True unless the segment u-v clearly misses the ray from the origin, all four in one plane."""
+    across = _cross(ray, u), _cross(ray, v)
+    return _dot(*across) <= 0

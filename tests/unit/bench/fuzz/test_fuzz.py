@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import pytest
 
+import sdm
 from sdm.bench.fuzz.__main__ import PARTS, fuzz, run_trial
 from sdm.bench.fuzz.trial import Finding, one_sentence
 from sdm.errors import FormatError
 
-TRIALS = {"numerics": 6, "mesh_files": 120, "map_files": 80, "datasets": 25, "models": 40}
+# Half a minute together on an idle core.
+TRIALS = {
+    "numerics": 20,
+    "near_degenerate": 25,
+    "mesh_files": 800,
+    "map_files": 500,
+    "datasets": 40,
+    "models": 150,
+}
 LONG = 60.0
 
 
@@ -18,12 +27,26 @@ def test_nothing_is_found(part):
     assert report["trials"] == TRIALS[part]
     assert not report["findings"]
     # Much of the damage is refused, or nothing was damaged.
-    assert part == "numerics" or report["refused"] > TRIALS[part] // 4
+    assert part in ("numerics", "near_degenerate") or report["refused"] > TRIALS[part] // 4
 
 
 def test_a_trial_is_its_number():
     first = [run_trial("map_files", 3, number) for number in range(4)]
     assert [run_trial("map_files", 3, number) for number in (3, 1)] == [first[3], first[1]]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda values: values * 1.0001, "over_limit"),
+        (lambda values: -values, "wrong_signs"),
+    ],
+)
+def test_wrong_values_beside_slivers_are_found(monkeypatch, change, said):
+    right = sdm.signed_distance
+    monkeypatch.setattr(sdm, "signed_distance", lambda *args, **options: change(right(*args, **options)))
+    sentences = [run_trial("near_degenerate", 1, number)[1] for number in range(8)]
+    assert any("points" in sentence and f"{said}=0" not in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from sdm.bench.common.degenerate_meshes import thin_soup
+from sdm.bench.common.degenerate_meshes import filled_t_junctions, thin_soup
+from sdm.bench.common.mesh_formulas import cube, inverted, joined, moved, sphere
 from sdm.bench.common.oracles import rational
 from tests.helpers import oracle
 
@@ -48,3 +49,27 @@ def test_against_the_float64_brute_force(kind):
         expected = oracle.distance(vertices, faces, points)[0]
         found = rational.distance(vertices, faces, points)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 if kind == "any" else 1e-10)
+
+
+@pytest.mark.parametrize("solid", [filled_t_junctions, lambda: joined(sphere(3), moved(inverted(sphere(3)), 0.5))])
+def test_winding_numbers_against_the_float64_brute_force(solid):
+    vertices, faces = solid()
+    points = np.random.default_rng(5).uniform(-1.5, 1.5, (40, 3)).astype(np.float32)
+    found = [rational.winding_number(vertices[faces], point) for point in points]
+    np.testing.assert_allclose(found, oracle.winding_number(vertices, faces, points), rtol=0, atol=1e-6)
+    assert 0 < np.count_nonzero(found) < len(found)
+
+
+def test_winding_numbers_in_line_with_edges():
+    """On the lines of edges, in the planes of faces, and beside a triangle without area."""
+    vertices, faces = cube()
+    flat = np.concatenate([faces, [[0, 0, 1], [2, 2, 2]]])
+    for point, expected in [([0, 0, 0], 1), ([0, 0, 3], 0), ([2, 1, 1], 0), ([1, 1, 3], 0), ([3, 3, 3], 0)]:
+        assert rational.winding_number(vertices[flat], np.array(point, np.float32)) == expected
+
+
+@pytest.mark.parametrize("point", [[1, 0.25, 0.5], [1, 1, 0], [1, 1, 1]], ids=["face", "edge", "corner"])
+def test_no_winding_number_on_the_surface(point):
+    vertices, faces = cube()
+    with pytest.raises(ValueError, match="on the surface"):
+        rational.winding_number(vertices[faces], np.array(point, np.float32))
