@@ -24,7 +24,7 @@ from sdm.kernels.bvh.tree import (
     write_box,
     write_corners,
 )
-from sdm.kernels.geometry.hilbert import curve_bits, curve_code
+from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import lessen
@@ -252,7 +252,7 @@ def build_in_frame(
     device = vertices.device
     meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
-    bits = curve_bits(faces.shape[0])
+    bits = COARSE_BITS if faces.shape[0] <= FEW else FINE_BITS
     launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())

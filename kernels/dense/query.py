@@ -25,7 +25,7 @@ from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.geometry.voxel_grid import Output, Slab
 from sdm.kernels.launch import set_array, threads
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
-from sdm.kernels.primitives.shared_stacks import stack_room
+from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.kernels.winding.winding_number import Winding
 
@@ -116,8 +116,9 @@ def run_stages(
     work = make_workspace(plan, empty)
     grid, pool, cache, schedule = work.grid, work.pool, work.cache, work.schedule
     regions, cells, shares, blocks = work.regions, work.cells, work.share_witnesses, work.blocks
-    stacks = empty(stack_room(workers(max(REGION_BLOCKS_PER_SM, SELECT_BLOCKS_PER_SM, BLOCKS_PER_SM)), gpu), wp.int32)
-    scratch = empty(1 if gpu else workers(BLOCKS_PER_SM) * SCRATCH_ROWS * 4, wp.float32)
+    # On a GPU they are in shared memory.
+    stacks = empty(1 if gpu else workers(1) * STACK, wp.int32)
+    scratch = empty(1 if gpu else workers(1) * SCRATCH_ROWS * 4, wp.float32)
     merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
     out.missed.zero_()
     for first in range(plan.passes):

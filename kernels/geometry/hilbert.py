@@ -6,16 +6,11 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Bits of a place along an axis: of few triangles, of more (each eight bits in all take the sort another pass), and of
+# Bits of a place along an axis: of FEW triangles, of more (each eight bits in all take the sort another pass), and of
 # points, of which there may be many more to a triangle.
 COARSE_BITS, FINE_BITS = 8, 10
 FEW = 1 << 17
 POINT_BITS = 13
-
-
-def curve_bits(triangles: int) -> int:
-    """Bits of a place along an axis, for a mesh of so many triangles."""
-    return COARSE_BITS if triangles <= FEW else FINE_BITS
 
 
 @wp.func

@@ -1,4 +1,7 @@
-"""Stacks of a group of lanes in shared memory: nodes, leaves, triangles, features, as whole numbers."""
+"""Stacks of a group of lanes in shared memory: nodes, leaves, triangles, features, as whole numbers.
+
+On a CPU they are in an array, of STACK numbers a worker; a GPU takes nothing from it.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +39,3 @@ def stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp
 def small_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
     """`stack_of` for few (SMALL_STACK), in a kernel that needs its shared memory for something else."""
     ...
-
-
-def stack_room(workers: int, gpu: bool) -> int:
-    """Length of the array that `stack_of` and `small_stack_of` take a worker's stack from."""
-    return 1 if gpu else workers * STACK

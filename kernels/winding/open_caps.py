@@ -27,7 +27,7 @@ from sdm.kernels.primitives.lanes import (
     sum_of_lanes_in_double,
     wait_for_lanes,
 )
-from sdm.kernels.primitives.shared_stacks import stack_of, stack_room
+from sdm.kernels.primitives.shared_stacks import STACK, stack_of
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
 from sdm.kernels.winding.cap_field import (
     FULL,
@@ -257,7 +257,7 @@ def open_caps(
         lanes, workers = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
-    stacks = empty(stack_room(workers, device.is_cuda), wp.int32)
+    stacks = empty(1 if device.is_cuda else workers * STACK, wp.int32)
     boxes = empty(1, wp.int32)
     for level, (size, tolerance, room) in enumerate(zip(SIZES, TOLERANCES, ROOMS, strict=True)):
         cells, eighths = ([-(-n // edge) for n in shape] for edge in (size, size // 2))

@@ -158,14 +158,15 @@ class AccelerationStructure:
     pieces: tuple[int, ...] = ()
 
     @classmethod
-    def empty(cls, sizes: Sizes, device: torch.device) -> AccelerationStructure:
-        """A structure without content: one allocation, and one tensor to tell of the streams that read it."""
-        return cls.over(torch.empty(_layout(sizes)[0], dtype=torch.uint8, device=device), sizes)
+    def in_block(cls, sizes: Sizes, device: torch.device, block: Tensor | None = None) -> AccelerationStructure:
+        """The structure whose arrays are parts of one block of bytes, by default a new one without content.
 
-    @classmethod
-    def over(cls, block: Tensor, sizes: Sizes) -> AccelerationStructure:
-        """The structure whose arrays are parts of a block of bytes, as those of `empty` are."""
-        return cls(sizes, (block,), _view_of_block(sizes, block.data_ptr(), block.device), _layout(sizes)[2])
+        That is one allocation, and one tensor to tell of the streams that read it.
+        """
+        length, _, pieces = _layout(sizes)
+        if block is None:
+            block = torch.empty(length, dtype=torch.uint8, device=device)
+        return cls(sizes, (block,), _view_of_block(sizes, block.data_ptr(), block.device), pieces)
 
     @classmethod
     def from_tensors(cls, tensors: Sequence[Tensor], kind: int, meshes: int) -> AccelerationStructure:
@@ -310,7 +311,7 @@ def queue_build(
     """
     meshes, count, edges = vertices.shape[0], faces.shape[0], topology.boundary.shape[0]
     sizes = Sizes(meshes, count, edges, kind_of(edges, count))
-    structure = AccelerationStructure.empty(sizes, vertices.device)
+    structure = AccelerationStructure.in_block(sizes, vertices.device)
     with on_current_stream(vertices, vertices, faces, *topology):
         bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
         fill_surface(structure.view, vertices, faces, topology.neighbours, as_warp(bounds, wp.float32), join)

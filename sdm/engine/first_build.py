@@ -34,7 +34,7 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
     under_way = PairingUnderWay(faces, count)
     # The kernels trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, count - 1)
-    closed = AccelerationStructure.empty(Sizes(1, faces.shape[0], 0, kind_of(0, faces.shape[0])), device)
+    closed = AccelerationStructure.in_block(Sizes(1, faces.shape[0], 0, kind_of(0, faces.shape[0])), device)
     room = torch.empty(6, dtype=torch.float32, device=device)
     with on_current_stream(vertices, vertices, within):
         bounds = as_warp(room, wp.float32)
@@ -45,7 +45,7 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
         if edges == 0:
             return closed, topology
         sizes = Sizes(1, faces.shape[0], edges, kind_of(edges, faces.shape[0]))
-        structure = AccelerationStructure.empty(sizes, device)
+        structure = AccelerationStructure.in_block(sizes, device)
         # The arrays of a closed mesh come first, at the same places.
         length = closed.memory[0].shape[0]
         structure.memory[0][:length].copy_(closed.memory[0])

@@ -176,4 +176,4 @@ def _queue_guessed_map(
 
 
 def _queue_index_map(sizes: Sizes, grid: Grid, verify: Verify, block: Tensor) -> tuple[Tensor, Tensor]:
-    return structure_slab(AccelerationStructure.over(block, sizes), grid, 0, grid.shape[0])
+    return structure_slab(AccelerationStructure.in_block(sizes, block.device, block), grid, 0, grid.shape[0])

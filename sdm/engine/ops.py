@@ -218,7 +218,7 @@ def _slab_distances(
     scales = scales_of(structure.view.tree, meshes)
     wanted = {scale: finer(slices, scale, structure.sizes.faces, options.slice_factors) for scale in set(scales)}
     times = [wanted[scale] for scale in scales]
-    if len(set(times)) == 1 and has_room(slices, times[0], meshes):
+    if set(times) == {AS_IT_IS} or (len(set(times)) == 1 and has_room(slices, times[0], meshes)):
         return query(structure, slices, times[0])
     # One by one, so that what a mesh's map is does not depend on the others of the batch.
     found = [query(structure.of_mesh(mesh), slices, times[mesh]) for mesh in range(meshes)]
