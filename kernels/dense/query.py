@@ -11,14 +11,13 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
-from sdm.kernels.dense.block.shared_layout import SCRATCH_ROWS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS_PER_SM, list_regions
 from sdm.kernels.dense.stage3_cells import CELL_BLOCKS_PER_SM, list_cells
 from sdm.kernels.dense.stage4_blocks import SCHEDULE_BLOCKS_PER_SM, schedule_blocks
 from sdm.kernels.dense.stage5_select import SELECT_BLOCKS_PER_SM, select_features
-from sdm.kernels.dense.stage6_measure import measure_blocks
+from sdm.kernels.dense.stage6_measure import measure_blocks, scratch_rows
 from sdm.kernels.dense.stage7_merge import SPLIT_BLOCKS_PER_SM, begin_split, end_split
 from sdm.kernels.dense.voxel_search import mend_slab, search_slab
 from sdm.kernels.dense.workspace import make_workspace
@@ -49,6 +48,8 @@ class Target(NamedTuple):
     ambiguous: wp.array  # (meshes,) int32: voxels whose winding number is within 0.25 of 0.5 are added
     # (1,) int64: where the distances go, if not to `values`, which then is scratch; known only when kernels run.
     address: wp.array | None
+    # (meshes * n * ny * nz,) int32: what each distance is from, see `dense.block.winners`; the plan then has no splits.
+    winners: wp.array | None = None
 
 
 def query_slab(
@@ -84,6 +85,7 @@ def query_slab(
     set_array(out, "ambiguous", target.ambiguous)
     set_array(out, "missed", empty(1, wp.int32))
     set_array(out, "address", empty(1, wp.int64) if target.address is None else target.address)
+    set_array(out, "winners", empty(0, wp.int32) if target.winners is None else target.winners)
     if plan.method == "search":
         join()
         search_slab(surface.tree, slab, out, values.shape[0])
@@ -118,7 +120,7 @@ def run_stages(
     regions, cells, shares, blocks = work.regions, work.cells, work.share_witnesses, work.blocks
     # On a GPU they are in shared memory.
     stacks = empty(1 if gpu else workers(1) * STACK, wp.int32)
-    scratch = empty(1 if gpu else workers(1) * SCRATCH_ROWS * 4, wp.float32)
+    scratch = empty(1 if gpu else workers(1) * scratch_rows(out.winners.shape[0] > 0) * 4, wp.float32)
     merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
     out.missed.zero_()
     for first in range(plan.passes):

@@ -7,6 +7,8 @@ of the octant; then measures one feature in one eighth a lane. In the end all vo
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
@@ -23,10 +25,18 @@ from sdm.kernels.dense.block.feature_setup import (
     next_batch,
     tests_of,
 )
-from sdm.kernels.dense.block.min_values import clear_values, measure_item
 from sdm.kernels.dense.block.octant_tests import eighths_of, octants_in_slab, octants_of
-from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, scratch_of
-from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, read_windings, write_coordinates, write_voxels
+from sdm.kernels.dense.block.shared_layout import BATCH, ITEMS, MOST_ITEMS, PAIRS, SCRATCH_ROWS
+from sdm.kernels.dense.block.voxels import NEAR_ENDS, Block, write_coordinates
+from sdm.kernels.dense.block.winners import (
+    NO_WINNERS,
+    WINNER_ROWS,
+    begin_block,
+    end_block,
+    measure_one,
+    note_feature,
+    worker_scratch,
+)
 from sdm.kernels.dense.block_schedule import BlockSchedule, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CandidateLists, ChunkPool, Reader, read_entry, read_on, start_reading
@@ -49,7 +59,15 @@ FACES, EDGES, CORNERS = 0, 64, 128
 
 @wp.func
 def measure_features(
-    scratch: wp.uint64, batch: FeatureBatch, octants: int, room: float, near: bool, turned: bool, lane: int, lanes: int
+    scratch: wp.uint64,
+    batch: FeatureBatch,
+    octants: int,
+    room: float,
+    near: bool,
+    turned: bool,
+    winners: Any,
+    lane: int,
+    lanes: int,
 ):
     """Measure the lanes' features, whose rows are written, where they matter in the block's `octants` (bits) for each.
 
@@ -83,7 +101,7 @@ def measure_features(
             items = items - taken
             if lane < taken:
                 item = queue_entry(scratch, ITEMS, items + lane)
-                measure_item(scratch, item, kind_of(batch, item & (BATCH - 1)), room, near, turned)
+                measure_one(scratch, item, kind_of(batch, item & (BATCH - 1)), room, near, turned, winners)
         wait_for_lanes()
 
 
@@ -99,13 +117,13 @@ def measure_block(
     stack: wp.array(dtype=wp.int32),
     out: Output,
     block: Block,
+    winners: Any,
     lane: int,
     lanes: int,
 ):
     """Measure a block from the features of list `item`; without one, every voxel is missed."""
     write_coordinates(tree, slab, scratch, block, lane, lanes)
-    clear_values(scratch, lane, lanes)
-    read_windings(slab, out, scratch, block, lane, lanes)
+    begin_block(slab, out, scratch, block, winners, lane, lanes)
     octants = octants_in_slab(slab, block.start, block.bits)
     room = NEAR_ENDS * (block.box.half[0] + block.box.half[1] + block.box.half[2])
     wait_for_lanes()
@@ -139,20 +157,62 @@ def measure_block(
                 if which == CORNER_KIND:
                     code = stack[CORNERS + corners + lane]
                     add_corner(scratch, lane, tree, features, code, block.box, block.floor)
+                    note_feature(scratch, lane, which, code, winners)
                 elif which == EDGE_KIND:
                     code = stack[EDGES + edges + lane - batch.corners]
                     add_edge(scratch, lane, tree, features, code, block.box, block.floor)
+                    note_feature(scratch, lane, which, code, winners)
                 else:
                     code = stack[FACES + faces + lane - batch.corners - batch.edges]
                     add_face(scratch, lane, tree, features, code, block.box, block.floor)
+                    note_feature(scratch, lane, which, code, winners)
                 there = octants & octants_of(scratch, lane, tests_of(which))
             wait_for_lanes()
-            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, lane, lanes)
+            measure_features(scratch, batch, there, room, block.floor == 0.0, slab.turned != 0, winners, lane, lanes)
         wait_for_lanes()
-    unclear = write_voxels(slab, out, scratch, block, lane, lanes)
+    unclear = end_block(slab, out, scratch, block, winners, lane, lanes)
     if unclear > 0:
         fetch_add(out.ambiguous, block.mesh, unclear)
     wait_for_lanes()
+
+
+@wp.func
+def measure_scheduled(
+    thread: int,
+    lanes: int,
+    tree: Tree,
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
+    scratch: wp.array(dtype=wp.float32),
+    stacks: wp.array(dtype=wp.int32),
+    out: Output,
+    winners: Any,
+):
+    """Measure one block after the other, as long as there are any."""
+    lane = thread % lanes
+    worker = thread / lanes
+    bricks = 8 * schedule.counters[COARSE]
+    # Cells of more voxels than a block are measured brick by brick.
+    times = wp.where(grid.cell > BLOCK, 8, 1)
+    total = bricks + times * whole_blocks(schedule)
+    item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
+    while item < total:
+        listed = int(item)
+        eighth = int(-1)
+        if item >= bricks and times > 1:
+            listed = bricks + (item - bricks) / 8
+            eighth = (item - bricks) % 8
+        block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
+        if is_within(slab, block.start):
+            own = worker_scratch(scratch, worker, winners)
+            stack = small_stack_of(stacks, worker)
+            measure_block(tree, features, slab, pool, blocks, listed, own, stack, out, block, winners, lane, lanes)
+        item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
@@ -172,25 +232,63 @@ def _measure_blocks(
     out: Output,
 ):
     thread = begin + wp.tid()
-    lane = thread % lanes
-    worker = thread / lanes
-    bricks = 8 * schedule.counters[COARSE]
-    # Cells of more voxels than a block are measured brick by brick.
-    times = wp.where(grid.cell > BLOCK, 8, 1)
-    total = bricks + times * whole_blocks(schedule)
-    item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
-    while item < total:
-        listed = int(item)
-        eighth = int(-1)
-        if item >= bricks and times > 1:
-            listed = bricks + (item - bricks) / 8
-            eighth = (item - bricks) % 8
-        block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
-        if is_within(slab, block.start):
-            own = scratch_of(scratch, worker)
-            stack = small_stack_of(stacks, worker)
-            measure_block(tree, features, slab, pool, blocks, listed, own, stack, out, block, lane, lanes)
-        item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
+    measure_scheduled(
+        thread,
+        lanes,
+        tree,
+        features,
+        slab,
+        grid,
+        cache,
+        schedule,
+        pool,
+        blocks,
+        scratch,
+        stacks,
+        out,
+        NO_WINNERS,
+    )
+
+
+# In a module of its own, so that who does not ask for closest points does not wait until it is compiled.
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique")
+def _measure_winners(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
+    scratch: wp.array(dtype=wp.float32),
+    stacks: wp.array(dtype=wp.int32),
+    out: Output,
+):
+    thread = begin + wp.tid()
+    measure_scheduled(
+        thread,
+        lanes,
+        tree,
+        features,
+        slab,
+        grid,
+        cache,
+        schedule,
+        pool,
+        blocks,
+        scratch,
+        stacks,
+        out,
+        out.winners,
+    )
+
+
+def scratch_rows(wanted: bool) -> int:
+    """Rows of four floats that each worker on a CPU needs, with winners or without."""
+    return WINNER_ROWS if wanted else SCRATCH_ROWS
 
 
 def measure_blocks(
@@ -211,7 +309,9 @@ def measure_blocks(
     """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes.
 
     All else is read; `scratch` and `stacks` are for this alone. Voxels of blocks whose list found no room become
-    infinite with their sign, and are counted in `out.missed`.
+    infinite with their sign, and are counted in `out.missed`. With room for winners in `out` those are written too;
+    then no list may be cut into splits.
     """
     inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out]
-    launch(_measure_blocks, workers * lanes, inputs, out.values.device, smallest=1)
+    kernel = _measure_winners if out.winners.shape[0] else _measure_blocks
+    launch(kernel, workers * lanes, inputs, out.values.device, smallest=1)

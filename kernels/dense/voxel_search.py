@@ -7,6 +7,7 @@ import warp as wp
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
 from sdm.kernels.geometry.voxel_grid import (
+    SEARCHED,
     Output,
     Slab,
     distances_at,
@@ -38,6 +39,13 @@ def searched_distance(tree: Tree, mesh: int, point: wp.vec3, guess: int):
     return float(wp.sqrt(hit.distance2) * tree.frame[mesh * FRAME_SIZE + UNSCALE]), slot
 
 
+@wp.func
+def note_searched(out: Output, index: int, slot: int):
+    """Note that a voxel's distance is from the triangle in a slot, if that is wanted."""
+    if out.winners.shape[0] > 0:
+        out.winners[index] = 8 * slot + SEARCHED
+
+
 @wp.kernel
 def _measure(
     begin: int,
@@ -66,7 +74,9 @@ def _measure(
         k = run * length + step
         if k < slab.shape[2]:
             distance, guess = searched_distance(tree, mesh, voxel(slab, i, j, k), guess)
-            unclear = unclear + write_distance(out, index_of(slab, mesh, wp.vec3i(i, j, k)), distance)
+            index = index_of(slab, mesh, wp.vec3i(i, j, k))
+            unclear = unclear + write_distance(out, index, distance)
+            note_searched(out, index, guess)
     if unclear > 0:
         fetch_add(out.ambiguous, mesh, unclear)
 
@@ -89,8 +99,9 @@ def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
         value = read_distance(address, number)
         if value == wp.inf or value == -wp.inf:
             mesh, at = unravel(number, slab.shape)
-            distance, _slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
+            distance, slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
             put_distance(address, number, wp.where(value < 0.0, -distance, distance))
+            note_searched(out, number, slot)
         number = number + step
 
 

@@ -6,6 +6,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# A winner's number for a triangle of which it is not known what is nearest, see `dense.block.winners`.
+SEARCHED = 7
+
 
 @wp.struct
 class Slab:
@@ -108,6 +111,8 @@ class Output:
     address: wp.array(dtype=wp.int64)  # (1)
     ambiguous: wp.array(dtype=wp.int32)
     missed: wp.array(dtype=wp.int32)  # (1) voxels that were given an infinite distance, to be searched for later
+    # Of each voxel what its distance is from, see `dense.block.winners`; without elements if nobody wants to know.
+    winners: wp.array(dtype=wp.int32)
 
 
 @wp.func_native(

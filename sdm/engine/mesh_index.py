@@ -18,11 +18,13 @@ from sdm.engine.acceleration import build
 from sdm.engine.arguments import Orient, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked
+from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import LARGEST_SLAB, index_map, is_recordable, put_together, slabs_of
 from sdm.engine.ops import map_slab, points_distance, points_winding
 from sdm.engine.points import as_points, at_points
 from sdm.engine.repeated_faces import CROWDED, RepeatedFaces, repeated_faces
 from sdm.errors import MeshError
+from sdm.runtime.operators import is_eager
 from sdm.topology.boundary_edges import boundary_edges
 
 
@@ -104,7 +106,7 @@ class MeshIndex:
     def signed_distance(self, points: Any, *, return_closest: Literal[True]) -> tuple[Tensor, Closest]: ...
     def signed_distance(self, points: Any, *, return_closest: bool = False) -> Tensor | tuple[Tensor, Closest]:
         """As `sdm.signed_distance`, on this index."""
-        return at_points(self._measured, points, return_closest, self._structure, self._repeated)
+        return at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh)
 
     def distances_in(self, cube: Sequence[float], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.
@@ -130,10 +132,16 @@ class MeshIndex:
         values = points_winding(self.mesh.vertices, self.mesh.faces, at.reshape(-1, 3), self._structure)
         return values.reshape(at.shape[:-1])
 
-    def signed_distance_map(self, grid: GridLike) -> SDM:
+    @overload
+    def signed_distance_map(self, grid: GridLike, *, return_closest: Literal[False] = False) -> SDM: ...
+    @overload
+    def signed_distance_map(self, grid: GridLike, *, return_closest: Literal[True]) -> tuple[SDM, Closest]: ...
+    def signed_distance_map(self, grid: GridLike, *, return_closest: bool = False) -> SDM | tuple[SDM, Closest]:
         """As `sdm.signed_distance_map`, on this index."""
         if not isinstance(grid, Grid):
             grid = as_grid(grid, self.mesh)
+        if return_closest:
+            return self._map_with_closest(grid)
         with memory_guard(grid.nbytes, self.device, described(grid)):
             if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
                 values, ambiguous = index_map(self._structure, grid)
@@ -150,6 +158,19 @@ class MeshIndex:
         # Of a closed mesh it is known without a look at the device, which would wait for it.
         count = 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear)
         return checked(self._check, SDM(values, grid, count), self._measured)
+
+    def _map_with_closest(self, grid: Grid) -> tuple[SDM, Closest]:
+        with memory_guard(VOXEL_BYTES // 4 * grid.nbytes, self.device, f"{described(grid)} with closest points"):
+            values, ambiguous, points, faces, barycentric = closest_map(self._measured, self._structure, grid)
+            if self._repeated is not None:
+                signed, ambiguous = self._repeated.signed_slab(values[None], grid, 0)
+                values, faces = signed[0], self._repeated.faces(faces)
+        hit = Closest(points, faces, barycentric, self.mesh, grid)
+        if not is_eager(self.mesh.vertices):
+            # The same values once more, by the operator that gradients flow through.
+            return self.signed_distance_map(grid), hit
+        field = SDM(values, grid, 0 if self.closed else int(ambiguous))
+        return checked(self._check, field, self._measured), hit
 
     def slabs(
         self, grid: GridLike, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None

@@ -151,7 +151,7 @@ def _winding(at: Tensor, structure: AccelerationStructure) -> Tensor:
 
 
 @lru_cache(maxsize=64)
-def _slab(
+def slab_view(
     origin: tuple[float, ...],
     spacing: tuple[float, ...],
     shape: tuple[int, ...],
@@ -249,7 +249,7 @@ def _query_slices(
             dense.query_slab(
                 surface,
                 winding,
-                _slab(origin, slices.spacing, slices.shape, slices.first, direction),
+                slab_view(origin, slices.spacing, slices.shape, slices.first, direction),
                 dense.Target(
                     as_warp(values, wp.float32),
                     as_warp(ambiguous, wp.int32),
@@ -263,7 +263,7 @@ def _query_slices(
 
         if times == AS_IT_IS:
             return values, measure(winding, slices, values)
-        slab = _slab(origin, slices.spacing, slices.shape, slices.first, direction)
+        slab = slab_view(origin, slices.spacing, slices.shape, slices.first, direction)
         slab_winding(tree, winding, slab, as_warp(values, wp.float32), workspace(device), options.most_columns)
         return values, measured_finer(values, slices, times, partial(measure, None), options.slab_voxels)
 

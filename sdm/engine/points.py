@@ -31,6 +31,7 @@ def at_points(
     return_closest: bool,
     structure: AccelerationStructure | None,
     repeated: RepeatedFaces | None = None,
+    whole: TriangleMesh | None = None,
 ) -> Tensor | tuple[Tensor, Closest]:
     """Signed distances of points from a mesh, as `sdm.signed_distance` gives them.
 
@@ -40,6 +41,7 @@ def at_points(
         return_closest: Also return where the closest points are.
         structure: The mesh's, or None to build it here.
         repeated: The triangles that it has many times, if it has such.
+        whole: The mesh with all of these.
     """
     at = as_points(points, mesh.device)
     shape, at = at.shape[:-1], at.reshape(-1, 3)
@@ -52,4 +54,5 @@ def at_points(
     values = values.reshape(shape)
     if not return_closest:
         return values
-    return values, Closest(point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3))
+    hit = point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3)
+    return values, Closest(*hit, mesh if whole is None else whole, at.detach())

@@ -68,8 +68,9 @@ _FACE = (
 )
 
 
-def _measure(feature: tuple[str, str], places: str) -> str:
+def _measure(feature: tuple[str, str], places: str, known: str, keep: tuple[str, str]) -> str:
     rows, own = feature
+    on_gpu, on_cpu = keep
     return f"""
         {rows}
         // Two times four voxels, for a small instruction cache: bench/decisions/0001-kernel-code-size.md.
@@ -81,8 +82,7 @@ def _measure(feature: tuple[str, str], places: str) -> str:
         for (int side = 0; side < 2; ++side) {{
             {places}
 #if defined(__CUDA_ARCH__)
-            const int4 four = reinterpret_cast<const int4*>(best)[side];
-            const int known[4] = {{four.x, four.y, four.z, four.w}};
+            {known}
 #endif
             #pragma unroll
             for (int v = 0; v < 4; ++v) {{
@@ -90,9 +90,9 @@ def _measure(feature: tuple[str, str], places: str) -> str:
                 {own}
 #if defined(__CUDA_ARCH__)
                 const int value = __float_as_int(d);
-                if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);
+                {on_gpu}
 #else
-                best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];
+                {on_cpu}
 #endif
             }}
         }}
@@ -114,14 +114,22 @@ _TURNED = """
 """
 
 
-def _kinds(places: str) -> str:
-    corner, near, far, face = (_measure(feature, places) for feature in (_CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE))
+def _kinds(places: str, known: str, keep: tuple[str, str]) -> str:
+    features = _CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE
+    corner, near, far, face = (_measure(feature, places, known, keep) for feature in features)
     edge = f"if (near) {{ {near} }} else {{ {far} }}"
     return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
 
 
-@wp.func_native(
-    snippet=f"""
+def item_text(best: str, known: str, keep: tuple[str, str]) -> str:
+    """Native text that measures an item, see `work_queues`.
+
+    Args:
+        best: Declares where the values of the eighth's voxels are.
+        known: On a GPU, declares the least values `known` of four of them so far.
+        keep: Keeps what is less of voxel v of these four, on a GPU and on a CPU.
+    """
+    return f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(scratch);
     const float* number = reinterpret_cast<const float*>(scratch);
@@ -131,22 +139,37 @@ def _kinds(places: str) -> str:
     const unsigned octant = eighth & 7, in = eighth >> 3;
     const unsigned i = (octant & 4) + (in >> 1 & 2), j = (octant << 1 & 4) + (in & 2);
     const unsigned k = (octant << 2 & 4) + (in << 1 & 2);
+    {best}
+    if (turned) {{
+        const Row o = row[{LATTICE_ROW}], di = row[{LATTICE_ROW + 1}], dj = row[{LATTICE_ROW + 2}];
+        const Row dk = row[{LATTICE_ROW + 3}];
+        {_kinds(_TURNED, known, keep)}
+    }} else {{
+        const float y0 = number[{COORDINATES + 8} + j], y1 = number[{COORDINATES + 9} + j];
+        const float z0 = number[{COORDINATES + 16} + k], z1 = number[{COORDINATES + 17} + k];
+        {_kinds(_STRAIGHT, known, keep)}
+    }}
+"""
+
+
+_BEST = f"""
 #if defined(__CUDA_ARCH__)
     int* best = reinterpret_cast<int*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
 #else
     float* __restrict best = reinterpret_cast<float*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
 #endif
-    if (turned) {{
-        const Row o = row[{LATTICE_ROW}], di = row[{LATTICE_ROW + 1}], dj = row[{LATTICE_ROW + 2}];
-        const Row dk = row[{LATTICE_ROW + 3}];
-        {_kinds(_TURNED)}
-    }} else {{
-        const float y0 = number[{COORDINATES + 8} + j], y1 = number[{COORDINATES + 9} + j];
-        const float z0 = number[{COORDINATES + 16} + k], z1 = number[{COORDINATES + 17} + k];
-        {_kinds(_STRAIGHT)}
-    }}
 """
+_KNOWN = """
+            const int4 four = reinterpret_cast<const int4*>(best)[side];
+            const int known[4] = {four.x, four.y, four.z, four.w};
+"""
+_KEEP = (
+    "if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);",
+    "best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];",
 )
+
+
+@wp.func_native(snippet=item_text(_BEST, _KNOWN, _KEEP))
 def measure_item(scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool):
     """Lessen the values of an eighth's voxels to those of a feature, see `work_queues` for what an item is."""
     ...

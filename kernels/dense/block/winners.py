@@ -1,0 +1,217 @@
+"""Winners: the feature that each voxel's distance is from, noted where closest points are wanted beside distances.
+
+Stage 6 is written once. What it does otherwise where winners are wanted is here, function by function: their last
+argument but two is an array of winners, or `NO_WINNERS`.
+
+A winner is 8 * slot + number, which is 0 to 2 for a corner, 3 to 5 for an edge, 6 for the face; or `SEARCHED` if a
+search found the triangle, and not which part of it. Of features at the same distance, in float32, it is the least.
+
+The least values then are pairs (value, winner). On a GPU one atomic minimum of 64 bits does for both, the value being
+in the upper half; on a CPU both are arrays, for loops over vectors. They take the place of the winding numbers in the
+scratch memory, which are read in the end.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.dense.block.feature_setup import CORNER_KIND, EDGE_KIND
+from sdm.kernels.dense.block.min_values import clear_values, item_text, measure_item, two_at
+from sdm.kernels.dense.block.shared_layout import BATCH, MIN_VALUES, SCRATCH_ROWS, WINDING, scratch_of, write_row
+from sdm.kernels.dense.block.voxels import (
+    Block,
+    distance_of,
+    read_windings,
+    twos_of,
+    voxel_index,
+    write_two,
+    write_voxels,
+)
+from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, is_unclear, with_sign
+from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import GPU_GROUPS
+
+wp.set_module_options({"enable_backward": False})
+
+NO_WINNERS = 0
+# Numbers of the features of a batch, after all else.
+_CODES = 4 * SCRATCH_ROWS
+WINNER_ROWS = SCRATCH_ROWS + BATCH // 4
+# Values and winners, side by side.
+_FIRST_ROW, _ROWS = MIN_VALUES // 4, 256
+
+
+@wp.func
+def worker_scratch(scratch: wp.array(dtype=wp.float32), worker: int, winners: int):
+    """The address of a worker's rows of four floats."""
+    return scratch_of(scratch, worker)
+
+
+@wp.func_native(
+    snippet=f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 shared[{GPU_GROUPS} * {WINNER_ROWS}];
+    return (wp::uint64)(shared + threadIdx.x / 32 * {WINNER_ROWS});
+#else
+    return (wp::uint64)(scratch.data + 4 * (size_t)worker * {WINNER_ROWS});
+#endif
+"""
+)
+def worker_scratch(  # noqa: F811
+    scratch: wp.array(dtype=wp.float32), worker: int, winners: wp.array(dtype=wp.int32)
+) -> wp.uint64: ...
+
+
+@wp.func
+def begin_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: int, lane: int, lanes: int):
+    """No voxel of the block has a value yet; its winding numbers are on their way."""
+    clear_values(scratch, lane, lanes)
+    read_windings(slab, out, scratch, block, lane, lanes)
+
+
+@wp.func
+def begin_block(  # noqa: F811
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    winners: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+):
+    row = lane
+    while row < _ROWS:
+        write_row(scratch, _FIRST_ROW + row, float(wp.inf), float(wp.inf), float(wp.inf), float(wp.inf))
+        row = row + lanes
+
+
+@wp.func_native(snippet=f"reinterpret_cast<int*>(scratch)[{_CODES} + number] = code;")
+def write_code(scratch: wp.uint64, number: int, code: int): ...
+
+
+@wp.func
+def note_feature(scratch: wp.uint64, number: int, kind: int, code: int, winners: int):
+    """Note what feature `number` of a batch is: part code % 4 of this kind of triangle code / 4."""
+
+
+@wp.func
+def note_feature(  # noqa: F811
+    scratch: wp.uint64, number: int, kind: int, code: int, winners: wp.array(dtype=wp.int32)
+):
+    first = wp.where(kind == CORNER_KIND, 0, wp.where(kind == EDGE_KIND, 3, 6))
+    write_code(scratch, number, 8 * (code / 4) + first + code % 4)
+
+
+@wp.func
+def measure_one(scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool, winners: int):
+    """`measure_item`."""
+    measure_item(scratch, item, kind, room, near, turned)
+
+
+_PAIRS = f"""
+    const int code = reinterpret_cast<const int*>(scratch)[{_CODES} + feature];
+#if defined(__CUDA_ARCH__)
+    long long* best = reinterpret_cast<long long*>(reinterpret_cast<float*>(scratch) + {MIN_VALUES}) + 64 * octant
+        + 8 * in;
+#else
+    float* __restrict best = reinterpret_cast<float*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
+    int* __restrict codes = reinterpret_cast<int*>(scratch) + {WINDING} + 64 * octant + 8 * in;
+#endif
+"""
+_KNOWN = """
+            const int* upper = reinterpret_cast<const int*>(best + 4 * side);
+            const int known[4] = {upper[1], upper[3], upper[5], upper[7]};
+"""
+_KEEP = (
+    """
+                const unsigned long long both = (unsigned long long)(unsigned)value << 32 | (unsigned)code;
+                if (counts & (value <= known[v])) atomicMin(best + 4 * side + v, (long long)both);
+    """,
+    """
+                const int at = 4 * side + v;
+                const bool wins = counts & ((d < best[at]) | ((d == best[at]) & (code < codes[at])));
+                codes[at] = wins ? code : codes[at];
+                best[at] = wins ? d : best[at];
+    """,
+)
+
+
+@wp.func_native(snippet=item_text(_PAIRS, _KNOWN, _KEEP))
+def measure_one(  # noqa: F811
+    scratch: wp.uint64,
+    item: int,
+    kind: int,
+    room: float,
+    near: bool,
+    turned: bool,
+    winners: wp.array(dtype=wp.int32),
+): ...
+
+
+@wp.func_native(
+    snippet=f"""
+#if defined(__CUDA_ARCH__)
+    // The winner of each voxel, then its value.
+    const int4 both = reinterpret_cast<const int4*>(reinterpret_cast<const float*>(scratch) + {MIN_VALUES})[number];
+    return wp::vec4i(both.y, both.w, both.x, both.z);
+#else
+    const int* value = reinterpret_cast<const int*>(scratch) + {MIN_VALUES} + 2 * number;
+    const int* code = reinterpret_cast<const int*>(scratch) + {WINDING} + 2 * number;
+    return wp::vec4i(value[0], value[1], code[0], code[1]);
+#endif
+"""
+)
+def pair_of(scratch: wp.uint64, number: int) -> wp.vec4i:
+    """The bits of the least values of the two voxels `number`, see `two_at`, and their winners."""
+    ...
+
+
+@wp.func_native(snippet="return *reinterpret_cast<const float*>(&bits);")
+def as_float(bits: int) -> float: ...
+
+
+@wp.func
+def end_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: int, lane: int, lanes: int):
+    """Write what was found of all voxels of a measured block; returns how many have unclear winding numbers."""
+    return write_voxels(slab, out, scratch, block, lane, lanes)
+
+
+@wp.func
+def end_block(  # noqa: F811
+    slab: Slab,
+    out: Output,
+    scratch: wp.uint64,
+    block: Block,
+    winners: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+):
+    # As `write_voxels` does it: no list is cut into splits here.
+    unclear = int(0)
+    missed = int(0)
+    address = distances_at(out)
+    two = lane
+    while two < twos_of(block):
+        at = two_at(two)
+        index = voxel_index(slab, block, at)
+        if index >= 0:
+            found = pair_of(scratch, two)
+            first = distance_of(block, as_float(found[0]))
+            second = distance_of(block, as_float(found[1]))
+            count = wp.min(2, slab.shape[2] - block.start[2] - at[2])
+            winding = out.values[index]
+            missed = missed + wp.where(first < float(wp.inf), 0, 1)
+            unclear = unclear + is_unclear(winding)
+            first = with_sign(first, winding)
+            winners[index] = found[2]
+            if count > 1:
+                winding = out.values[index + 1]
+                missed = missed + wp.where(second < float(wp.inf), 0, 1)
+                unclear = unclear + is_unclear(winding)
+                second = with_sign(second, winding)
+                winners[index + 1] = found[3]
+            write_two(address, index, first, second, count, slab.shape[2] % 2 == 0)
+        two = two + lanes
+    if missed > 0:
+        fetch_add(out.missed, 0, missed)
+    return unclear

@@ -1,0 +1,131 @@
+"""Maps with their closest points: the feature that each voxel's distance is from is noted while it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import AccelerationStructure, Sizes
+from sdm.engine.maps import LARGEST_SLAB, is_recordable, slabs_of
+from sdm.engine.ops import slab_view, structure_slab
+from sdm.engine.plan_override import OPTIONS
+from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
+from sdm.kernels.closest.closest_voxels import Surroundings, name_voxels
+from sdm.kernels.closest.hits import Hits
+from sdm.kernels.dense import query as dense
+from sdm.kernels.dense.cost_model import NO_SPLITS
+from sdm.kernels.dense.plan import Workload, make_plan, memory_of
+from sdm.kernels.launch import set_array
+from sdm.runtime import graphs
+from sdm.runtime.graphs import Call, Verify
+from sdm.runtime.graphs.branches import kernels_beside
+from sdm.runtime.graphs.output_slot import current_slot
+from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
+from sdm.topology.face_pairing import neighbours
+
+# Bytes of a voxel: its value, and its closest point, face and barycentric coordinates.
+VOXEL_BYTES = 4 + 12 + 4 + 12
+
+
+class ClosestMap(NamedTuple):
+    """A map and its closest points: `values` (nx,ny,nz), `ambiguous` (1,), `points`, `faces` and `barycentric`."""
+
+    values: Tensor
+    ambiguous: Tensor
+    points: Tensor
+    faces: Tensor
+    barycentric: Tensor
+
+
+def closest_map(mesh: TriangleMesh, structure: AccelerationStructure, grid: Grid) -> ClosestMap:
+    """The map of a mesh whose structure is built, with closest points; no gradients."""
+    vertices, faces = mesh.vertices.detach().contiguous(), mesh.faces.contiguous()
+    inputs = vertices, faces, neighbours(faces, vertices.shape[0])
+    if is_recordable(mesh.vertices, VOXEL_BYTES // 4 * grid.nbytes + structure.nbytes):
+        key = "closest", vertices.shape, structure.sizes, grid, OPTIONS.get()
+        call = Call(key, partial(_queue_recordable, structure.sizes, grid), (*structure.memory, *inputs))
+        return ClosestMap(*graphs.run(call))
+    found = _queue(structure, grid, *inputs)
+    if structure.device.type == "cpu" and _is_refined(structure, grid):
+        # Thick slices, whose map is measured on a finer grid and rounded otherwise.
+        values, ambiguous = structure_slab(structure, grid, 0, grid.shape[0])
+        return found._replace(values=values[0], ambiguous=ambiguous)
+    return found
+
+
+def _is_refined(structure: AccelerationStructure, grid: Grid) -> bool:
+    options, slices = OPTIONS.get(), Slices(grid.spacing, grid.shape, 0)
+    if options.method == "search":
+        return False
+    scale = scales_of(structure.view.tree, 1)[0]
+    return finer(slices, scale, structure.sizes.faces, options.slice_factors) != AS_IT_IS
+
+
+def _queue_recordable(
+    sizes: Sizes, grid: Grid, verify: Verify, block: Tensor, vertices: Tensor, faces: Tensor, around: Tensor
+) -> ClosestMap:
+    return _queue(AccelerationStructure.over(block, sizes), grid, vertices, faces, around)
+
+
+def _queue(structure: AccelerationStructure, grid: Grid, vertices: Tensor, faces: Tensor, around: Tensor) -> ClosestMap:
+    device = structure.device
+    found = ClosestMap(
+        torch.empty(grid.shape, dtype=torch.float32, device=device),
+        torch.zeros(1, dtype=torch.int32, device=device),
+        torch.empty((*grid.shape, 3), dtype=torch.float32, device=device),
+        torch.empty(grid.shape, dtype=torch.int32, device=device),
+        torch.empty((*grid.shape, 3), dtype=torch.float32, device=device),
+    )
+    with on_current_stream(vertices, structure.memory[0], vertices, faces, around) as warp_device:
+        memory = memory_of(warp_device.alias)
+        meeting: Any = Surroundings()
+        set_array(meeting, "vertices", as_warp(vertices, wp.vec3))
+        set_array(meeting, "faces", as_warp(faces, wp.int32))
+        set_array(meeting, "neighbours", as_warp(around, wp.int32))
+        for begin, end in slabs_of(grid, LARGEST_SLAB):
+            _queue_slab(structure, grid, begin, end, meeting, memory, found)
+    return found
+
+
+def _queue_slab(
+    structure: AccelerationStructure,
+    grid: Grid,
+    begin: int,
+    end: int,
+    meeting: Any,
+    memory: int | None,
+    found: ClosestMap,
+) -> None:
+    values = found.values[begin:end]
+    tree, winding, frames, features, cones = structure.view
+    direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
+    slab = slab_view(grid.origin, grid.spacing, (end - begin, *grid.shape[1:]), begin, direction)
+    work = Workload(structure.sizes.faces, tree.depth, 1, values.shape, grid.spacing, bool(slab.turned))
+    hits: Any = Hits()
+    hits.wanted = 1
+    set_array(hits, "points", as_warp(found.points[begin:end].reshape(-1, 3), wp.vec3))
+    set_array(hits, "faces", as_warp(found.faces[begin:end].reshape(-1), wp.int32))
+    set_array(hits, "barycentric", as_warp(found.barycentric[begin:end].reshape(-1, 3), wp.vec3))
+    slot = current_slot()
+    dense.query_slab(
+        dense.Surface(tree, frames, features, cones),
+        winding,
+        slab,
+        dense.Target(
+            as_warp(values[None], wp.float32),
+            as_warp(found.ambiguous, wp.int32),
+            None if slot is None else as_warp(slot.bind(values), wp.int64),
+            hits.faces,
+        ),
+        make_plan(work, memory, replace(OPTIONS.get(), split_length=NO_SPLITS)),
+        workspace(values.device),
+        partial(kernels_beside, values),
+    )
+    name_voxels(tree, slab, meeting, hits)
