@@ -2,10 +2,11 @@
 
     python -m sdm.bench.fit cases [--quick]         nine cases, as in Table 2 of Wang et al., MIDL 2020
     python -m sdm.bench.fit coverage --count 200    do 90 % intervals hold the truth in 90 % of cases? Resumable
+    python -m sdm.bench.fit mismatch --count 24     the same in images that do not fit the model. Resumable
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
 
-The first three write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
+All but the last write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
 (these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's
 distances and finite differences, as a method without our derivatives has it: `libigl` is asked about the points near
 the surface alone, which our search for them allows, `libigl-map` makes whole maps, as a mesh's signed distance map in
@@ -20,15 +21,18 @@ from pathlib import Path
 from sdm.bench.common.checkout import docs_folder, results_folder
 from sdm.bench.fit.cases import cases
 from sdm.bench.fit.coverage import coverage
+from sdm.bench.fit.mismatch import mismatch
 from sdm.bench.fit.pictures import pictures
 from sdm.bench.fit.real import real
+
+STUDIES = {"cases": cases, "coverage": coverage, "mismatch": mismatch, "real": real, "pictures": pictures}
 
 
 def main() -> None:
     """Parse the command line and run one study."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     studies = parser.add_subparsers(dest="study", required=True)
-    each = {name: studies.add_parser(name) for name in ("cases", "coverage", "real", "pictures")}
+    each = {name: studies.add_parser(name) for name in STUDIES}
     for name, study in each.items():
         study.add_argument("--out", type=Path, default=results_folder() / f"fit-{name}.json", help="results, JSON")
         study.add_argument("--device", default="cpu", help="cpu, cuda or cuda:N, for our own backends")
@@ -42,13 +46,16 @@ def main() -> None:
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
-    each["coverage"].add_argument("--budget-s", type=float, default=float("inf"), help="begin no case after this long")
-    each["coverage"].add_argument("--workers", type=int, default=1, help="processes, one thread each")
+    for name in ("coverage", "mismatch"):
+        each[name].add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
+        each[name].add_argument("--workers", type=int, default=1, help="processes, one thread each")
+    each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")
+    each["mismatch"].add_argument("--folder", type=Path, default=Path("build/fit-mismatch"), help="one file a fit")
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
     each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["pictures"].add_argument("--docs", type=Path, default=docs_folder())
     options = parser.parse_args()
-    {"cases": cases, "coverage": coverage, "real": real, "pictures": pictures}[options.study](options)
+    STUDIES[options.study](options)
 
 
 if __name__ == "__main__":
