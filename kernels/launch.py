@@ -1,4 +1,5 @@
 """Launches that cost the host little, and use every core of a CPU: Warp itself runs a CPU launch on one thread."""
+# pyright: basic
 
 from __future__ import annotations
 

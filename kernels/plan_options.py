@@ -1,4 +1,5 @@
 """Options of plans: decisions that tests and measurements take out of the cost model's hands."""
+# pyright: basic
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def row(case: Case, device: str, resolution: int, variants: int, runs: int) -> d
     grid = cube_around(case, resolution)
     graphs.clear()
     firsts, last = [], case
-    values = None
+    values = torch.empty(0)
     for number in range(variants):
         last = split(case, FEWEST_SPLIT + number)
         mesh = fresh(last, device)

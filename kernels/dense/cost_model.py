@@ -3,6 +3,7 @@
 All of it from numbers of triangles and voxels, so that every slab of a grid, and every map of a batch, is treated in
 the same way.
 """
+# pyright: basic
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 """Plan of a dense query: all decisions of the cost model about one slab, made once and before any device work."""
+# pyright: basic
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 """Signed distances at every voxel of a slab of a grid, for a batch of meshes."""
+# pyright: basic, reportGeneralTypeIssues=false
 
 from __future__ import annotations
 

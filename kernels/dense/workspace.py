@@ -1,4 +1,5 @@
 """Workspace of a dense query: the arrays that its stages write and read, of sizes that follow from the plan."""
+# pyright: basic, reportGeneralTypeIssues=false
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 """Plan of a query at scattered points: its path, and how it is shared out."""
+# pyright: basic
 
 from __future__ import annotations
 
