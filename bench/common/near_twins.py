@@ -108,7 +108,7 @@ def split_groups(
         rest: The part that everything else goes to.
         seed: Of the order.
     """
-    order = torch.randperm(len(groups), generator=generator(seed, "order of groups")).tolist()
+    order: list[int] = torch.randperm(len(groups), generator=generator(seed, "order of groups")).tolist()
     parts: dict[str, list[str]] = {**{name: [] for name in sizes}, rest: []}
     for number in order:
         name = next((n for n, size in sizes.items() if len(parts[n]) < size), rest)

@@ -6,7 +6,6 @@ of your own is in bench/README.md.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import sys
 from collections.abc import Callable, Sequence
@@ -308,31 +307,3 @@ def _affordable(peer: Peer, question: Question, budget: float) -> tuple[int, flo
     # The first call, and at least half a call more.
     most = int(budget / 1.5 / each)
     return (question.size if most >= question.size else max(TRIAL, min(most // 2, len(question.order)))), warm_up
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """`python -m sdm.bench.dense.compare`: as `sdm bench`, with nothing but sdm's own requirements."""
-    parser = argparse.ArgumentParser(
-        "python -m sdm.bench.dense.compare", description=(__doc__ or "").split("\n", maxsplit=1)[0]
-    )
-    parser.add_argument("--device", help="cpu or cuda (default: cuda if there)")
-    parser.add_argument(
-        "--meshes", nargs="+", metavar="MESH", help="names from bench/common/meshes.py, torus-N, or files"
-    )
-    parser.add_argument("--resolutions", nargs="+", type=int, metavar="N", help="voxels along each axis")
-    parser.add_argument("--points", type=int, default=0, help="also query this many scattered points")
-    parser.add_argument("--peers", nargs="+", metavar="WORD", help="only peers whose name holds a word")
-    parser.add_argument("--runs", type=int, default=5, help="timed calls for each figure")
-    parser.add_argument("--budget-s", type=float, default=30.0, help="seconds for one peer, mesh and grid")
-    parser.add_argument("--quick", action="store_true", help="small choices: under a minute on two cores")
-    parser.add_argument("--out", type=Path, help="folder for results, tables and plots, or a .json file")
-    parser.add_argument("--add", nargs="+", type=Path, default=(), metavar="FILE.py", help="meshes and peers of yours")
-    try:
-        return run(Options(**vars(parser.parse_args(argv))))
-    except sdm.SDMError as error:
-        print(error, file=sys.stderr)
-        return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

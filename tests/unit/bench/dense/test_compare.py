@@ -12,16 +12,21 @@ from sdm.bench.common.correctness import compare, rounding, voxel_centres
 from sdm.bench.common.grids import TURN
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense import accuracy
-from sdm.bench.dense import compare as run
+from sdm.bench.dense import compare as comparison
 from sdm.bench.peers import Sdm
+from sdm.cli import main
 
 pytestmark = pytest.mark.filterwarnings("default")
+
+
+def bench(words):
+    return main(["bench", *words])
 
 
 def test_comparison(tmp_path, capsys):
     out = tmp_path / "results.json"
     words = ["--device", "cpu", "--quick", "--budget-s", "0.5", "--meshes", "sphere", "--resolutions", "8"]
-    assert run.main([*words, "--points", "300", "--peers", "SDM", "winding", "--out", str(out)]) == 0
+    assert bench([*words, "--points", "300", "--peers", "SDM", "winding", "--out", str(out)]) == 0
     report = json.loads(out.read_text())
     assert [result["title"] for result in report["results"]] == ["sphere at 8^3", "sphere at 300 points"]
     for result in report["results"]:
@@ -36,10 +41,9 @@ def test_comparison(tmp_path, capsys):
 
 def test_a_fast_map_is_timed_whole_even_where_points_are_slow(tmp_path, monkeypatch):
     out = tmp_path / "results.json"
-    monkeypatch.setattr(run, "_affordable", lambda peer, question, budget: (250, 0.0))
+    monkeypatch.setattr(comparison, "_affordable", lambda peer, question, budget: (250, 0.0))
     assert (
-        run.main(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)])
-        == 0
+        bench(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)]) == 0
     )
     (row,) = json.loads(out.read_text())["results"][0]["rows"]
     assert row["asked"] == 512
@@ -47,26 +51,25 @@ def test_a_fast_map_is_timed_whole_even_where_points_are_slow(tmp_path, monkeypa
 
 def test_a_slow_peer_is_asked_less(tmp_path, monkeypatch):
     out = tmp_path / "results.json"
-    monkeypatch.setattr(run, "_whole_map_fits", lambda peer, question, budget: False)
-    monkeypatch.setattr(run, "_affordable", lambda peer, question, budget: (250, 0.0))
+    monkeypatch.setattr(comparison, "_whole_map_fits", lambda peer, question, budget: False)
+    monkeypatch.setattr(comparison, "_affordable", lambda peer, question, budget: (250, 0.0))
     assert (
-        run.main(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)])
-        == 0
+        bench(["--device", "cpu", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm", "--out", str(out)]) == 0
     )
     (row,) = json.loads(out.read_text())["results"][0]["rows"]
     assert (row["asked"], row["points"]) == (250, 250)
 
 
 def test_bad_choices_are_one_sentence(capsys):
-    assert run.main(["--peers", "nothing"]) == 2
+    assert bench(["--peers", "nothing"]) == 2
     assert "no peer's name holds any of nothing" in capsys.readouterr().err
-    assert run.main(["--device", "cpu", "--peers", "sdm", "--meshes", "teapot"]) == 2
+    assert bench(["--device", "cpu", "--peers", "sdm", "--meshes", "teapot"]) == 2
     assert "no mesh called 'teapot'" in capsys.readouterr().err
 
 
 def test_wrong_answers_are_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(Sdm, "signed_distance_map", lambda self, grid: self._index.signed_distance_map(grid).values + 1)
-    assert run.main(["--device", "cpu", "--quick", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm"]) == 1
+    assert bench(["--device", "cpu", "--quick", "--meshes", "cube", "--resolutions", "8", "--peers", "sdm"]) == 1
 
 
 def test_accuracy_report(tmp_path, monkeypatch, capsys):
