@@ -30,11 +30,11 @@ import warp as wp
 import sdm
 from sdm.bench.common.meshes import torus
 from sdm.engine import map_check, ops
-from sdm.kernels import launch
+from sdm.kernels import launch, recorded_launch
 
 PACKAGE = Path(sdm.__file__).resolve().parent
 # The launch itself is none of the functions before it, nor are those here.
-LAUNCH = launch.__file__
+LAUNCH = frozenset((launch.__file__, recorded_launch.__file__))
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def entered(call: Callable[[], object]) -> list[tuple[str, str]]:
             call()
     finally:
         sys.setprofile(None)
-    return [(file, name) for file, name in found if file not in (LAUNCH, __file__)]
+    return [(file, name) for file, name in found if file not in LAUNCH and file != __file__]
 
 
 def measured(call: Callable[[], Callable[[], object]], repeats: int) -> Report:

@@ -84,7 +84,6 @@ def query_slab(
     out.elsewhere = 0 if target.address is None else 1
     set_array(out, "values", values.flatten())
     set_array(out, "ambiguous", target.ambiguous)
-    set_array(out, "missed", empty(1, wp.int32))
     set_array(out, "address", empty(1, wp.int64) if target.address is None else target.address)
     set_array(out, "winners", empty(0, wp.int32) if target.winners is None else target.winners)
     if plan.method == "search":
@@ -123,7 +122,7 @@ def run_stages(
     stacks = empty(1 if gpu else workers(1) * STACK, wp.int32)
     scratch = empty(1 if gpu else workers(1) * scratch_rows(out.winners.shape[0] > 0) * 4, wp.float32)
     merge_threads = workers(SPLIT_BLOCKS_PER_SM) * lanes
-    out.missed.zero_()
+    set_array(out, "missed", work.missed)
     for first in range(plan.passes):
         work.begin_pass(plan, first)
         find_witnesses(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)

@@ -5,17 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import warp as wp
 
+from sdm.kernels.arrays import line_at, size_of
 from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import BOX_FLOATS, CellCache
 from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
 from sdm.kernels.dense.counters import COUNTS, LENGTHS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
-from sdm.kernels.launch import set_array
+from sdm.kernels.launch import set_array, set_number
+
+# Arrays begin at multiples of this many bytes.
+ALIGNMENT = 256
 
 
 @dataclass(slots=True)
@@ -24,7 +29,9 @@ class Workspace:
 
     Args:
         grid: The regions of a pass, set by the host before each.
+        zeros: (COUNTS + 1) int32, the counters and what was missed: zeroed before the first pass.
         counters: (COUNTS) int32, zeroed before each pass; the pool and the schedule have them too.
+        missed: (1) int32 voxels that found no room in any pass.
         cache: Boxes and witnesses: stages 1, 4 and 5 write, all read.
         pool: Entries of all lists: stages 2, 3 and 5 write.
         regions: Leaves for each region, written by stage 2 for stage 3.
@@ -35,7 +42,9 @@ class Workspace:
     """
 
     grid: Any
+    zeros: wp.array
     counters: wp.array
+    missed: wp.array
     cache: Any
     pool: Any
     regions: Any
@@ -48,13 +57,48 @@ class Workspace:
         """Set the pass that begins with region `first`, and zero the counters."""
         # Each pass takes regions from everywhere, so that no pass gets all the long lists.
         count = -(-(plan.total - first) // plan.passes)
-        self.grid.first, self.grid.count = first, count
-        self.pool.reserved = count * (plan.region_shares + 8 * plan.cell_shares)
-        self.counters.zero_()
+        grid, pool = self.grid, self.pool
+        set_number(grid, "first", first)
+        set_number(grid, "count", count)
+        set_number(pool, "reserved", count * (plan.region_shares + 8 * plan.cell_shares))
+        (self.counters if first else self.zeros).zero_()
 
 
 def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
-    """The workspace of a query; `empty(length, dtype)` allocates."""
+    """The workspace of a query, in one piece of memory; `empty(length, dtype)` allocates."""
+    # Counted by eights: bytes may be more than an array counts.
+    block = empty(_size_for(plan) // 8, wp.int64)
+    return _workspace_at(plan, block.ptr, block.device.alias)
+
+
+@lru_cache(maxsize=64)
+def _size_for(plan: Plan) -> int:
+    """Bytes of a workspace."""
+    places = _Places(0, "cpu")
+    _workspace(plan, places)
+    return places.end
+
+
+# Torch gives the same few addresses again and again, and who has memory at one is alone with it.
+@lru_cache(maxsize=64)
+def _workspace_at(plan: Plan, address: int, device: str) -> Workspace:
+    return _workspace(plan, _Places(address, device))
+
+
+class _Places:
+    """Arrays one after the other, from an address on."""
+
+    def __init__(self, address: int, device: str) -> None:
+        self.end, self._device = address, device
+
+    def __call__(self, length: int, dtype: Any) -> wp.array:
+        array = line_at(self.end, length, dtype, self._device)
+        size = length * size_of(dtype)
+        self.end += size + -size % ALIGNMENT
+        return array
+
+
+def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     most, room = plan.most, plan.blocks
     grid = RegionGrid()
     grid.regions = wp.vec3i(*plan.regions)
@@ -76,10 +120,11 @@ def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspa
     pool = ChunkPool()
     pool.chunks = plan.chunks
     set_array(pool, "entries", empty(plan.chunks * CHUNK, wp.int32))
-    counters = empty(COUNTS, wp.int32)
+    zeros = empty(COUNTS + 1, wp.int32)
+    counters, missed = zeros[:COUNTS], zeros[COUNTS:]
     set_array(pool, "counters", counters)
     set_array(schedule, "counters", counters)
-    return Workspace(grid, counters, cache, pool, regions, cells, share_witnesses, schedule, blocks)
+    return Workspace(grid, zeros, counters, missed, cache, pool, regions, cells, share_witnesses, schedule, blocks)
 
 
 def _lists(count: int, shares: int, empty: Callable[[int, Any], wp.array]) -> Any:

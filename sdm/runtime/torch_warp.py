@@ -12,12 +12,14 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
+
+from sdm.kernels import arrays
 
 # Arrays that share memory begin at multiples of this many bytes in it.
 ALIGNMENT = 256
@@ -55,45 +57,33 @@ def _warp_stream(device: str, stream: int) -> wp.Stream:
 
 def as_warp(tensor: Tensor, dtype: Any) -> wp.array:
     """A contiguous torch tensor as a Warp array over the same memory, which the array does not keep."""
-    inner = getattr(dtype, "_shape_", ())
-    outer = tensor.shape[: tensor.ndim - len(inner)]
-    size = wp.types.type_size_in_bytes(dtype)
-    if tensor.shape != outer + inner or math.prod(inner) * tensor.itemsize != size or not tensor.is_contiguous():
-        raise ValueError(
-            f"a tensor of shape {tuple(tensor.shape)} and type {tensor.dtype} is no {dtype.__name__} array"
-        )
-    return array_at(tensor.data_ptr(), tuple(outer), dtype, tensor.device)
+    shape = tuple(tensor.shape)
+    inner, size = _inner(dtype)
+    if inner:
+        outer = shape[: len(shape) - len(inner)]
+        fits = shape == outer + inner and math.prod(inner) * tensor.itemsize == size
+    else:
+        outer, fits = shape, tensor.itemsize == size
+    if not (fits and tensor.is_contiguous()):
+        raise ValueError(f"a tensor of shape {shape} and type {tensor.dtype} is no {dtype.__name__} array")
+    return arrays.array_at(tensor.data_ptr(), outer, dtype, warp_name(tensor.device))
 
 
-@lru_cache(maxsize=256)
-def _prototype(dtype: Any, dimensions: int, device: torch.device) -> tuple[dict[str, Any], Any, int]:
-    """The attributes of such an array, the type of its descriptor, and the bytes of an element."""
-    array = wp.array(ptr=1, dtype=dtype, shape=(1,) * dimensions, device=wp.device_from_torch(device), copy=False)
-    return vars(array), type(array.__ctype__()), wp.types.type_size_in_bytes(dtype)
+@cache
+def _inner(dtype: Any) -> tuple[tuple[int, ...], int]:
+    """Shape of a vector or matrix, and bytes."""
+    return tuple(getattr(dtype, "_shape_", ())), arrays.size_of(dtype)
 
 
-@lru_cache(maxsize=1024)
+@cache
+def warp_name(device: torch.device) -> str:
+    """Warp's name of a torch device."""
+    return str(wp.device_from_torch(device).alias)
+
+
 def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.device) -> wp.array:
-    """The contiguous Warp array at an address, which owns nothing.
-
-    As `wp.array(ptr=address, ...)` makes it, but in a fifth of the time: a call needs dozens. What does not depend on
-    the address and the shape is copied from another array of the type. And it may be remembered: torch's allocator
-    gives the same few addresses again and again.
-    """
-    attributes, descriptor_type, step = _prototype(dtype, len(shape), device)
-    attributes = attributes.copy()
-    descriptor = descriptor_type.__new__(descriptor_type)
-    descriptor.data, descriptor.ndim = address, len(shape)
-    strides = []
-    for axis in range(len(shape) - 1, -1, -1):
-        descriptor.shape[axis], descriptor.strides[axis] = shape[axis], step
-        strides.append(step)
-        step *= shape[axis]
-    attributes["ptr"], attributes["shape"], attributes["strides"] = address, shape, tuple(strides[::-1])
-    attributes["size"], attributes["capacity"], attributes["ctype"] = math.prod(shape), step, descriptor
-    array = object.__new__(wp.array)
-    array.__dict__ = attributes
-    return array
+    """The contiguous Warp array at an address, which owns nothing."""
+    return arrays.array_at(address, shape, dtype, warp_name(device))
 
 
 def version_of(tensor: Tensor) -> int | None:
@@ -104,22 +94,22 @@ def version_of(tensor: Tensor) -> int | None:
 def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
     """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
     kept: list[Tensor] = []
-    free, end = 0, 0
+    free, end, name = 0, 0, warp_name(device)
 
     def empty(length: int, dtype: Any) -> wp.array:
         nonlocal free, end
-        size = length * wp.types.type_size_in_bytes(dtype)
+        size = length * arrays.size_of(dtype)
         alone = size > CHUNK // 4
         # Small arrays share a chunk: to ask torch for memory costs more than to count.
         if alone or free + size > end:
             kept.append(torch.empty(size if alone else CHUNK, dtype=torch.uint8, device=device))
             address = kept[-1].data_ptr()
             if alone:
-                return array_at(address, (length,), dtype, device)
+                return arrays.line_at(address, length, dtype, name)
             free, end = address, address + CHUNK
         address = free
         free += size + -size % ALIGNMENT
-        return array_at(address, (length,), dtype, device)
+        return arrays.line_at(address, length, dtype, name)
 
     return empty
 
