@@ -10,8 +10,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels import recorded_launch
-from sdm.kernels.recorded_launch import run
+from sdm.kernels.launches import recorded
+from sdm.kernels.launches.recorded import run
 
 # Small launches cost less than waking the threads.
 SMALLEST_SHARE = 256
@@ -56,7 +56,7 @@ def launch(
         return
     # Compiled and loaded before any thread wants it. A share of a kernel whose threads fetch their work may take all of
     # it, so none runs alone.
-    with recorded_launch.loading:
+    with recorded.loading:
         kernel.module.load(device, 1)
 
     def part(begin: int) -> None:
@@ -82,5 +82,5 @@ def set_number(struct: Any, name: str, number: int) -> None:
 
 def launch_grid(kernel: wp.Kernel, dim: Any, **given: Any) -> None:
     """`wp.launch` of a kernel with `wp.tid()` of several dimensions; on a CPU by one thread at a time."""
-    with recorded_launch.loading:
+    with recorded.loading:
         wp.launch(kernel, dim=dim, **given)

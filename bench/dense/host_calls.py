@@ -30,11 +30,12 @@ import warp as wp
 import sdm
 from sdm.bench.common.meshes import torus
 from sdm.engine import map_check, ops
-from sdm.kernels import launch, recorded_launch
+from sdm.kernels import launch
+from sdm.kernels.launches import recorded
 
 PACKAGE = Path(sdm.__file__).resolve().parent
 # The launch itself is none of the functions before it, nor are those here.
-LAUNCH = frozenset((launch.__file__, recorded_launch.__file__))
+LAUNCH = frozenset((launch.__file__, recorded.__file__))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.arrays import line_at, size_of
 from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import BOX_FLOATS, CellCache
 from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
@@ -18,6 +17,7 @@ from sdm.kernels.dense.counters import COUNTS, LENGTHS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.launch import set_array, set_number
+from sdm.kernels.launches.arrays import line_at, size_of
 
 # Arrays begin at multiples of this many bytes.
 ALIGNMENT = 256

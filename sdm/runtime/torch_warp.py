@@ -19,7 +19,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.kernels import arrays
+from sdm.kernels.launches import arrays
 
 # Arrays that share memory begin at multiples of this many bytes in it.
 ALIGNMENT = 256

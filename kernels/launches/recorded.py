@@ -13,7 +13,7 @@ import threading
 from typing import Any
 
 import warp as wp
-from warp._src.context import runtime
+from warp._src import context as warp_context
 
 # Warp loads a module twice if two threads want it at once, and takes back the one while it runs.
 loading = threading.RLock()
@@ -80,12 +80,12 @@ class RecordedLaunch:
             place += 1
         call = self._call
         # Warp keeps the modules of what it records; and whoever watches launches sees them.
-        if call is None or runtime.captures or wp.Launch.launch is not _PLAIN:
+        if call is None or warp_context.runtime.captures or wp.Launch.launch is not _PLAIN:
             command.launch()
         else:
-            context, kernel, rest = call
+            of_device, kernel, rest = call
             stream = command.device.stream.cuda_stream
-            if runtime.core.wp_cuda_launch_kernel(context, kernel, count, *rest, stream, None):
+            if warp_context.runtime.core.wp_cuda_launch_kernel(of_device, kernel, count, *rest, stream, None):
                 # Once more, for the error.
                 command.launch()
 
