@@ -43,6 +43,24 @@ def keep_least(values: wp.array(dtype=wp.int32), index: int, value: int):
 
 @wp.func_native(
     snippet="""
+#if defined(__CUDA_ARCH__)
+    return atomicMin(values.data + index, value);
+#else
+    int* at = values.data + index;
+    int before = __atomic_load_n(at, __ATOMIC_RELAXED);
+    while (value < before && !__atomic_compare_exchange_n(at, &before, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED))
+        ;
+    return before;
+#endif
+"""
+)
+def fetch_least(values: wp.array(dtype=wp.int32), index: int, value: int) -> int:
+    """`keep_least` that returns what the value was before."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
     // Floats without a sign are in the order of their bits, those with one in the other order.
     int* at = reinterpret_cast<int*>(values.data) + index;
     const int bits = *reinterpret_cast<int*>(&value);

@@ -30,6 +30,11 @@ class SDM:
         ambiguous_voxels: How many voxels have a winding number within a quarter of 0.5, so that the mesh does
             not clearly say whether they are inside. 0 for closed meshes; None where nobody counted. `inside_voxels`
             is the number of negative values.
+        sign: The method that says what is inside: "winding" (the generalised winding number), "flood" (a flood from
+            outside) or "none" (nothing does: all values are distances, of at least 0). None where nobody noted it.
+        hole_size: Of "flood", the length of the narrowest gaps that the flood may pass.
+        sign_disagreements: How many voxels are inside by one of the methods "winding" and "flood", and outside by the
+            other; None where nobody compared them.
 
     `numpy.asarray(field)` and `field[i, j, k]` are its values. `torch.save` keeps it, and `torch.load` takes it once
     `sdm.SDM` was used in the process.
@@ -38,8 +43,20 @@ class SDM:
     values: Float[Tensor, "nx ny nz"]
     grid: Grid
     ambiguous_voxels: int | None
+    sign: str | None = None
+    hole_size: float | None = None
+    sign_disagreements: int | None = None
 
-    def __init__(self, values: Tensor | np.ndarray, grid: Grid, ambiguous_voxels: int | None = None) -> None:
+    def __init__(
+        self,
+        values: Tensor | np.ndarray,
+        grid: Grid,
+        ambiguous_voxels: int | None = None,
+        *,
+        sign: str | None = None,
+        hole_size: float | None = None,
+        sign_disagreements: int | None = None,
+    ) -> None:
         if isinstance(values, np.ndarray):
             # What NumPy computed is a map too; float64 is rounded, as the engine's own values are.
             if values.dtype.kind not in "fiu":
@@ -47,8 +64,14 @@ class SDM:
             values = torch.from_numpy(np.array(values, np.float32))
         if tuple(values.shape) != grid.shape:
             raise GridError(f"values of shape {tuple(values.shape)} do not fit a grid of shape {grid.shape}")
-        for name, value in (("values", values), ("grid", grid), ("ambiguous_voxels", ambiguous_voxels)):
-            object.__setattr__(self, name, value)
+        given = (values, grid, ambiguous_voxels, sign, hole_size, sign_disagreements)
+        for field, value in zip(fields(self), given, strict=True):
+            object.__setattr__(self, field.name, value)
+
+    def with_values(self, values: Tensor) -> SDM:
+        """A map with other values, and all else as it is."""
+        kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "values"}
+        return SDM(values, **kept)
 
     @cached_property
     def inside_voxels(self) -> int:
@@ -97,7 +120,7 @@ class SDM:
 
     def to(self, device: torch.device | str) -> SDM:
         """The same map on another device."""
-        moved = SDM(self.values.to(device), self.grid, self.ambiguous_voxels)
+        moved = self.with_values(self.values.to(device))
         check = self.__dict__.pop("_pending", None)
         return moved if check is None else moved.checked_by(check)
 
@@ -120,7 +143,10 @@ class SDM:
 
     def __repr__(self) -> str:
         unclear = f", {self.ambiguous_voxels:,} of them ambiguous" if self.ambiguous_voxels else ""
-        return f"SDM({self.grid.summary}{unclear}, on {self.values.device})"
+        sign = (
+            "" if self.sign in (None, "winding") else ", unsigned" if self.sign == "none" else f", sign by {self.sign}"
+        )
+        return f"SDM({self.grid.summary}{unclear}{sign}, on {self.values.device})"
 
     def sample(self, points: Any) -> Float[Tensor, "*n"]:
         """Trilinear interpolation of the map, which off the voxel centres is near the exact distance, not equal to it.

@@ -15,10 +15,10 @@ from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.arguments import Orient, described, oriented, refuse_forward_mode
+from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, quiet
-from sdm.engine.maps import batch_maps, is_recordable, mesh_map
+from sdm.engine.maps import batch_maps, is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.mesh_lists import are_meshes, box_of, grids_of
 from sdm.engine.points import at_points
@@ -34,6 +34,9 @@ def signed_distance_map(
     margin: float | None = None,
     device: str | torch.device | None = None,
     orient: Orient = "keep",
+    sign: Sign = "winding",
+    hole_size: float | None = None,
+    compare_signs: bool = False,
     return_closest: Literal[False] = False,
 ) -> SDM: ...
 @overload
@@ -45,6 +48,9 @@ def signed_distance_map(
     margin: float | None = None,
     device: str | torch.device | None = None,
     orient: Orient = "keep",
+    sign: Sign = "winding",
+    hole_size: float | None = None,
+    compare_signs: bool = False,
     return_closest: Literal[True],
 ) -> tuple[SDM, Closest]: ...
 def signed_distance_map(
@@ -55,6 +61,9 @@ def signed_distance_map(
     margin: float | None = None,
     device: str | torch.device | None = None,
     orient: Orient = "keep",
+    sign: Sign = "winding",
+    hole_size: float | None = None,
+    compare_signs: bool = False,
     return_closest: bool = False,
 ) -> SDM | tuple[SDM, Closest]:
     """The exact signed distance map of a mesh on a grid.
@@ -68,19 +77,32 @@ def signed_distance_map(
         device: Where to compute; by default a GPU if there is one. The values stay there.
         orient: `"auto"` makes faces agree and turns parts that are inside out, see `sdm.inspect.orient_outward`;
             `"keep"` takes every mesh as it is.
+        sign: `"winding"`, the generalised winding number, which needs faces that agree; `"flood"`, inside is what a
+            ball from outside cannot reach, whatever the faces say: for sheets and soups of triangles; `"none"`, no
+            sign: distances of at least 0. `MeshReport.recommended_sign` recommends one.
+        hole_size: Of `"flood"`, the ball's diameter, in the mesh's unit: gaps that are narrower are closed. By default
+            two of the grid's longest voxel edges.
+        compare_signs: Also count the voxels on which winding numbers and a flood disagree:
+            `SDM.sign_disagreements`.
         return_closest: Also return where the closest points are: 28 more bytes a voxel.
 
     Returns:
         The map, negative inside: every value is the distance to the closest point over all triangles, to within
         4 roundings of float32 at the scale of the coordinates, with the sign of the generalised winding number
         (more than 0.5 is inside). Inside is not well defined for open sheets: `ambiguous_voxels` counts where the
-        winding number is within 0.25 of 0.5. With `return_closest` also a `Closest` of each voxel's closest point,
-        (nx,ny,nz,3), its face and its barycentric coordinates there, without gradients; the values are the same.
+        winding number is within 0.25 of 0.5. By `"flood"` a closed mesh without cavities has the same map, bit for
+        bit, unless a place outside is shut off by gaps hardly wider than `hole_size`; inside is a cavity too, and what
+        an open mesh encloses. Of a mesh that reaches beyond the grid the flood sees all. The flood takes 4 to 8 bytes a
+        voxel more; its definition is in `bench/decisions/0027-signs-by-a-flood.md`.
+
+        With `return_closest` also a `Closest` of each voxel's closest point, (nx,ny,nz,3), its face and its barycentric
+        coordinates there, without gradients; the values are the same.
 
     Raises:
         DeviceError: The device is not there.
         GridError: The map does not fit into memory, or nothing says what its grid is.
         MeshError: What is given is no mesh, or one that cannot be used.
+        SDMError: A sign that there is not, or a `hole_size` that makes no sense.
 
     Warns:
         SDMWarning: The map is probably not what was meant: a mesh or a part of it inside out, faces that disagree, no
@@ -97,20 +119,27 @@ def signed_distance_map(
     if not isinstance(grid, Grid) or resolution is not None or margin is not None:
         grid = as_grid(grid, mesh, resolution, margin)
     where = choose_device(device, mesh.vertices)
+    method = SignMethod(sign, hole_size, compare_signs)
     measured = oriented(mesh, orient)
     mesh = measured.to(where)
     if return_closest:
         index = MeshIndex(mesh, where, warn=False)
-        field, hit = index.signed_distance_map(grid, return_closest=True)
+        field, hit = index.signed_distance_map(
+            grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs, return_closest=True
+        )
         return checked(MapCheck(), field, measured if index._repeated is None else index._measured), hit
-    if is_recordable(mesh.vertices, grid.nbytes):
+    if method == UNSIGNED and is_recordable(mesh.vertices, grid.nbytes):
+        refuse_forward_mode(mesh.vertices)
+        with memory_guard(grid.nbytes, mesh.device, described(grid)):
+            field = SDM(unsigned_mesh_map(mesh.vertices, mesh.faces, grid), grid, sign="none")
+    elif method.is_default and is_recordable(mesh.vertices, grid.nbytes):
         refuse_forward_mode(mesh.vertices)
         with memory_guard(grid.nbytes, mesh.device, described(grid)):
             values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
-        field = SDM(values, grid, 0 if ambiguous is None else int(ambiguous))
+        field = SDM(values, grid, 0 if ambiguous is None else int(ambiguous), sign="winding")
     else:
         index = MeshIndex(mesh, where, warn=False)
-        field = index.signed_distance_map(grid)
+        field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs)
         # Copies of a triangle are looked at once.
         measured = measured if index._repeated is None else index._measured
     return checked(MapCheck(), field, measured)

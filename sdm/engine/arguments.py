@@ -1,8 +1,10 @@
-"""Arguments of the public calls: orientation, what grids are called in errors, and derivatives that there are not."""
+"""Arguments of the public calls: orientation, signs, names of grids in errors, derivatives that there are not."""
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -10,10 +12,59 @@ from torch.autograd.forward_ad import unpack_dual
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.errors import MeshError
+from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
 
 Orient = Literal["keep", "auto"]
+Sign = Literal["winding", "flood", "none"]
+
+# Voxels that a gap is wide which a flood just passes, if nobody says otherwise.
+DEFAULT_HOLE = 2.0
+
+
+@dataclass(frozen=True)
+class SignMethod:
+    """A method by which maps are signed.
+
+    Args:
+        sign: Its name.
+        hole_size: Of a flood, the length of the narrowest gaps that it may pass; None for two voxels.
+        compare: Also count the voxels on which winding numbers and a flood disagree.
+
+    Raises:
+        SDMError: Another name, a length that makes no sense, or one for a method that takes none.
+    """
+
+    sign: Sign = "winding"
+    hole_size: float | None = None
+    compare: bool = False
+
+    def __post_init__(self) -> None:
+        if self.sign not in get_args(Sign):
+            raise SDMError(f"sign is {self.sign!r}; use 'winding', 'flood' or 'none'")
+        if self.hole_size is None:
+            return
+        if self.sign != "flood" and not self.compare:
+            raise SDMError(f"hole_size is the width of gaps for sign='flood'; with sign={self.sign!r} it says nothing")
+        try:
+            size = float(self.hole_size)
+        except (TypeError, ValueError):
+            size = math.nan
+        if not (math.isfinite(size) and size >= 0):
+            raise SDMError(f"hole_size is {self.hole_size!r}; give a length of at least 0, in the mesh's unit")
+        object.__setattr__(self, "hole_size", size)
+
+    @property
+    def is_default(self) -> bool:
+        """True if winding numbers alone are wanted."""
+        return self.sign == "winding" and not self.compare
+
+    def hole_on(self, grid: Grid) -> float:
+        """The width of gaps on a grid: what was given, or two of its longest voxel edges."""
+        return DEFAULT_HOLE * max(grid.spacing) if self.hole_size is None else self.hole_size
+
+
+UNSIGNED = SignMethod("none")
 
 
 def oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:

@@ -28,7 +28,7 @@ from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import Join, beside
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
-from sdm.topology.face_pairing import is_known, remember_closed
+from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
@@ -111,6 +111,19 @@ def index_map(structure: AccelerationStructure, grid: Grid) -> tuple[Tensor, Ten
     return values[0], ambiguous
 
 
+def unsigned_index_map(structure: AccelerationStructure, grid: Grid) -> Tensor:
+    """`index_map` without a sign."""
+    key = "unsigned index", structure.sizes, grid, OPTIONS.get()
+    work = partial(_queue_index_map, structure.sizes, grid, signed=False)
+    return graphs.run(Call(key, work, structure.memory))[0][0]
+
+
+def unsigned_mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> Tensor:
+    """`mesh_map` without a sign, for which nobody needs to know a boundary."""
+    key = "unsigned", vertices.shape[0], faces.shape[0], grid, OPTIONS.get()
+    return graphs.run(Call(key, partial(_queue_unsigned_map, grid), (vertices.detach(), faces)))[0][0]
+
+
 def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
     meshes, voxels = vertices.shape[0], math.prod(grid.shape)
@@ -175,5 +188,18 @@ def _queue_guessed_map(
     return found[0], topology.neighbours if guessed == guesses.CLOSED else found[1]
 
 
-def _queue_index_map(sizes: Sizes, grid: Grid, verify: Verify, block: Tensor) -> tuple[Tensor, Tensor]:
-    return structure_slab(AccelerationStructure.in_block(sizes, block.device, block), grid, 0, grid.shape[0])
+def _queue_unsigned_map(grid: Grid, verify: Verify, vertices: Tensor, faces: Tensor) -> tuple[Tensor]:
+    with beside(faces.device) as join:
+        _, _, neighbours = queue_pairing(faces, vertices.shape[0])
+    none = faces.new_empty((0, 2))
+    within = faces.clamp(0, vertices.shape[0] - 1)
+    structure = queue_build(vertices[None], within, MeshTopology(neighbours, none, none), join)
+    return (structure_slab(structure, grid, 0, grid.shape[0], signed=False)[0],)
+
+
+def _queue_index_map(
+    sizes: Sizes, grid: Grid, verify: Verify, block: Tensor, *, signed: bool = True
+) -> tuple[Tensor, Tensor]:
+    return structure_slab(
+        AccelerationStructure.in_block(sizes, block.device, block), grid, 0, grid.shape[0], signed=signed
+    )

@@ -15,12 +15,13 @@ from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
-from sdm.engine.arguments import Orient, described, oriented, refuse_forward_mode
+from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
+from sdm.engine.flood import negate_inside, rims_of
 from sdm.engine.map_check import MapCheck, checked
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
-from sdm.engine.maps import LARGEST_SLAB, index_map, is_recordable, put_together, slabs_of
-from sdm.engine.ops import map_slab, points_distance, points_winding
+from sdm.engine.maps import LARGEST_SLAB, index_map, is_recordable, put_together, slabs_of, unsigned_index_map
+from sdm.engine.ops import map_slab, points_distance, points_winding, structure_slab
 from sdm.engine.points import as_points, at_points
 from sdm.engine.repeated_faces import CROWDED, RepeatedFaces, repeated_faces
 from sdm.errors import MeshError
@@ -67,6 +68,7 @@ class MeshIndex:
     def _build(self) -> None:
         mesh, edges = self.mesh, self._edges
         self._repeated: RepeatedFaces | None = None
+        self._rims: Tensor | None = None
         # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
         if self.device.type == "cpu" and (
             len(mesh) >= CROWDED * mesh.vertices.shape[0]
@@ -133,54 +135,130 @@ class MeshIndex:
         return values.reshape(at.shape[:-1])
 
     @overload
-    def signed_distance_map(self, grid: GridLike, *, return_closest: Literal[False] = False) -> SDM: ...
+    def signed_distance_map(
+        self,
+        grid: GridLike,
+        *,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
+        compare_signs: bool = False,
+        return_closest: Literal[False] = False,
+    ) -> SDM: ...
     @overload
-    def signed_distance_map(self, grid: GridLike, *, return_closest: Literal[True]) -> tuple[SDM, Closest]: ...
-    def signed_distance_map(self, grid: GridLike, *, return_closest: bool = False) -> SDM | tuple[SDM, Closest]:
+    def signed_distance_map(
+        self,
+        grid: GridLike,
+        *,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
+        compare_signs: bool = False,
+        return_closest: Literal[True],
+    ) -> tuple[SDM, Closest]: ...
+    def signed_distance_map(
+        self,
+        grid: GridLike,
+        *,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
+        compare_signs: bool = False,
+        return_closest: bool = False,
+    ) -> SDM | tuple[SDM, Closest]:
         """As `sdm.signed_distance_map`, on this index."""
         if not isinstance(grid, Grid):
             grid = as_grid(grid, self.mesh)
+        method = SignMethod(sign, hole_size, compare_signs)
         if return_closest:
-            return self._map_with_closest(grid)
+            return self._map_with_closest(method, grid)
         with memory_guard(grid.nbytes, self.device, described(grid)):
-            if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
-                values, ambiguous = index_map(self._structure, grid)
-                return checked(self._check, SDM(values, grid, 0 if self.closed else int(ambiguous)), self._measured)
-            unclear = []
+            field = self._by_winding(grid) if method.is_default else self._by(method, grid)
+        return checked(self._check, field, self._measured)
 
-            def slabs() -> Iterator[tuple[int, int, Tensor]]:
-                for begin, end in slabs_of(grid, LARGEST_SLAB):
-                    values, ambiguous = self._slab(grid, begin, end)
-                    unclear.append(ambiguous)
-                    yield begin, end, values
+    def _by_winding(self, grid: Grid) -> SDM:
+        if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
+            values, ambiguous = index_map(self._structure, grid)
+            return SDM(values, grid, 0 if self.closed else int(ambiguous), sign="winding")
+        unclear = []
 
-            values = put_together(slabs(), grid.shape[0])[0]
+        def slabs() -> Iterator[tuple[int, int, Tensor]]:
+            for begin, end in slabs_of(grid, LARGEST_SLAB):
+                values, ambiguous = self._slab(grid, begin, end)
+                unclear.append(ambiguous)
+                yield begin, end, values
+
+        values = put_together(slabs(), grid.shape[0])[0]
         # Of a closed mesh it is known without a look at the device, which would wait for it.
         count = 0 if self.closed else sum(int(ambiguous) for ambiguous in unclear)
-        return checked(self._check, SDM(values, grid, count), self._measured)
+        return SDM(values, grid, count, sign="winding")
 
-    def _map_with_closest(self, grid: Grid) -> tuple[SDM, Closest]:
+    def _by(self, method: SignMethod, grid: Grid, winding: SDM | None = None) -> SDM:
+        """The map by a method other than winding numbers alone, given that one's map if it is there."""
+        if winding is None and method.compare:
+            winding = self._by_winding(grid)
+        if winding is not None:
+            distances = winding.values.abs()
+        elif is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
+            distances = unsigned_index_map(self._structure, grid)
+        else:
+            slabs = ((begin, end, self._unsigned_slab(grid, begin, end)) for begin, end in slabs_of(grid, LARGEST_SLAB))
+            distances = put_together(slabs, grid.shape[0])[0]
+        if method.sign == "none" and not method.compare:
+            return SDM(distances, grid, sign="none")
+        hole = method.hole_on(grid)
+        flooded = self._flooded(distances, grid, hole)
+        differ = None
+        if winding is not None and method.compare:
+            differ = int(((winding.values < 0) != (flooded < 0)).sum())
+        if method.sign == "flood":
+            return SDM(flooded, grid, sign="flood", hole_size=hole, sign_disagreements=differ)
+        if method.sign == "winding" and winding is not None:
+            return SDM(winding.values, grid, winding.ambiguous_voxels, sign="winding", sign_disagreements=differ)
+        return SDM(distances, grid, sign="none", sign_disagreements=differ)
+
+    def _flooded(self, distances: Tensor, grid: Grid, hole: float) -> Tensor:
+        """Distances with the sign of a flood; the gradients of those inside are turned round too."""
+        values = distances.detach().clone()
+        if self._rims is None:
+            self._rims = rims_of(self.mesh, self._edges)
+        vertices, faces = self.mesh.vertices.detach(), self._measured.faces
+        closed = self.closed and self._repeated is None
+        negate_inside(values, grid, self._structure, vertices, faces, self._rims, closed, hole)
+        return torch.where(values < 0, -distances, distances) if distances.requires_grad else values
+
+    def _map_with_closest(self, method: SignMethod, grid: Grid) -> tuple[SDM, Closest]:
         with memory_guard(VOXEL_BYTES // 4 * grid.nbytes, self.device, f"{described(grid)} with closest points"):
             values, ambiguous, points, faces, barycentric = closest_map(self._measured, self._structure, grid)
             if self._repeated is not None:
                 signed, ambiguous = self._repeated.signed_slab(values[None], grid, 0)
                 values, faces = signed[0], self._repeated.faces(faces)
         hit = Closest(points, faces, barycentric, self.mesh, grid)
-        if not is_eager(self.mesh.vertices):
+        if is_eager(self.mesh.vertices):
+            field = SDM(values, grid, 0 if self.closed else int(ambiguous), sign="winding")
+        else:
             # The same values once more, by the operator that gradients flow through.
-            return self.signed_distance_map(grid), hit
-        field = SDM(values, grid, 0 if self.closed else int(ambiguous))
+            field = self._by_winding(grid)
+        if not method.is_default:
+            field = self._by(method, grid, field)
         return checked(self._check, field, self._measured), hit
 
     def slabs(
-        self, grid: GridLike, max_bytes: int = 1 << 28, *, ambiguous: Tensor | None = None
+        self,
+        grid: GridLike,
+        max_bytes: int = 1 << 28,
+        *,
+        ambiguous: Tensor | None = None,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
     ) -> Iterator[tuple[int, int, Tensor]]:
         """The map of a grid, slab by slab: (begin, end, values (end - begin, ny, nz)) for ascending i.
 
         Args:
             grid: The whole grid, of any size, or voxels along each axis of one around the mesh.
             max_bytes: Most memory for one slab, which has a multiple of 32 layers; at least 32 are always taken.
-            ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added.
+            ambiguous: An integer tensor on the index's device, to which each slab's count of ambiguous voxels is added;
+                a flood has none.
+            sign: As for `sdm.signed_distance_map`. A flood goes through all of a grid at once, so that the whole map
+                has to fit into memory.
+            hole_size: Of a flood.
 
         The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid
         that lists of triangles outgrow their memory, and equally near triangles are then told apart in another order.
@@ -188,7 +266,17 @@ class MeshIndex:
         """
         if not isinstance(grid, Grid):
             grid = as_grid(grid, self.mesh)
+        method = SignMethod(sign, hole_size)
+        if sign == "flood":
+            with memory_guard(2 * grid.nbytes, self.device, described(grid)):
+                whole = self._by(method, grid).values
+            for begin, end in slabs_of(grid, min(max_bytes // 4, LARGEST_SLAB)):
+                yield begin, end, whole[begin:end]
+            return
         for begin, end in slabs_of(grid, min(max_bytes // 4, LARGEST_SLAB)):
+            if sign == "none":
+                yield begin, end, self._unsigned_slab(grid, begin, end)[0]
+                continue
             values, unclear = self._slab(grid, begin, end)
             if ambiguous is not None and not self.closed:
                 ambiguous += unclear[0]
@@ -198,3 +286,9 @@ class MeshIndex:
         mesh = self._measured
         found = map_slab(mesh.vertices[None], mesh.faces, self._structure, grid, begin, end)
         return found if self._repeated is None else self._repeated.signed_slab(found[0], grid, begin)
+
+    def _unsigned_slab(self, grid: Grid, begin: int, end: int) -> Tensor:
+        mesh = self._measured
+        if is_eager(mesh.vertices):
+            return structure_slab(self._structure, grid, begin, end, signed=False)[0]
+        return map_slab(mesh.vertices[None], mesh.faces, self._structure, grid, begin, end)[0].abs()

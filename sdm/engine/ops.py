@@ -207,10 +207,14 @@ def distance_map(
 
 
 def _slab_distances(
-    structure: AccelerationStructure, origin: tuple[float, ...], direction: tuple[float, ...], slices: Slices
+    structure: AccelerationStructure,
+    origin: tuple[float, ...],
+    direction: tuple[float, ...],
+    slices: Slices,
+    signed: bool = True,
 ) -> tuple[Tensor, Tensor]:
     options = OPTIONS.get()
-    query = partial(_query_slices, origin, direction, options)
+    query = partial(_query_slices, origin, direction, options, signed)
     # Of a GPU's meshes the host does not know how large they are.
     if structure.device.type != "cpu" or options.method == "search":
         return query(structure, slices, AS_IT_IS)
@@ -230,11 +234,12 @@ def _query_slices(
     origin: tuple[float, ...],
     direction: tuple[float, ...],
     options: PlanOptions,
+    signed: bool,
     structure: AccelerationStructure,
     slices: Slices,
     times: Triple,
 ) -> tuple[Tensor, Tensor]:
-    """As `distance_map`, measured on a grid with `times` as many slices."""
+    """As `distance_map`, measured on a grid with `times` as many slices; without a sign if that is not wanted."""
     meshes, device = structure.sizes.meshes, structure.device
     values = torch.empty((meshes, *slices.shape), dtype=torch.float32, device=device)
     turned = direction != gradients.IDENTITY
@@ -262,8 +267,11 @@ def _query_slices(
             return ambiguous
 
         if times == AS_IT_IS:
-            return values, measure(winding, slices, values)
+            return values, measure(winding if signed else None, slices, values)
         slab = slab_view(origin, slices.spacing, slices.shape, slices.first, direction)
+        if not signed:
+            values.zero_()
+            return values, measured_finer(values, slices, times, partial(measure, None), options.slab_voxels)
         slab_winding(tree, winding, slab, as_warp(values, wp.float32), workspace(device), options.most_columns)
         return values, measured_finer(values, slices, times, partial(measure, None), options.slab_voxels)
 
@@ -310,10 +318,13 @@ def map_slab(
     )
 
 
-def structure_slab(structure: AccelerationStructure, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
-    """`map_slab` of a structure that is there, past torch's dispatcher and without gradients."""
+def structure_slab(
+    structure: AccelerationStructure, grid: Grid, begin: int, end: int, *, signed: bool = True
+) -> tuple[Tensor, Tensor]:
+    """`map_slab` of a structure that is there, past torch's dispatcher and without gradients; without a sign too."""
     slices = Slices(grid.spacing, (end - begin, *grid.shape[1:]), begin)
-    return _slab_distances(structure, grid.origin, (*grid.direction[0], *grid.direction[1], *grid.direction[2]), slices)
+    direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
+    return _slab_distances(structure, grid.origin, direction, slices, signed)
 
 
 def _handed_over(structure: AccelerationStructure | None) -> tuple[list[Tensor], int]:

@@ -54,6 +54,34 @@ def caps_on_host(edges: np.ndarray) -> np.ndarray:
     return caps
 
 
+def small_caps(edges: Tensor, vertices: Tensor, size: float) -> Tensor:
+    """Those of `cap_triangles` that close holes which fit into a ball.
+
+    Args:
+        edges: (E,2) int32, directed boundary edges.
+        vertices: (V,3) float32.
+        size: The ball's diameter. Its middle is that of the hole's rim: the mean of its vertices.
+
+    Returns:
+        (C,3) int32.
+    """
+    host = on_host(edges)
+    if len(host) == 0:
+        return edges.new_empty((0, 3))
+    ends, index = np.unique(host, return_inverse=True)
+    start, end = index.reshape(-1, 2).astype(np.int32).T
+    order, begins = _cycles(np.ascontiguousarray(start), np.ascontiguousarray(end), len(ends))
+    length = np.diff(np.append(begins, len(host)))
+    rim = (
+        vertices.detach()[torch.from_numpy(host[order, 0].astype(np.int64)).to(vertices.device)].cpu().double().numpy()
+    )
+    middle = np.add.reduceat(rim, begins) / length[:, None]
+    away = np.linalg.norm(rim - np.repeat(middle, length, 0), axis=1)
+    small = np.zeros(len(host), bool)
+    small[order] = np.repeat(2 * np.maximum.reduceat(away, begins) <= size, length)
+    return cap_triangles(edges)[torch.from_numpy(small).to(edges.device)].contiguous()
+
+
 def _cycles(start: np.ndarray, end: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
     """The edges from `start` to `end` cycle by cycle, and where each cycle begins among them."""
     count = len(start)

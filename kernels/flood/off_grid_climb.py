@@ -1,0 +1,176 @@
+"""The way uphill between the voxels, for those from which no neighbour can be seen to be on the same side.
+
+From the voxel it goes straight away from the closest point of the surface. Where two or more points are equally close,
+in a corner, the direction is the shortest vector in the convex hull of the directions away from all of them, found
+step by step (Frank and Wolfe 1956): where that is zero, nothing rises, and the distance has a maximum there (Lieutier,
+Any open bounded subset of R^n has the same homotopy type as its medial axis, 2004). Every step is free: the balls about
+both ends cover it. The climb ends at the first voxel in the ball about a point on the way that was reached, or is
+further from the surface than the one where it began; without one, the voxel is inside.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
+from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree
+from sdm.kernels.flood.flood_grid import FloodGrid, is_in_grid, number_of
+from sdm.kernels.flood.reached_region import REACHED
+from sdm.kernels.flood.uphill_links import STUCK
+from sdm.kernels.launch import launch
+from sdm.kernels.winding.ray_crossings import count_crossings
+
+wp.set_module_options({"enable_backward": False})
+
+# Searches of one climb at most.
+SEARCHES = 64
+# A step ends where it would be shorter than this share of a voxel; a direction where it rises less than that.
+SHORTEST = wp.constant(wp.float64(0.02))
+FLATTEST = wp.constant(wp.float64(0.02))
+# So near, in scaled coordinates, a voxel is on the surface itself, and has no direction: this is half a rounding.
+ON_SURFACE = wp.constant(wp.float64(1.2e-7))
+# Distances of points that are float32's are right to this share of the coordinates: they are measured in float64.
+ROUNDING = wp.constant(wp.float64(1.0e-12))
+
+
+@wp.struct
+class Walls:
+    """Surfaces that a climb goes away from: one mesh, and the triangles that close its small holes."""
+
+    tree: Tree
+    caps: Tree
+    with_caps: wp.int32
+    closed: wp.int32  # 1 if the mesh has no boundary
+
+
+@wp.func
+def _closest(tree: Tree, p: wp.vec3d):
+    """The closest point of a tree's triangles, in the mesh's unit."""
+    scaled = tree.frame[SCALE] * p
+    near = wp.vec3(float(scaled[0]), float(scaled[1]), float(scaled[2]))
+    return tree.frame[UNSCALE] * exact_hit(tree, nearest_slot(tree, 0, near, 0), scaled).point
+
+
+@wp.func
+def _closest_of_both(walls: Walls, p: wp.vec3d):
+    found = _closest(walls.tree, p)
+    if walls.with_caps != 0:
+        other = _closest(walls.caps, p)
+        if wp.length_sq(p - other) < wp.length_sq(p - found):
+            found = other
+    return found
+
+
+@wp.func
+def _place(grid: FloodGrid, p: wp.vec3d):
+    """The nearest voxel to a point."""
+    away = p - grid.origin
+    i = wp.vec3i(0, 0, 0)
+    for axis in range(3):
+        column = wp.vec3d(grid.axes[0, axis], grid.axes[1, axis], grid.axes[2, axis])
+        i[axis] = int(wp.floor(wp.dot(column, away) / wp.dot(column, column) + wp.float64(0.5)))
+    return i
+
+
+@wp.func
+def _rounded(p: wp.vec3d):
+    """A point that float32 holds: the search is exact for those."""
+    return wp.vec3d(wp.vec3(float(p[0]), float(p[1]), float(p[2])))
+
+
+@wp.func
+def _centre(grid: FloodGrid, i: int, j: int, k: int):
+    """A voxel's centre, as it is measured: rounded to float32."""
+    return _rounded(grid.origin + grid.axes * wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k)))
+
+
+@wp.func
+def _on_surface(walls: Walls, p: wp.vec3d, at: int):
+    """The end of the climb of a voxel on the surface: its distance is zero, the sign that of the winding number."""
+    end = REACHED
+    if walls.closed != 0:
+        if count_crossings(walls.tree, 0, walls.tree.frame[SCALE] * p) > 0:
+            end = at
+    return end
+
+
+@wp.func
+def _climb(
+    walls: Walls,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+    at: int,
+):
+    """The voxel where the climb from a voxel ends, itself if that is inside."""
+    k = at % grid.shape[2]
+    row = at / grid.shape[2]
+    p = _centre(grid, row / grid.shape[1], row % grid.shape[1], k)
+    away = p - _closest_of_both(walls, p)
+    distance = wp.length(away)
+    scale = walls.tree.frame[SCALE]
+    size = wp.max(wp.float64(1.0), scale * wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
+    if scale * distance <= ON_SURFACE * size:
+        return _on_surface(walls, p, at)
+    least = wp.min(grid.spacing)
+    most = wp.max(grid.spacing)
+    step = wp.max(distance, wp.float64(0.5) * least)
+    begun = wp.float64(distances[at])
+    direction = away / distance
+    count = int(SEARCHES)
+    for _search in range(count):
+        rise = wp.length(direction)
+        if rise < FLATTEST or step < SHORTEST * least:
+            return at
+        there = _rounded(p + (step / rise) * direction)
+        closest = _closest_of_both(walls, there)
+        found = wp.length(there - closest)
+        if distance + found <= wp.length(there - p) + ROUNDING * size / scale:
+            step = wp.float64(0.5) * step
+        elif found >= distance + wp.float64(0.5) * rise * step:
+            p = there
+            distance = found
+            direction = (p - closest) / found
+            step = wp.min(wp.float64(2.0) * step, wp.float64(2.0) * most)
+            index = _place(grid, p)
+            if is_in_grid(grid, index[0], index[1], index[2]):
+                other = number_of(grid, index[0], index[1], index[2])
+                if wp.length(p - _centre(grid, index[0], index[1], index[2])) + grid.slack < distance:
+                    if links[other] == REACHED or wp.float64(distances[other]) > begun + grid.slack:
+                        return other
+        else:
+            # Another part of the surface is in the way.
+            new = wp.normalize(p - closest)
+            change = direction - new
+            if wp.dot(direction, change) > wp.float64(0.1) * rise * rise:
+                share = wp.min(wp.dot(direction, change) / wp.dot(change, change), wp.float64(1.0))
+                direction = direction - share * change
+            else:
+                step = wp.float64(0.5) * step
+    return at
+
+
+@wp.kernel
+def _climb_all(
+    begin: int,
+    walls: Walls,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+):
+    at = begin + wp.tid()
+    if links[at] == STUCK:
+        # Below zero, so that nobody takes the end of another climb for a voxel that was reached.
+        links[at] = STUCK - 1 - _climb(walls, grid, distances, links, at)
+
+
+@wp.func
+def linked(links: wp.array(dtype=wp.int32), at: int):
+    """The voxel that another one links to."""
+    link = links[at]
+    return wp.where(link < 0, STUCK - 1 - link, link)
+
+
+def climb(walls: Walls, grid: FloodGrid, distances: wp.array, links: wp.array) -> None:
+    """Find the links of the voxels that are `STUCK`; all are read by `linked` from then on."""
+    launch(_climb_all, links.shape[0], [walls, grid, distances, links], links.device)

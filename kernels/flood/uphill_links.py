@@ -1,0 +1,65 @@
+"""Links uphill: from each voxel that the ball did not reach to one that is further from the surface, on the same side.
+
+The neighbour with the steepest way there is taken, of those to which the segment is free: the balls of both ends cover
+it, so it crosses no surface. Voxels without such a neighbour, near the surface most of them, climb between the voxels
+(`off_grid_climb`). All links together are a forest: distances grow along each.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.flood.flood_grid import FloodGrid, is_free, is_in_grid, length_of, number_of
+from sdm.kernels.flood.reached_region import REACHED
+from sdm.kernels.launch import launch
+
+wp.set_module_options({"enable_backward": False})
+
+# Distances have to grow by this share of the way: what rises less is level, as rounding would decide.
+LEVEL = wp.constant(wp.float64(1.0e-3))
+# The link of a voxel that none of its neighbours takes.
+STUCK = wp.constant(-1)
+
+
+@wp.kernel
+def _link(begin: int, grid: FloodGrid, distances: wp.array(dtype=wp.float32), links: wp.array(dtype=wp.int32)):
+    at = begin + wp.tid()
+    if links[at] == REACHED:
+        return
+    here = wp.float64(distances[at])
+    if here >= grid.deep:
+        # Whatever is uphill was not reached either: the ball passes along all links from here on.
+        links[at] = at
+        return
+    k = at % grid.shape[2]
+    row = at / grid.shape[2]
+    j = row % grid.shape[1]
+    i = row / grid.shape[1]
+    best = LEVEL
+    link = STUCK
+    # Bounds that are variables, so that Warp does not write the loop out.
+    count = int(27)
+    for place in range(count):
+        di = place / 9 - 1
+        dj = place / 3 % 3 - 1
+        dk = place % 3 - 1
+        if place != 13 and is_in_grid(grid, i + di, j + dj, k + dk):
+            other = number_of(grid, i + di, j + dj, k + dk)
+            there = wp.float64(distances[other])
+            length = length_of(grid, di, dj, dk)
+            rise = (there - here) / length
+            if rise > best and is_free(grid, here, there, length):
+                best = rise
+                link = other
+    links[at] = link
+
+
+def link_uphill(grid: FloodGrid, distances: wp.array, links: wp.array) -> None:
+    """Replace the labels of voxels that were not reached by links to other voxels; `STUCK` where there is none.
+
+    Args:
+        grid: The voxels.
+        distances: (N,) float32, unsigned, to the surface and to what closes its small holes.
+        links: (N,) int32, labels of `find_reached`; a voxel that links to itself is inside.
+    """
+    launch(_link, links.shape[0], [grid, distances, links], links.device)
