@@ -4,7 +4,7 @@
 
 Parts: `table` (four meshes against the faster of the peers, geometric means), `batch` (maps a second), `points`,
 `triangles` and `resolution` (how the time grows), `worst` (meshes made to be hard), `graph` (in a CUDA graph), `signs`
-(what the sign costs), `slices` (thick ones).
+(what the sign costs), `slices` (thick ones), `closest` (what closest points cost).
 
 sdm's time goes from vertices and faces on the device to the map: topology, structure and query. It is that of repeated
 calls: on a GPU meshes with as many vertices, faces and boundary edges were mapped before, so the call is a CUDA graph;
@@ -42,6 +42,7 @@ BUDGETS_S = {
     "graph": 15.0,
     "signs": 20.0,
     "slices": 30.0,
+    "closest": 60.0,
 }
 QUICK_S = 6.0
 PACKAGES = ("warp-lang", "torch", "numpy", "libigl", "open3d")

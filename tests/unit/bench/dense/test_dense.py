@@ -14,7 +14,7 @@ from sdm.bench.common.meshes import load_case
 from sdm.bench.dense import __main__ as dense
 from sdm.bench.dense import job as common
 from sdm.bench.dense import plot_results
-from sdm.bench.dense.parts import signs, table, worst
+from sdm.bench.dense.parts import closest, signs, table, worst
 from sdm.bench.peers import Peer
 from sdm.engine.plan_override import OPTIONS
 from sdm.kernels.plan_options import PlanOptions
@@ -176,3 +176,13 @@ def test_every_part_has_its_functions():
         assert callable(module.rows)
         assert callable(module.summary)
         assert callable(module.lines)
+
+
+def test_closest_points_are_checked_and_timed():
+    job = common.Job("cpu", quick=True, budget_s=20, runs=1)
+    found = list(closest.rows(job))
+    assert [row["resolution"] for row in found] == [16]
+    assert found[0]["same_values"]
+    assert closest.summary(found)["wrong"] == 0
+    assert closest.summary(found)["ratio"] > 0
+    assert "torus-2000" in closest.lines(found, closest.summary(found))[1]
