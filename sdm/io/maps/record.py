@@ -20,6 +20,10 @@ KEY = "sdm"
 MADE_FROM = "made_from"
 # In it, the checksum of values and record, for formats that have none of their own.
 CHECKSUM = "crc32"
+# In it, the checksum of the record alone. A damaged geometry would otherwise look as if another program had moved the
+# image, whose values nobody can then vouch for.
+RECORD_CHECKSUM = "record_crc32"
+NO_VALUES = np.zeros(0, np.float32)
 # Hexadecimal digits.
 DIGEST = 32
 
@@ -48,7 +52,8 @@ def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = Non
 
 
 def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:
-    """A record with the checksum of itself and of values (nx,ny,nz) float32, which may be none."""
+    """A record with checksums: of itself, and of itself with values (nx,ny,nz) float32, which may be none."""
+    kept = {**kept, RECORD_CHECKSUM: _checksum(kept, NO_VALUES)}
     return {**kept, CHECKSUM: _checksum(kept, values)}
 
 
@@ -66,6 +71,12 @@ def verify(kept: Any, values: np.ndarray, name: str) -> None:
             f"{name} is not what sdm wrote: it is damaged, or another program changed its values and kept their "
             "checksum; compute or copy it again"
         )
+
+
+def _verify_record(kept: dict[str, Any], name: str) -> None:
+    found = {key: value for key, value in kept.items() if key not in (CHECKSUM, RECORD_CHECKSUM)}
+    if RECORD_CHECKSUM in kept and _checksum(found, NO_VALUES) != kept[RECORD_CHECKSUM]:
+        raise FormatError(f"{name} is damaged: its record is not what sdm wrote; compute or copy it again")
 
 
 def _checksum(kept: dict[str, Any], values: np.ndarray) -> str:
@@ -88,6 +99,7 @@ def from_record(found: Any, name: str) -> tuple[Grid, int | None]:
         raise FormatError(f"{name} was not written by sdm: it does not say where its values are")
     if found["version"] > VERSION:
         raise FormatError(f"{name} was written by a newer version of sdm: update it to read this file")
+    _verify_record(found, name)
     count = found["ambiguous_voxels"]
     grid = Grid(found["origin"], found["spacing"], found["shape"], found["direction"])
     return grid, None if count is None else int(count)

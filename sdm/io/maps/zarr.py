@@ -14,10 +14,9 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import KEY, from_record, record, verify, with_checksum
+from sdm.io.maps.record import KEY, NO_VALUES, from_record, record, verify, with_checksum
 
 CHUNK = 128
-NO_VALUES = np.zeros(0, np.float32)
 # The engine gives slabs of a multiple of this many layers, and so chunks have it too.
 LAYERS = 32
 # Bytes of the slabs that a map is written in: what is in memory at a time.

@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, SDMError
 from sdm.io import FORMATS, grid_like, load, save
-from sdm.io.maps.record import CHECKSUM, KEY
+from sdm.io.maps.record import CHECKSUM, KEY, RECORD_CHECKSUM
 
 SHAPE = (9, 8, 7)
 GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), SHAPE)
@@ -77,6 +77,19 @@ def test_a_damaged_record_is_found(tmp_path):
     path.write_bytes(data.replace(b'"ambiguous_voxels":3', b'"ambiguous_voxels":0'))
     with pytest.raises(FormatError, match="is not what sdm wrote"):
         load(path)
+
+
+@pytest.mark.parametrize("ending", ["nii", "nrrd"])
+@pytest.mark.parametrize("read", [load, grid_like])
+def test_a_damaged_geometry_is_found(ending, read, tmp_path):
+    """Else it would look as if another program had moved the image, and damaged values would go unseen beside it."""
+    path = tmp_path / f"map.{ending}"
+    save(FIELD, path)
+    data = path.read_bytes()
+    assert b'"spacing":[0.7,0.8,' in data
+    path.write_bytes(data.replace(b'"spacing":[0.7,0.8,', b'"spacing":[0.7,0.4,')[:-1] + b"x")
+    with pytest.raises(FormatError, match="is damaged"):
+        read(path)
 
 
 @pytest.mark.parametrize("ending", ["nii", "nrrd"])
@@ -224,5 +237,6 @@ def test_a_damaged_record_of_a_zarr_is_found(tmp_path):
         with pytest.raises(FormatError, match="is not what sdm wrote"):
             call(path)
     del document["attributes"][KEY][CHECKSUM]
+    del document["attributes"][KEY][RECORD_CHECKSUM]
     (path / "zarr.json").write_text(json.dumps(document))
     assert torch.equal(load(path).values, VALUES)
