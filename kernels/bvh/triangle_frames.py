@@ -1,4 +1,4 @@
-"""Each triangle in its own frame: its longest edge along x, its third corner above, the point's height apart.
+"""Triangle frames: each triangle with its longest edge along x and its third corner above, the point's height apart.
 
 Seen there, distance is a 2D problem and costs half as much as in space; and since the axes come from float64 and
 are rounded once, a sliver is measured as well as any other triangle.

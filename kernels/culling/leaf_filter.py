@@ -1,4 +1,4 @@
-"""From leaves of the tree to triangles, and to their features, each kept waiting until there are enough for all lanes.
+"""Leaf filter: from leaves of the tree to triangles to features, each kept waiting until there is one for every lane.
 
 A worker's scratch has stacks of triangles (slots), and of features. What is left of a test is pushed onto the next
 stack, so that no lane is idle in the tests that cost most. A feature is a number: eight times its triangle's slot, and

@@ -1,4 +1,4 @@
-"""Candidate lists as chains of chunks from a pool, as nobody knows their lengths before.
+"""Chunk pool: candidate lists as chains of chunks, as nobody knows their lengths before.
 
 Whoever finds the pool empty is marked, and its voxels are searched one by one later: slower, never wrong. Where boxes
 are few, each list is made by several groups of lanes, of one share of the tree each: a chain for each.

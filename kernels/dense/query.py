@@ -1,4 +1,4 @@
-"""Signed distances at every voxel of a slab of a grid, for a batch of meshes."""
+"""Dense query: signed distances at every voxel of a slab of a grid, for a batch of meshes."""
 # pyright: basic, reportGeneralTypeIssues=false
 
 from __future__ import annotations

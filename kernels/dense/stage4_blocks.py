@@ -1,4 +1,4 @@
-"""Stage 4 of the dense query: the schedule of blocks, and the surface point that the distances of each are taken from.
+"""Stage 4 of the dense query: the schedule of blocks, and the witness of each.
 
 A cell is a block by itself, or where it has more than 8^3 voxels its eight bricks are, with one list. If a list is long
 there are several, each with a split of it: then none is waited for. Of a cell that is too coarse for float32 the eight

@@ -1,8 +1,7 @@
-"""Stage 7 of the dense query: voxels of cells whose list is cut into splits. Several blocks measure them, and each
-lessens what is there.
+"""Stage 7 of the dense query: the merge of splits, in the voxels of cells whose list is cut into several.
 
-So before the blocks they are infinite, and only after the last is it known what they came to. If one of the splits
-found no room, that is nothing: the least of the others may not be the least.
+Several blocks measure such a voxel, and each lessens its distance, which is infinite before the first and known only
+after the last. If one of the splits found no room it is not known: the least of the others may not be the least.
 """
 
 from __future__ import annotations

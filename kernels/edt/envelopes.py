@@ -1,4 +1,4 @@
-"""Later passes of the distance transform: along each line, lower envelopes of one convex curve a voxel.
+"""Lower envelopes of one convex curve a voxel, along each line of the distance transform's later passes.
 
 The scan of Meijster, Roerdink and Hesselink (2000): a stack of the voxels that are closest somewhere on the line, each
 with the first place where it is. A scan is a chain of decisions, and a volume has too few lines to keep a GPU busy with

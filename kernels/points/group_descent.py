@@ -1,4 +1,4 @@
-"""A way down the tree that all lanes of a group take together.
+"""Descent of the tree that all lanes of a group make together.
 
 A tree of two children a node is narrow at the top, where a descent by levels leaves most lanes idle. So each lane takes
 a descendant as many levels down as fills the lanes: its number follows from its ancestor's, and whatever its ancestors'

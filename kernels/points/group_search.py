@@ -1,4 +1,4 @@
-"""The triangle nearest to one point, searched by all lanes of a group together.
+"""Search for the triangle nearest to one point by all lanes of a group together.
 
 One thread's search waits for memory at every node; here a batch of nodes, or the triangles of eight leaves, is one
 wait.

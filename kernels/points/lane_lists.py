@@ -1,4 +1,4 @@
-"""From a packet's list of triangles to those that matter to one of its points: each lane has a point of its own.
+"""Lists of lanes: from a packet's list of triangles to those that matter to the point that each lane has.
 
 Each lane reads a triangle's bounds and shows them to all others, so that the memory is asked once for each triangle,
 not once for each triangle and point; what a lane keeps for its own point goes to its own column of the scratch.

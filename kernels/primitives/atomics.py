@@ -1,4 +1,4 @@
-"""Numbers that many threads change at the same time.
+"""Atomic operations, on numbers that many threads change at the same time.
 
 Warp's own atomics are plain additions on a CPU, where `launch` runs a kernel on several threads.
 """

@@ -1,4 +1,4 @@
-"""Records of neighbouring threads, one each, written together.
+"""Coalesced stores: records of neighbouring threads, one each, written together.
 
 A record is read by one lane, so its bytes lie together. But if each thread wrote its own, in pieces of sixteen bytes,
 a GPU's memory would see each half of its sectors of 32 bytes by itself. So the threads put their records into shared

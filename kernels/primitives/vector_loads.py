@@ -1,4 +1,4 @@
-"""Several numbers of an array in one access of sixteen bytes: a GPU reads one in the time of the other."""
+"""Vector loads and stores: four numbers of an array in one access, for which a GPU takes as long as for one."""
 
 from __future__ import annotations
 

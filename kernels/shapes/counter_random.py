@@ -1,4 +1,4 @@
-"""Numbers in [0,1) that depend on a seed and an index alone: Philox and Sobol."""
+"""Counter-based random numbers in [0,1), which depend on a seed and an index alone: Philox and Sobol."""
 
 from __future__ import annotations
 

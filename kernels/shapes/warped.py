@@ -1,4 +1,4 @@
-"""Given meshes under a smooth warp, scale, rotation and shift: one thread a vertex of a sample.
+"""Vertices of given meshes under a smooth warp, scale, rotation and shift: one thread a vertex of a sample.
 
 The warp moves x (in units of the mesh's half-length) by d(x), d_i = A * sum_j (c_ij sin(w x_j) + e_ij cos(w x_j)).
 With every |c|, |e| <= 1 the Frobenius norm of its Jacobian is at most 3 sqrt(2) A w, so an A below 1 / (3 sqrt(2) w)

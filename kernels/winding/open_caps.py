@@ -1,4 +1,4 @@
-"""Opens an open mesh's caps again: from the whole winding numbers of surface and caps to the surface's own.
+"""Opening of an open mesh's caps: from the whole winding numbers of surface and caps to the surface's own.
 
 What has to be right is on which side of 0.25, 0.5 and 0.75 the winding number of a voxel is: that is sign and
 clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_field`). Where the caps' share is less

@@ -1,4 +1,4 @@
-"""From the words on the command line to a command, and from an error to one sentence and an exit code."""
+"""Entry of the command line: from words to a command, and from an error to one sentence and an exit code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a stream to a dataset of the same samples."""
+"""Freezing of a stream into a dataset of the same samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a dataset: random access for a DataLoader, item for item what the stream yields."""
+"""Reader of a dataset: random access for a DataLoader, item for item what the stream yields."""
 
 from __future__ import annotations
 

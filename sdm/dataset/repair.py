@@ -1,4 +1,4 @@
-"""Find the damaged shards of a dataset and make them again."""
+"""Repair of a dataset: damaged shards are found and made again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Write a dataset: plan it, find what is missing, share out the shards, give it its name."""
+"""Writer of a dataset: plan it, find what is missing, share out the shards, give it its name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mesh with its acceleration structure: built once, queried often."""
+"""Mesh index: a mesh with its acceleration structure, built once and queried often."""
 
 from __future__ import annotations
 

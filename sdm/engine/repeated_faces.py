@@ -1,4 +1,4 @@
-"""Triangles that a mesh has many times: measured once, and counted as often as they are there for the sign.
+"""Repeated faces of a mesh: measured once, and counted for the sign as often as they are there.
 
 A hierarchy cannot tell copies apart, so that each of n copies is looked at for every voxel. Where a few triangles come
 very often, one copy of each is left for distances. The generalised winding number is a sum over all triangles: that of

@@ -1,4 +1,4 @@
-"""Faces made to agree which side is out, over the edges that two of them share."""
+"""Agreement of faces about which side is out, over the edges that two of them share."""
 
 from __future__ import annotations
 

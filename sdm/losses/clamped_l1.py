@@ -1,4 +1,4 @@
-"""DeepSDF's loss."""
+"""The clamped L1 loss, DeepSDF's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Batches made a few steps before they are needed, on a CUDA stream of their own."""
+"""Prefetch: batches made a few steps before they are needed, on a CUDA stream of their own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From global numbers to a batch: the one way in which streams and datasets make samples."""
+"""Sample maker, from global numbers to a batch: the one way in which streams and datasets make samples."""
 
 from __future__ import annotations
 

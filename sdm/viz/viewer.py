@@ -1,4 +1,4 @@
-"""A map to look at from all sides: its surface, and a slice that the mouse moves. By Polyscope, an extra."""
+"""Viewer of a map from all sides: its surface, and a slice that the mouse moves. By Polyscope, an extra."""
 
 from __future__ import annotations
 

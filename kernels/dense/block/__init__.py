@@ -1,1 +1,1 @@
-"""The inside of stage 6: one block of voxels and the features of triangles near it, in shared memory."""
+"""Measurement of one block, inside stage 6: its voxels and the features of triangles near it, in shared memory."""

@@ -1,4 +1,4 @@
-"""Inputs are never outputs: a command that would write over what it reads is refused before any work."""
+"""Check of inputs: a command that would write over what it reads is refused before any work."""
 
 from __future__ import annotations
 

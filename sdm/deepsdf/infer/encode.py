@@ -1,4 +1,4 @@
-"""From meshes and scans to codes, in the users' own coordinates."""
+"""Encoding: from meshes and scans to codes, in the users' own coordinates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a learned surface without a mesh: sphere tracing, lit by normals from back-propagation."""
+"""Sphere tracing: pictures of a learned surface without a mesh, lit by normals from back-propagation."""
 
 from __future__ import annotations
 

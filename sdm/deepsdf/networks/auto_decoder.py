@@ -1,4 +1,4 @@
-"""The network and the codes of the training shapes, learned together."""
+"""Auto-decoder: the network and the codes of the training shapes, learned together."""
 
 from __future__ import annotations
 

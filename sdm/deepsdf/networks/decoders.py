@@ -1,4 +1,4 @@
-"""From a code and a point to a signed distance: the published network and one with local codes."""
+"""Decoders from a code and a point to a signed distance: the published network and one with local codes."""
 
 from __future__ import annotations
 

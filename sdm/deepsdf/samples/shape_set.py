@@ -1,4 +1,4 @@
-"""Many shapes as one scene on the device, so that samples of a whole batch are one launch."""
+"""Shape set: many shapes as one scene on the device, so that samples of a whole batch are one launch."""
 
 from __future__ import annotations
 

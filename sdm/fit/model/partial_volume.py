@@ -1,4 +1,4 @@
-"""From a shape to what a scanner's voxels hold of it: the share of its inside, blurred, with derivatives.
+"""Partial volume: the share of a shape's inside in each of a scanner's voxels, blurred, with derivatives.
 
 The probability of inside at a point is logistic(-SDM / length), as in Wang et al., Medical Image Analysis 2022. A voxel
 is an average of such points, weighted by the scanner's point spread function and the voxel's box. With one point for

@@ -1,4 +1,4 @@
-"""Files that are whole under their final name, or not there."""
+"""Atomic writes: files that are whole under their final name, or not there."""
 
 from __future__ import annotations
 

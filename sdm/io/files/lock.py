@@ -1,4 +1,4 @@
-"""A folder that one process at a time writes to."""
+"""Lock of a folder that one process at a time writes to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two names that change places in one step, where the system can."""
+"""Exchange of two names in one step, where the system can."""
 
 from __future__ import annotations
 

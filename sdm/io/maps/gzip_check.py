@@ -1,4 +1,4 @@
-"""Files that nibabel reads; of gzip files to the end, where their checksum is."""
+"""Check of files that nibabel reads; of gzip files to the end, where their checksum is."""
 
 from __future__ import annotations
 

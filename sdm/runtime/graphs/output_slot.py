@@ -1,4 +1,4 @@
-"""Maps written where they are wanted, at an address that is known only when a recording of their call is launched.
+"""Output slots: maps written to an address that is known only when a recording of their call is launched.
 
 A CUDA graph writes to the same memory each time, while a result must be a new one each time, and copying takes a
 twentieth of the time that it takes to make a large map. So while a call is recorded its kernels are told to take the

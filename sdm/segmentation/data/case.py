@@ -1,4 +1,4 @@
-"""One image with its label."""
+"""Case: one image with its label."""
 
 from __future__ import annotations
 

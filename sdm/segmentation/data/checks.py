@@ -1,4 +1,4 @@
-"""Cases that would spoil a training are refused before it begins."""
+"""Checks of cases: what would spoil a training is refused before it begins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several networks together: the mean of what each says, cut once."""
+"""Ensemble of networks: the mean of their outputs, thresholded once."""
 
 from __future__ import annotations
 

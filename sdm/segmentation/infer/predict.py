@@ -1,4 +1,4 @@
-"""From an image to a label and its signed distance map."""
+"""Prediction: from an image to a label and its signed distance map."""
 
 from __future__ import annotations
 

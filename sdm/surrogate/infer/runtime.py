@@ -1,4 +1,4 @@
-"""One surrogate, several ways to run it on a CPU."""
+"""Runtimes of a surrogate on a CPU: torch, ONNX Runtime, OpenVINO."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surrogates by name."""
+"""Registry of surrogates by name."""
 
 from __future__ import annotations
 

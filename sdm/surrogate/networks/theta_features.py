@@ -1,4 +1,4 @@
-"""From four shape parameters to numbers that a small network can use."""
+"""Features of four shape parameters that a small network can use."""
 
 from __future__ import annotations
 

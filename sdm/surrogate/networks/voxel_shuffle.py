@@ -1,4 +1,4 @@
-"""Voxels as channels of the block that they lie in, and back."""
+"""Voxel shuffle, pixel shuffle in 3D: voxels as channels of the cube that they lie in, and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A store of the stream's latest maps on the device, from which training draws more often than maps are made."""
+"""Buffer of the stream's latest maps on the device, from which training draws more often than maps are made."""
 
 from __future__ import annotations
 
