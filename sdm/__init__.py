@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
     from sdm.core.signed_distance_map import SDM
     from sdm.dataset import SDMDataset
-    from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps
+    from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps, signed_distances
     from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.engine.mesh_index import MeshIndex
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
@@ -74,6 +74,7 @@ _HOMES = {
     "signed_distance": "engine.api",
     "signed_distance_map": "engine.api",
     "signed_distance_maps": "engine.api",
+    "signed_distances": "engine.api",
 }
 
 __all__ = [
@@ -99,6 +100,7 @@ __all__ = [
     "signed_distance",
     "signed_distance_map",
     "signed_distance_maps",
+    "signed_distances",
 ]
 
 

@@ -2,7 +2,7 @@
 
 Triangles are sorted along a Hilbert curve about their mesh's box, the numbers of meshes above the curve's codes in the
 keys. So the whole build is that sort and a few short launches, is the same every time, and needs no memory but the
-arrays that it is given.
+arrays that it is given. Meshes that differ are built at once too: `tree_of` says where each begins.
 """
 
 from __future__ import annotations
@@ -19,12 +19,16 @@ from sdm.kernels.bvh.tree import (
     UNSCALE,
     Tree,
     first_triangle,
+    mesh_of_slot,
     nodes_of,
+    rows_before,
+    slots_of,
     to_lattice,
+    tree_of,
     write_box,
     write_corners,
 )
-from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_code
+from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import lessen
@@ -50,6 +54,7 @@ def _reset_bounds(begin: int, bounds: wp.array(dtype=wp.float32)):
 def _reduce_bounds(
     begin: int,
     lanes: int,
+    tree: Tree,
     vertices: wp.array2d(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     run: int,
@@ -58,16 +63,17 @@ def _reduce_bounds(
     """Bring down each mesh's lowest coordinates, and its highest ones with the other sign: `run` faces a lane."""
     thread = begin + wp.tid()
     lane = thread % lanes
-    count = faces.shape[0]
-    runs = (count + run * lanes - 1) / (run * lanes)
+    runs = (tree.count + run * lanes - 1) / (run * lanes)
     mesh = thread / lanes / runs
+    one = tree_of(tree, mesh)
+    rows = rows_before(tree, mesh)
     face = (thread / lanes % runs) * run * lanes + lane
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     lowest = low
     for _step in range(run):
-        if face < count:
+        if face < one.count:
             for corner in range(3):
-                v = vertices[mesh, faces[face, corner]]
+                v = vertices[mesh, faces[rows + face, corner]]
                 low = wp.min(low, v)
                 lowest = wp.min(lowest, -v)
         face = face + lanes
@@ -115,27 +121,29 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
 @wp.kernel
 def _make_keys(
     begin: int,
+    tree: Tree,
     vertices: wp.array2d(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     bounds: wp.array(dtype=wp.float32),
-    frame: wp.array(dtype=wp.float64),
     bits: int,
     keys: wp.array(dtype=wp.int64),
     slots: wp.array(dtype=wp.int32),
 ):
     i = begin + wp.tid()
-    count = faces.shape[0]
-    mesh = i / count
-    f = i - mesh * count
-    scale = float(frame[mesh * FRAME_SIZE + SCALE])
-    a = scale * vertices[mesh, faces[f, 0]]
-    b = scale * vertices[mesh, faces[f, 1]]
-    c = scale * vertices[mesh, faces[f, 2]]
+    mesh = mesh_of_slot(tree, i)
+    one = tree_of(tree, mesh)
+    f = i - slots_of(one, mesh)
+    row = rows_before(tree, mesh) + f
+    scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
+    a = scale * vertices[mesh, faces[row, 0]]
+    b = scale * vertices[mesh, faces[row, 1]]
+    c = scale * vertices[mesh, faces[row, 2]]
     low = scale * wp.vec3(bounds[6 * mesh], bounds[6 * mesh + 1], bounds[6 * mesh + 2])
     high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
     # The middle of the triangle's box: for long triangles better than the mean of the corners.
     middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
-    keys[i] = (wp.int64(mesh) << wp.int64(3 * bits)) | curve_code(middle, low, high, bits)
+    code = curve_code(middle, low, high, curve_bits(one.count))
+    keys[i] = (wp.int64(mesh) << wp.int64(3 * bits)) | code
     slots[i] = f
 
 
@@ -149,13 +157,15 @@ def _gather_triangles(
     normals: wp.array(dtype=wp.float32),
 ):
     i = begin + wp.tid()
-    mesh = i / tree.count
+    mesh = mesh_of_slot(tree, i)
+    one = tree_of(tree, mesh)
     f = sorted_faces[i]
     tree.face[i] = f
+    row = rows_before(tree, mesh) + f
     scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
-    a = scale * vertices[mesh, faces[f, 0]]
-    b = scale * vertices[mesh, faces[f, 1]]
-    c = scale * vertices[mesh, faces[f, 2]]
+    a = scale * vertices[mesh, faces[row, 0]]
+    b = scale * vertices[mesh, faces[row, 1]]
+    c = scale * vertices[mesh, faces[row, 2]]
     lattice = pairs_at(tree.lattice)
     record = begin_record(lattice, _LATTICE_SIZE, i)
     put_pair(record, 0, to_lattice(tree, mesh, wp.float64(a[1]), wp.float64(a[2])))
@@ -164,7 +174,7 @@ def _gather_triangles(
     end_record(lattice, record, _LATTICE_SIZE, i, tree.face.shape[0])
     n = wp.vec3(unit_normal(wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
     write_corners(tree, i, a, b, c, n)
-    write4(normals, mesh * tree.count + f, n[0], n[1], n[2], 0.0)
+    write4(normals, slots_of(one, mesh) + f, n[0], n[1], n[2], 0.0)
 
 
 @wp.func
@@ -172,7 +182,7 @@ def bound_leaf(tree: Tree, mesh: int, leaf: int):
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     high = -low
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-        slot = mesh * tree.count + t
+        slot = slots_of(tree, mesh) + t
         for corner in range(3):
             v = tree.corners[4 * slot + corner]
             low = wp.min(low, v)
@@ -182,8 +192,9 @@ def bound_leaf(tree: Tree, mesh: int, leaf: int):
 
 
 @wp.kernel
-def _bound_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int):
-    """Boxes of `levels` levels, the highest of them `width` nodes wide: one group of lanes for what is below each.
+def _bound_levels(begin: int, lanes: int, tree: Tree, lowest: int, width: int, most: int):
+    """Boxes of up to `most` levels, the lowest of them so many above the leaves: a group of lanes for a node of the
+    highest and what is below it, and `width` groups for each mesh.
 
     From the children's below them, or from the triangles.
     """
@@ -191,15 +202,21 @@ def _bound_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int):
     lane = thread % lanes
     group = thread / lanes
     mesh = group / width
-    top = width + group - mesh * width
-    leaves = 1 << tree.depth
-    base = nodes_of(tree, mesh)
+    one = tree_of(tree, mesh)
+    levels = wp.min(one.depth - lowest + 1, most)
+    highest = one.depth - lowest + 1 - levels
+    top = (1 << highest) + group - mesh * width
+    # Of meshes that differ, one with fewer levels takes fewer groups.
+    if levels <= 0 or top >= 2 << highest:
+        return
+    leaves = 1 << one.depth
+    base = nodes_of(one, mesh)
     for back in range(levels):
         down = levels - 1 - back
         node = (top << down) + lane
         while node < (top + 1) << down:
             if node >= leaves:
-                bound_leaf(tree, mesh, node - leaves)
+                bound_leaf(one, mesh, node - leaves)
             else:
                 left = 2 * (base + 2 * node)
                 low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
@@ -222,19 +239,19 @@ def build_tree(
 
     Args:
         tree: What to fill.
-        vertices: (meshes, V) vec3.
-        faces: (F, 3) int32, shared by the meshes.
+        vertices: (meshes, V) vec3; of meshes that differ each row is all of their vertices, over the same memory.
+        faces: (F, 3) int32, shared by the meshes; of meshes that differ one after the other, by all vertices.
         bounds: (6 * meshes) float32: afterwards each mesh's lowest and highest coordinates.
-        keys: (2 * meshes * F) int64, scratch.
-        slots: (2 * meshes * F) int32, scratch.
-        normals: (4 * meshes * F) float32: afterwards each face's unit normal, in the order of the faces, and 0.
+        keys: (2 * slots) int64, scratch.
+        slots: (2 * slots) int32, scratch.
+        normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
     """
     device = vertices.device
     meshes = vertices.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     launch(_reset_bounds, 6 * meshes, [bounds], device)
-    groups = meshes * -(-faces.shape[0] // (RUN * lanes))
-    launch(_reduce_bounds, groups * lanes, [lanes, vertices, faces, RUN, bounds], device)
+    groups = meshes * -(-tree.count // (RUN * lanes))
+    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, RUN, bounds], device)
     launch(_make_frames, meshes, [bounds, tree.frame], device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals)
 
@@ -250,16 +267,17 @@ def build_in_frame(
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
-    meshes, total = vertices.shape[0], vertices.shape[0] * faces.shape[0]
+    meshes, total = vertices.shape[0], tree.face.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
-    bits = COARSE_BITS if faces.shape[0] <= FEW else FINE_BITS
-    launch(_make_keys, total, [vertices, faces, bounds, tree.frame, bits, keys, slots], device)
+    bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
+    launch(_make_keys, total, [tree, vertices, faces, bounds, bits, keys, slots], device)
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
     launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device)
     level = tree.depth + 1
     while level > 0:
         # A launch costs more than a few boxes one after the other.
-        levels = min(level, LEVELS_AT_ONCE)
+        lowest, levels = tree.depth + 1 - level, min(level, LEVELS_AT_ONCE)
         level -= levels
-        launch(_bound_levels, (meshes << level) * lanes, [lanes, tree, 1 << level, levels], device, smallest=8)
+        inputs = [lanes, tree, lowest, 1 << level, levels]
+        launch(_bound_levels, (meshes << level) * lanes, inputs, device, smallest=8)

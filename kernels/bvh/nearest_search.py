@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, load_corners, node_distance2, nodes_of
+from sdm.kernels.bvh.tree import Tree, first_triangle, load_corners, node_distance2, nodes_of, slots_of
 from sdm.kernels.geometry.triangle_distance import closest_point, nearest_part, part_distance2
 
 wp.set_module_options({"enable_backward": False})
@@ -91,7 +91,7 @@ def nearest_slot(tree: Tree, mesh: int, p: wp.vec3, guess: int):
             leaf = node - leaves
             end = first_triangle(tree, leaf + 1)
             for t in range(first_triangle(tree, leaf), end):
-                slot = mesh * tree.count + t
+                slot = slots_of(tree, mesh) + t
                 d2, part = slot_part(tree, slot, p)
                 if d2 < out2 and slot != best:
                     wins = d2 < better2

@@ -1,8 +1,9 @@
 """A bounding volume hierarchy without pointers: triangles along a Hilbert curve under a complete binary tree.
 
 Triangles are sorted along a Hilbert curve and cut into 2^depth runs of nearly equal length, the leaves. Node i has
-the children 2i and 2i+1, the root is node 1, leaf j is node 2^depth + j. A batch of meshes with the same number of
-triangles has one of everything: mesh m has its own slice of every array. How it is made is in `build`.
+the children 2i and 2i+1, the root is node 1, leaf j is node 2^depth + j. A batch of meshes has one of everything: mesh
+m has its own slice of every array, as long as the others' if the meshes share their faces, else as `parts` says: then
+`tree_of` gives its hierarchy. How it is made is in `build`.
 
 Coordinates are scaled by a power of two, which is exact, so that squares neither overflow nor vanish.
 """
@@ -29,6 +30,9 @@ LATTICE_STEPS = wp.float64(2.0**29)
 # Two steps of the lattice in scaled units, at most: a mesh is never more than 2 wide. Boxes get this much slack.
 LATTICE_SLACK = wp.float64(2.0**-27)
 
+# Entries of a mesh's part, where meshes differ: its first slot, which is its first row of the faces too, its triangles,
+# levels, first node, and the last levels that candidate lists do without.
+FIRST, COUNT, DEPTH, ROOT, LEFT_OUT, PART_SIZE = 0, 1, 2, 3, 4, 5
 # Entries of a mesh's frame.
 SCALE, UNSCALE, LOW_X, LOW_Y, LOW_Z, LATTICE, DIAGONAL, FRAME_SIZE = 0, 1, 2, 3, 4, 5, 6, 8
 # Bytes of a triangle's corners and normal.
@@ -37,7 +41,7 @@ _CORNERS_SIZE = 48
 
 @wp.struct
 class Tree:
-    """The hierarchy of a batch of meshes. Triangle `t` of mesh `m` in curve order is slot `m * count + t`."""
+    """The hierarchy of a batch of meshes. Triangle `t` of mesh `m` in curve order is slot `slots_of(tree, m) + t`."""
 
     corners: wp.array(dtype=wp.vec3)  # (4 * slots) corner a, b, c, scaled, and the normal, see `load_corners`
     lattice: wp.array(dtype=wp.vec2i)  # (3 * slots) corners' (y,z) on the lattice
@@ -47,6 +51,11 @@ class Tree:
     count: wp.int32  # triangles of each mesh
     depth: wp.int32  # levels below the root, of which the last has the leaves
     below: wp.int32  # levels below these, which were built and are not looked at (see `coarser`)
+    parts: wp.array(dtype=wp.int32)  # (meshes * PART_SIZE) of meshes that differ: `count` and `depth` are the largest
+    meshes: wp.int32  # meshes that differ; 0 if all have as many triangles
+    alone: wp.int32  # 1 if this is the hierarchy of one mesh, which begins at:
+    first: wp.int32  # its first slot
+    root: wp.int32  # and its first node
 
 
 def depth_for(faces: int) -> int:
@@ -61,6 +70,65 @@ def coarser(tree: Tree, levels: int) -> Tree:
         setattr(found, name, getattr(tree, name))
     found.depth, found.below = tree.depth - levels, tree.below + levels
     return found
+
+
+@wp.func
+def tree_of(tree: Tree, mesh: int):
+    """The hierarchy of one mesh of a batch. Functions that are told the mesh's number take either.
+
+    Values that later code needs are few here, as a GPU's lanes keep them in registers.
+    """
+    one = Tree()
+    one.corners = tree.corners
+    one.lattice = tree.lattice
+    one.face = tree.face
+    one.boxes = tree.boxes
+    one.frame = tree.frame
+    one.count = tree.count
+    one.depth = tree.depth
+    one.below = tree.below
+    one.alone = 1
+    one.first = mesh * tree.count
+    one.root = mesh * (2 << (tree.depth + tree.below))
+    if tree.meshes > 0:
+        part = PART_SIZE * mesh
+        one.first = tree.parts[part + FIRST]
+        one.count = tree.parts[part + COUNT]
+        one.root = tree.parts[part + ROOT]
+        one.below = wp.where(tree.below > 0, tree.parts[part + LEFT_OUT], 0)
+        one.depth = tree.parts[part + DEPTH] - one.below
+    return one
+
+
+@wp.func_native(
+    snippet=f"""
+    if (tree.meshes == 0) return slot / tree.count;
+    int low = 0, high = tree.meshes;
+    while (high - low > 1) {{
+        const int middle = (low + high) / 2;
+        if (tree.parts.data[{PART_SIZE} * middle + {FIRST}] <= slot) low = middle; else high = middle;
+    }}
+    return low;
+"""
+)
+def mesh_of_slot(tree: Tree, slot: int) -> int:
+    """The mesh whose triangle is in a slot."""
+    ...
+
+
+@wp.func
+def slots_of(tree: Tree, mesh: int):
+    """The first slot of a mesh."""
+    return wp.where(tree.alone != 0, tree.first, mesh * tree.count)
+
+
+@wp.func
+def rows_before(tree: Tree, mesh: int):
+    """Rows of the faces before a mesh's own, of a tree of all: none if all meshes share them."""
+    before = int(0)
+    if tree.meshes > 0:
+        before = tree.parts[PART_SIZE * mesh + FIRST]
+    return before
 
 
 def sizes(meshes: int, faces: int) -> dict[str, tuple[tuple[int, ...], Any]]:
@@ -108,7 +176,7 @@ def write_corners(tree: Tree, slot: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, n: 
 @wp.func
 def nodes_of(tree: Tree, mesh: int):
     """Offset of a mesh's nodes, which count from there: its root is one further."""
-    return mesh * (2 << (tree.depth + tree.below))
+    return wp.where(tree.alone != 0, tree.root, mesh * (2 << (tree.depth + tree.below)))
 
 
 @wp.func

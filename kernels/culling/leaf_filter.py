@@ -9,7 +9,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import LARGEST_LEAF, TRIANGLES_PER_LEAF, Tree, first_triangle, load_corners, node_box
+from sdm.kernels.bvh.tree import (
+    LARGEST_LEAF,
+    TRIANGLES_PER_LEAF,
+    Tree,
+    first_triangle,
+    load_corners,
+    node_box,
+    slots_of,
+)
 from sdm.kernels.culling.normal_cones import Cones, cone_misses, node_cone
 from sdm.kernels.culling.witness_bound import Witness, box_is_farther, triangle_is_farther
 from sdm.kernels.geometry.voxel_box import VoxelBox
@@ -65,7 +73,7 @@ def push_triangles(stacks: wp.array(dtype=wp.int32), top: int, tree: Tree, mesh:
     if keep:
         first = first_triangle(tree, leaf)
         which = (1 << (first_triangle(tree, leaf + 1) - first)) - 1
-    return push_slots(stacks, top, mesh * tree.count + first, which, lane)
+    return push_slots(stacks, top, slots_of(tree, mesh) + first, which, lane)
 
 
 @wp.func
@@ -144,7 +152,7 @@ def triangles_that_matter(
             leaf = stacks[leaves + i / _LEAF]
             t = first_triangle(tree, leaf) + i % _LEAF
             if t < first_triangle(tree, leaf + 1):
-                slot = mesh * tree.count + t
+                slot = slots_of(tree, mesh) + t
                 keep = triangle_matters(box, radius, known, tree, balls, cones, slot)
         ripe = ripe + push(stacks, slots + ripe, keep, slot, lane)
         i = i + lanes

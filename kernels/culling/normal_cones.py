@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, nodes_of
+from sdm.kernels.bvh.tree import Tree, first_triangle, mesh_of_slot, nodes_of, rows_before, slots_of, tree_of
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.fast_math import about_root
@@ -84,8 +84,9 @@ def sine2_between(m: wp.vec3, n: wp.vec3):
 
 
 @wp.func
-def normal_of(normals: wp.array(dtype=wp.float32), mesh: int, count: int, face: int):
-    n = load4(normals, mesh * count + face)
+def normal_of(normals: wp.array(dtype=wp.float32), base: int, face: int):
+    """The normal of a face of the mesh whose faces' normals begin `base` after where its faces do."""
+    n = load4(normals, base + face)
     return wp.vec3(n[0], n[1], n[2])
 
 
@@ -93,7 +94,7 @@ def normal_of(normals: wp.array(dtype=wp.float32), mesh: int, count: int, face: 
 def sine2_over_edge(
     normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
-    mesh: int,
+    base: int,
     mine: wp.vec3,
     end: int,
     other: int,
@@ -105,7 +106,7 @@ def sine2_over_edge(
     """
     if other < 0:
         return NONE
-    theirs = normal_of(normals, mesh, faces.shape[0], other / 3)
+    theirs = normal_of(normals, base, other / 3)
     if faces[other / 3, other % 3] != end:
         theirs = -theirs
     return sine2_between(mine, theirs)
@@ -116,7 +117,7 @@ def sine2_around_corner(
     normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
-    mesh: int,
+    base: int,
     face: int,
     mine: wp.vec3,
     k: int,
@@ -139,7 +140,7 @@ def sine2_around_corner(
         # All of these before any is used, as each takes long to come.
         near = faces[there, entered]
         around = load_row(neighbours, there)
-        theirs = normal_of(normals, mesh, faces.shape[0], there)
+        theirs = normal_of(normals, base, there)
         left = wp.where(near == index, (entered + 2) % 3, (entered + 1) % 3)
         if near != index:
             theirs = -theirs
@@ -160,22 +161,24 @@ def _cones_of_triangles(
     cones: Cones,
 ):
     slot = begin + wp.tid()
-    mesh = slot / tree.count
-    face = tree.face[slot]
+    mesh = mesh_of_slot(tree, slot)
+    one = tree_of(tree, mesh)
+    face = rows_before(tree, mesh) + tree.face[slot]
+    base = slots_of(one, mesh) - rows_before(tree, mesh)
     around = load_row(neighbours, face)
     owned = around[3]
-    axis = normal_of(normals, mesh, tree.count, face)
+    axis = normal_of(normals, base, face)
     most = float(0.0)
     if wp.dot(axis, axis) < 0.5:
         most = NONE
     for k in range(3):
         if (owned >> (k + 3)) & 1 and most < NONE:
             end = faces[face, (k + 1) % 3]
-            most = wp.max(most, sine2_over_edge(normals, faces, mesh, axis, end, around[k]))
+            most = wp.max(most, sine2_over_edge(normals, faces, base, axis, end, around[k]))
     for k in range(3):
         if (owned >> k) & 1 and most < NONE:
             index = faces[face, k]
-            most = wp.max(most, sine2_around_corner(normals, faces, neighbours, mesh, face, axis, k, index, around[k]))
+            most = wp.max(most, sine2_around_corner(normals, faces, neighbours, base, face, axis, k, index, around[k]))
     sine = float(1.0)
     if most < NONE:
         sine = wp.min(wp.sqrt(most) + ANGLE_ROOM, 1.0)
@@ -218,27 +221,33 @@ def merged(a: wp.vec4, b: wp.vec4):
 def cone_of_leaf(tree: Tree, cones: Cones, mesh: int, leaf: int):
     cone = wp.vec4(0.0, 0.0, 0.0, -1.0)
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-        cone = merged(cone, read4(cones.triangles, mesh * tree.count + t))
+        cone = merged(cone, read4(cones.triangles, slots_of(tree, mesh) + t))
     return cone
 
 
 @wp.kernel
-def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, levels: int, cones: Cones):
-    """Cones of the lowest levels, the highest of them `width` nodes wide: one group of lanes for what is below each."""
+def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, cones: Cones):
+    """Cones of the lowest levels: a group of lanes for a node of the highest and what is below it, `width` a mesh."""
     thread = begin + wp.tid()
     lane = thread % lanes
     group = thread / lanes
     mesh = group / width
-    top = width + group - mesh * width
-    leaves = 1 << tree.depth
-    base = nodes_of(tree, mesh)
+    one = tree_of(tree, mesh)
+    highest = wp.max(one.depth - LEVELS, 0)
+    levels = one.depth - highest + 1
+    top = (1 << highest) + group - mesh * width
+    # Of meshes that differ, one with fewer levels takes fewer groups.
+    if top >= 2 << highest:
+        return
+    leaves = 1 << one.depth
+    base = nodes_of(one, mesh)
     for back in range(levels):
         down = levels - 1 - back
         node = (top << down) + lane
         while node < (top + 1) << down:
             cone = wp.vec4()
             if node >= leaves:
-                cone = cone_of_leaf(tree, cones, mesh, node - leaves)
+                cone = cone_of_leaf(one, cones, mesh, node - leaves)
             else:
                 left = base + 2 * node
                 cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
@@ -259,9 +268,9 @@ def node_cone(tree: Tree, cones: Cones, base: int, node: int):
 def make_cones(tree: Tree, normals: wp.array, faces: wp.array, neighbours: wp.array, cones: Cones) -> None:
     """Fill `cones` from a built tree, the faces' `normals` (see there) and their neighbours (F,4)."""
     device, slots = normals.device, normals.shape[0] // 4
-    meshes = slots // tree.count
+    meshes = tree.meshes or slots // tree.count
     launch(_cones_of_triangles, slots, [tree, normals, faces, neighbours, cones], device)
     lanes = GPU_LANES if device.is_cuda else 1
     top = max(tree.depth - int(LEVELS), 0)
-    inputs = [lanes, tree, 1 << top, tree.depth - top + 1, cones]
+    inputs = [lanes, tree, 1 << top, cones]
     launch(_cones_of_levels, (meshes << top) * lanes, inputs, device, smallest=8)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, load_corners
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, load_corners, mesh_of_slot, rows_before, slots_of, tree_of
 from sdm.kernels.culling.witness_bound import (
     Witness,
     bulge_of_edge,
@@ -222,6 +222,7 @@ def across_edge(
     normals: wp.array(dtype=wp.float32),
     faces: wp.array2d(dtype=wp.int32),
     mesh: int,
+    base: int,
     scale: float,
     begin: wp.vec3,
     end: wp.vec3,
@@ -231,8 +232,8 @@ def across_edge(
 ):
     """The unit vector from an edge into its neighbour `other` (3 * face + edge), and the neighbour's far corner.
 
-    The edge ends at the vertex `last`. Without a neighbour no direction, and `beyond`: the triangle's own far corner,
-    which says nothing new.
+    The edge ends at the vertex `last`, and the mesh's normals begin `base` after where its faces do. Without a
+    neighbour no direction, and `beyond`: the triangle's own far corner, which says nothing new.
     """
     inward = wp.vec3(0.0, 0.0, 0.0)
     if other >= 0:
@@ -241,7 +242,7 @@ def across_edge(
         # All loads before their use.
         first = faces[there, side]
         beyond = scale * vertices[mesh, faces[there, (side + 2) % 3]]
-        normal = load4(normals, mesh * faces.shape[0] + there)
+        normal = load4(normals, base + there)
         # Most neighbours go along the edge the other way.
         along = wp.where(first == last, begin - end, end - begin)
         across = wp.cross(wp.vec3(normal[0], normal[1], normal[2]), along)
@@ -289,17 +290,19 @@ def _make_features(
     features: Features,
 ):
     slot = begin + wp.tid()
-    mesh = slot / tree.count
+    mesh = mesh_of_slot(tree, slot)
+    one = tree_of(tree, mesh)
     scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
-    face = tree.face[slot]
+    face = rows_before(tree, mesh) + tree.face[slot]
+    base = slots_of(one, mesh) - rows_before(tree, mesh)
     around = load_row(neighbours, face)
     at_a = faces[face, 0]
     at_b = faces[face, 1]
     at_c = faces[face, 2]
     a, b, c, _normal = load_corners(tree, slot)
-    inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, scale, a, b, at_b, around[0], c)
-    inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, scale, b, c, at_c, around[1], a)
-    inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, scale, c, a, at_a, around[2], b)
+    inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, base, scale, a, b, at_b, around[0], c)
+    inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, base, scale, b, c, at_c, around[1], a)
+    inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, base, scale, c, a, at_a, around[2], b)
     first = int(-1)
     for k in range(3):
         if first < 0 and (around[3] & (CORNER << k)) != 0:
@@ -349,4 +352,4 @@ def make_features(
 ) -> None:
     """Fill `features` from a built tree, its meshes, their normals, and the neighbours of their faces (F,4)."""
     inputs = [tree, vertices, normals, faces, neighbours, features]
-    launch(_make_features, vertices.shape[0] * faces.shape[0], inputs, vertices.device)
+    launch(_make_features, tree.face.shape[0], inputs, vertices.device)

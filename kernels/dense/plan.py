@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -128,4 +129,41 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
         most_columns=options.most_columns,
+    )
+
+
+def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | None, options: PlanOptions) -> Plan:
+    """One plan for meshes that differ, whose own plans agree in cells and shares, so that all values stay the same.
+
+    Args:
+        works: Of each mesh alone.
+        plans: The plan of each.
+        memory: See `make_plan`.
+        options: Those of the plans.
+    """
+    expected = 0.0
+    for work, plan in zip(works, plans, strict=True):
+        entries = expected_entries(work.triangles, work.shape, plan.cell, plan.region_shares, plan.cell_shares)
+        expected += plan.total * entries * uneven_room(work.spacing, work.turned)
+    total = sum(plan.total for plan in plans)
+    split_length = NO_SPLITS
+    if memory is not None:
+        split_length = min(
+            split_length_for(work.triangles, work.depth - plan.levels_left_out, 8 * total)
+            for work, plan in zip(works, plans, strict=True)
+        )
+    split_length = options.split_length or split_length
+    entries = options.pool_entries or pool_for(expected / total, total, memory)
+    passes = passes_for(expected / total, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
+    most, chunks = -(-total // passes), entries // CHUNK
+    return replace(
+        plans[0],
+        regions=(0, 0, 0),
+        total=total,
+        passes=passes,
+        most=most,
+        levels_left_out=max(plan.levels_left_out for plan in plans),
+        split_length=split_length,
+        chunks=chunks,
+        blocks=8 * most + chunks * CHUNK // split_length,
     )

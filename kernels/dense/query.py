@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, TypeAlias
 
@@ -80,17 +80,44 @@ def query_slab(
         else:
             # This is bound by memory, and making lists is not.
             slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns)
+    out = output_of(target, empty)
+    if plan.method == "search":
+        join()
+        search_slab(surface.tree, slab, out, slab.meshes or values.shape[0])
+    else:
+        run_stages(surface, slab, out, plan, empty, beside, join)
+
+
+def output_of(target: Target, empty: Callable[[int, Any], wp.array]) -> Any:
+    """The target, as kernels take it."""
     out = Output()
     out.elsewhere = 0 if target.address is None else 1
-    set_array(out, "values", values.flatten())
+    set_array(out, "values", target.values.flatten())
     set_array(out, "ambiguous", target.ambiguous)
     set_array(out, "address", empty(1, wp.int64) if target.address is None else target.address)
     set_array(out, "winners", empty(0, wp.int32) if target.winners is None else target.winners)
-    if plan.method == "search":
-        join()
-        search_slab(surface.tree, slab, out, values.shape[0])
-    else:
-        run_stages(surface, slab, out, plan, empty, beside, join)
+    return out
+
+
+def query_slabs(
+    surface: Surface,
+    target: Target,
+    parts: Sequence[tuple[Slab, Plan]],
+    empty: Callable[[int, Any], wp.array],
+    beside: Beside,
+) -> None:
+    """Signed distances of meshes that differ, on slabs of their own, whose winding numbers are there.
+
+    Args:
+        surface: The meshes.
+        target: Filled; its values hold the winding numbers before.
+        parts: The slabs with the regions of some meshes, and the plan for these; all together have those of all.
+        empty: Allocates scratch.
+        beside: See `query_slab`.
+    """
+    out = output_of(target, empty)
+    for slab, plan in parts:
+        run_stages(surface, slab, out, plan, empty, beside, lambda: None)
 
 
 def run_stages(

@@ -10,7 +10,7 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, octant_at
-from sdm.kernels.geometry.voxel_grid import Slab, unravel
+from sdm.kernels.geometry.voxel_grid import REGION, SLAB_ROW, Slab, mesh_in_rows, slab_of, unravel
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,7 +24,7 @@ COARSEST = 0.125
 class RegionGrid:
     """Regions of one pass, and the cells that they are divided into."""
 
-    regions: wp.vec3i  # regions along each axis of the slab
+    regions: wp.vec3i  # regions along each axis of the slab that all meshes have
     first: wp.int32  # first region of this pass, counting through the meshes
     step: wp.int32  # from it to the next
     count: wp.int32  # regions of this pass
@@ -35,7 +35,7 @@ class RegionGrid:
 def make_cell(tree: Tree, slab: Slab, mesh: int, start: wp.vec3i, size: int):
     """The box of `size`^3 voxels from `start`, to be compared with a mesh's surface points."""
     frame = mesh * FRAME_SIZE
-    cell = box_of_voxels(slab, start, size, float(tree.frame[frame + SCALE]))
+    cell = box_of_voxels(slab_of(slab, mesh), start, size, float(tree.frame[frame + SCALE]))
     cell.diagonal = float(tree.frame[frame + DIAGONAL])
     return cell
 
@@ -47,17 +47,23 @@ def is_coarse(cell: VoxelBox):
 
 
 @wp.func
-def region_start(grid: RegionGrid, item: int):
+def region_start(slab: Slab, grid: RegionGrid, item: int):
     """The mesh, and the first voxel, of a region."""
-    mesh, at = unravel(grid.first + item * grid.step, grid.regions)
+    number = grid.first + item * grid.step
+    if slab.meshes > 0:
+        owner = mesh_in_rows(slab, REGION, number)
+        edge = 2 * grid.cell
+        regions = (slab_of(slab, owner).shape + wp.vec3i(edge - 1, edge - 1, edge - 1)) / edge
+        _none, there = unravel(number - int(slab.rows[owner * SLAB_ROW + REGION]), regions)
+        return owner, edge * there
+    mesh, at = unravel(number, grid.regions)
     return mesh, 2 * grid.cell * at
 
 
 @wp.func
-def cell_start(grid: RegionGrid, item: int):
-    """The mesh, and the first voxel, of a cell."""
-    mesh, start = region_start(grid, item / 8)
-    return mesh, start + grid.cell * octant_at(item)
+def cell_start(grid: RegionGrid, start: wp.vec3i, item: int):
+    """The first voxel of cell `item` % 8 of a region that starts there."""
+    return start + grid.cell * octant_at(item)
 
 
 @wp.func

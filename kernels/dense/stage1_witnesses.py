@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of
+from sdm.kernels.bvh.tree import Tree, box_distance2, first_triangle, node_distance2, nodes_of, slots_of, tree_of
 from sdm.kernels.bvh.triangle_frames import load_frame, see
 from sdm.kernels.culling.witness_bound import Witness, agree, away, moved, no_witness, remember, write_witness
 from sdm.kernels.dense.cell_cache import CellCache, store_box
 from sdm.kernels.dense.counters import NEXT_WITNESS
 from sdm.kernels.dense.region_grid import RegionGrid, cell_start, make_cell, region_start
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members
@@ -62,7 +62,7 @@ def nearer_leaf(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, p: wp
     """Witness of a centre: the one known, or a nearer triangle from a leaf near p."""
     leaf = greedy_leaf(tree, mesh, p)
     for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-        known = remember(known, seen_from(frames, mesh * tree.count + t, centre))
+        known = remember(known, seen_from(frames, slots_of(tree, mesh) + t, centre))
     return known
 
 
@@ -87,11 +87,15 @@ def nearer_of_leaves(
         return known
     mine = known
     if nearer and first_triangle(tree, leaf) < first_triangle(tree, leaf + 1):
-        mine = remember(mine, seen_from(frames, mesh * tree.count + first_triangle(tree, leaf), centre))
+        mine = remember(mine, seen_from(frames, slots_of(tree, mesh) + first_triangle(tree, leaf), centre))
     return agree(mine, lane)
 
 
-@wp.kernel
+# A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
+WITNESS_BLOCKS = 8
+
+
+@wp.kernel(launch_bounds=(128, WITNESS_BLOCKS))
 def _find_witnesses(
     begin: int,
     lanes: int,
@@ -105,14 +109,15 @@ def _find_witnesses(
     lane = (begin + wp.tid()) % lanes
     item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
     while item < grid.count:
-        mesh, start = region_start(grid, item)
-        region = make_cell(tree, slab, mesh, start, 2 * grid.cell)
+        mesh, start = region_start(slab, grid, item)
+        one = tree_of(tree, mesh)
+        region = make_cell(one, slab, mesh, start, 2 * grid.cell)
         known = no_witness()
         reach = float(0.0)
         probe = lane
         while probe < PROBES + lanes:
             p = region.centre + reach * probe_direction(probe)
-            known = agree(nearer_leaf(tree, frames, mesh, p, region.centre, known), lane)
+            known = agree(nearer_leaf(one, frames, mesh, p, region.centre, known), lane)
             reach = wp.sqrt(known.distance2)
             probe = probe + lanes
         if lane == 0:
@@ -121,15 +126,14 @@ def _find_witnesses(
         octant = lane
         while octant < 8:
             number = 8 * item + octant
-            _mesh, first = cell_start(grid, number)
-            cell = make_cell(tree, slab, mesh, first, grid.cell)
+            first = cell_start(grid, start, octant)
+            cell = make_cell(one, slab, mesh, first, grid.cell)
             store_box(cache, number, mesh, first, cell)
-            if is_within(slab, first):
+            if is_within(slab_of(slab, mesh), first):
                 centre = cell.centre
                 mine = moved(known, centre - region.centre)
-                write_witness(
-                    cache.witnesses, grid.count + number, nearer_leaf(tree, frames, mesh, centre, centre, mine)
-                )
+                mine = nearer_leaf(one, frames, mesh, centre, centre, mine)
+                write_witness(cache.witnesses, grid.count + number, mine)
             octant = octant + lanes
         item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
 

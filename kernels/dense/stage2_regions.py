@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
+from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import node_matters, push
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness
@@ -48,16 +48,17 @@ def _list_regions(
     thread = begin + wp.tid()
     lane = thread % lanes
     stack = stack_of(stacks, thread / lanes)
-    leaves = 1 << tree.depth
     # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
     # parents' tests would drop, their own do too. Either lie side by side in memory.
     fan = wp.where(regions.shares > MOST_WITH_GRANDCHILDREN, 2, 4)
     item = fetch_add_once(pool.counters, NEXT_REGION, 1, lane)
     while item < grid.count * regions.shares:
         region = item / regions.shares
-        mesh, start = region_start(grid, region)
-        base = nodes_of(tree, mesh)
-        cell = make_cell(tree, slab, mesh, start, 2 * grid.cell)
+        mesh, start = region_start(slab, grid, region)
+        one = tree_of(tree, mesh)
+        leaves = 1 << one.depth
+        base = nodes_of(one, mesh)
+        cell = make_cell(one, slab, mesh, start, 2 * grid.cell)
         radius = wp.sqrt(cell.half2)
         known = read_witness(cache.witnesses, region)
         chain = Chain()
@@ -96,7 +97,7 @@ def _list_regions(
                         there = there and (i & (fan - 1)) < 2
                     keep = False
                     if there:
-                        keep = node_matters(cell, radius, known, tree, cones, base, child)
+                        keep = node_matters(cell, radius, known, one, cones, base, child)
                     kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
                     mask = ballot(keep and child >= leaves)
                     if keep and child >= leaves:
@@ -112,8 +113,8 @@ def _list_regions(
                 high = wp.vec3()
                 if lane < taken:
                     leaf = stack[STACK - 1 - ripe - lane] - leaves
-                    low, high = node_box(tree, base + leaves + leaf)
-                known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
+                    low, high = node_box(one, base + leaves + leaf)
+                known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 chain = append(pool, chain, leaf >= 0, leaf, lane)
             wait_for_lanes()
         if lane == 0:

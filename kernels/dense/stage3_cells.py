@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, nodes_of
+from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import box_matters
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness, write_witness
@@ -28,7 +28,7 @@ from sdm.kernels.dense.counters import NEXT_CELL
 from sdm.kernels.dense.region_grid import RegionGrid
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 
@@ -54,7 +54,6 @@ def _list_cells(
     share_witnesses: wp.array(dtype=wp.float32),
 ):
     lane = (begin + wp.tid()) % lanes
-    leaves = 1 << tree.depth
     item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
     while item < 8 * grid.count * cells.shares:
         number = item / cells.shares
@@ -62,9 +61,11 @@ def _list_cells(
         # The chains of its region that are this share's.
         chains = regions.shares / cells.shares
         first = (number / 8) * regions.shares + (item % cells.shares) * chains
-        if is_within(slab, place.start):
+        if is_within(slab_of(slab, place.mesh), place.start):
             mesh = place.mesh
-            base = nodes_of(tree, mesh)
+            one = tree_of(tree, mesh)
+            leaves = 1 << one.depth
+            base = nodes_of(one, mesh)
             cell = place.box
             radius = wp.sqrt(cell.half2)
             known = read_witness(cache.witnesses, grid.count + number)
@@ -85,11 +86,11 @@ def _list_cells(
                 low = wp.vec3()
                 high = wp.vec3()
                 if leaf >= 0:
-                    low, high = node_box(tree, base + leaves + leaf)
-                known = nearer_of_leaves(tree, frames, mesh, leaf, low, high, cell.centre, known, lane)
+                    low, high = node_box(one, base + leaves + leaf)
+                known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 keep = False
                 if leaf >= 0:
-                    keep = box_matters(cell, radius, known, tree, cones, base, leaves + leaf, low, high)
+                    keep = box_matters(cell, radius, known, one, cones, base, leaves + leaf, low, high)
                 chain = append(pool, chain, keep, leaf, lane)
             if lane == 0:
                 write_witness(share_witnesses, item, known)

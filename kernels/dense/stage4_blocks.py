@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, slots_of, tree_of
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, read_witness, remember, write_witness
 from sdm.kernels.dense.block_schedule import BlockSchedule, share_out
@@ -20,7 +20,7 @@ from sdm.kernels.dense.counters import NEXT_CELL_TO_SCHEDULE
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid, brick_number, brick_start, is_coarse, make_cell
 from sdm.kernels.dense.stage1_witnesses import seen_from
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.vector_loads import load4
@@ -64,7 +64,7 @@ def nearest_in_list(
         upcoming = read_entry(pool, reader, lane)
         if leaf >= 0 and node_distance2(tree, boxes + leaf, centre) < mine.distance2:
             for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                slot = mesh * tree.count + t
+                slot = slots_of(tree, mesh) + t
                 if may_be_nearer(load4(features.balls, slot), centre, mine):
                     mine = remember(mine, seen_from(frames, slot, centre))
     return agree(mine, lane)
@@ -100,7 +100,7 @@ def store_bricks(
         brick = make_cell(tree, slab, place.mesh, first, grid.cell / 2)
         if grid.cell > BLOCK:
             store_box(cache, brick_number(grid, number, o), place.mesh, first, brick)
-        if is_within(slab, first):
+        if is_within(slab_of(slab, place.mesh), first):
             near = moved(known, brick.centre - place.box.centre)
             write_witness(cache.witnesses, grid.count + brick_number(grid, number, o), near)
         o = o + lanes
@@ -128,22 +128,23 @@ def _schedule_blocks(
         place = cached_box(cache, number)
         mesh = place.mesh
         cell = place.box
-        if is_within(slab, place.start):
+        one = tree_of(tree, mesh)
+        if is_within(slab_of(slab, mesh), place.start):
             length = list_length(cells, number * cells.shares, cells.shares)
             known = no_witness()
             if length > 0:
                 known = nearest_of_cell(share_witnesses, cells.shares, number)
             if is_coarse(cell):
-                store_bricks(tree, slab, grid, cache, number, place, known, lane, lanes)
+                store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
             else:
                 if length > 0:
                     known = nearest_in_list(
-                        tree, frames, features, pool, cells, number, mesh, cell.centre, known, lane, lanes
+                        one, frames, features, pool, cells, number, mesh, cell.centre, known, lane, lanes
                     )
                 if lane == 0:
                     write_witness(cache.witnesses, grid.count + number, known)
                 if grid.cell > BLOCK:
-                    store_bricks(tree, slab, grid, cache, number, place, known, lane, lanes)
+                    store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
             if lane == 0:
                 share_out(schedule, not is_coarse(cell), number, length, split_length)
         number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)

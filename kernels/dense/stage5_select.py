@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of
+from sdm.kernels.bvh.tree import FRAME_SIZE, UNSCALE, Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import (
     FEATURE_STACK,
     NEAR_STACK,
@@ -42,7 +42,7 @@ from sdm.kernels.dense.counters import COARSE, NEXT_CHUNK, NEXT_LIST
 from sdm.kernels.dense.region_grid import RegionGrid, brick_number, brick_start, is_coarse, make_cell
 from sdm.kernels.dense.stage4_blocks import nearest_in_list
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab, index_of
+from sdm.kernels.geometry.voxel_grid import Slab, index_of, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.fast_math import about_root
@@ -114,7 +114,7 @@ def block_of(
         block.floor = floor_of(read_witness(cache.witnesses, grid.count + number), cached_half2(cache, number))
     else:
         block.floor = floor_of(block.known, block.box.half2)
-    block.index = index_of(slab, block.mesh, block.start)
+    block.index = index_of(slab_of(slab, block.mesh), block.mesh, block.start)
     return block, number
 
 
@@ -242,20 +242,22 @@ def _select_features(
     item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
     while item < total:
         block, number = block_of(tree, slab, grid, cache, schedule, item, bricks, -1)
+        one = tree_of(tree, block.mesh)
+        within = is_within(slab_of(slab, block.mesh), block.start)
         head = int(-1)
         chain = Chain()
         chain.chunk = pool.chunks
         length = list_length(cells, number * cells.shares, cells.shares)
-        if is_within(slab, block.start) and length > 0 and block.known.distance2 < LARGEST_SQUARE:
+        if within and length > 0 and block.known.distance2 < LARGEST_SQUARE:
             if not is_coarse(block.box):
                 if item < bricks:
                     block.known = find_brick_witness(
-                        tree, frames, features, grid, pool, cells, cache, item, number, block, lane, lanes
+                        one, frames, features, grid, pool, cells, cache, item, number, block, lane, lanes
                     )
                 head = pool.reserved + fetch_add_once(pool.counters, NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
-                    tree,
+                    one,
                     features,
                     cones,
                     grid,
@@ -269,7 +271,7 @@ def _select_features(
                     lanes,
                 )
         if lane == 0:
-            if chain.chunk >= pool.chunks and block.splits > 1 and is_within(slab, block.start):
+            if chain.chunk >= pool.chunks and block.splits > 1 and within:
                 # What the other splits come to is not all.
                 schedule.lacking[number] = 1
             blocks.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)

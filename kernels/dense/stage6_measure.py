@@ -44,7 +44,7 @@ from sdm.kernels.dense.counters import COARSE, NEXT_BLOCK
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.dense.stage5_select import block_of
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Output, Slab
+from sdm.kernels.geometry.voxel_grid import Output, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
@@ -208,10 +208,11 @@ def measure_scheduled(
             listed = bricks + (item - bricks) / 8
             eighth = (item - bricks) % 8
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
-        if is_within(slab, block.start):
+        here = slab_of(slab, block.mesh)
+        if is_within(here, block.start):
             own = worker_scratch(scratch, worker, winners)
             stack = small_stack_of(stacks, worker)
-            measure_block(tree, features, slab, pool, blocks, listed, own, stack, out, block, winners, lane, lanes)
+            measure_block(tree, features, here, pool, blocks, listed, own, stack, out, block, winners, lane, lanes)
         item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 

@@ -13,7 +13,16 @@ from sdm.kernels.dense.cell_cache import CellCache, cached_start
 from sdm.kernels.dense.counters import SPLIT_CELLS
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, index_of, is_unclear, put_distance, with_sign
+from sdm.kernels.geometry.voxel_grid import (
+    Output,
+    Slab,
+    distances_at,
+    index_of,
+    is_unclear,
+    put_distance,
+    slab_of,
+    with_sign,
+)
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 
@@ -37,8 +46,9 @@ def split_voxel(slab: Slab, grid: RegionGrid, cache: CellCache, schedule: BlockS
     last = grid.cell - 1
     cell = schedule.split_cells[number >> (3 * bits)]
     mesh, start = cached_start(cache, cell)
+    here = slab_of(slab, mesh)
     at = start + wp.vec3i((number >> (2 * bits)) & last, (number >> bits) & last, number & last)
-    return mesh, cell, wp.where(is_within(slab, at), index_of(slab, mesh, at), -1)
+    return mesh, cell, wp.where(is_within(here, at), index_of(here, mesh, at), -1)
 
 
 @wp.kernel

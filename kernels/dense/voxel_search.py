@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, UNSCALE, Tree
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, UNSCALE, Tree, slots_of, tree_of
 from sdm.kernels.geometry.voxel_grid import (
     SEARCHED,
     Output,
@@ -14,8 +14,9 @@ from sdm.kernels.geometry.voxel_grid import (
     index_of,
     put_distance,
     read_distance,
-    unravel,
+    slab_of,
     voxel,
+    voxel_at,
     write_distance,
 )
 from sdm.kernels.launch import launch
@@ -66,15 +67,17 @@ def _measure(
     rest = rest / tiles_j
     i = (rest % tiles_i) * TILE + inner / TILE
     mesh = rest / tiles_i
-    if i >= slab.shape[0] or j >= slab.shape[1]:
+    one = tree_of(tree, mesh)
+    shape = slab_of(slab, mesh).shape
+    if i >= shape[0] or j >= shape[1]:
         return
-    guess = mesh * tree.count
+    guess = slots_of(one, mesh)
     unclear = int(0)
     for step in range(length):
         k = run * length + step
-        if k < slab.shape[2]:
-            distance, guess = searched_distance(tree, mesh, voxel(slab, i, j, k), guess)
-            index = index_of(slab, mesh, wp.vec3i(i, j, k))
+        if k < shape[2]:
+            distance, guess = searched_distance(one, mesh, voxel(slab_of(slab, mesh), i, j, k), guess)
+            index = index_of(slab_of(slab, mesh), mesh, wp.vec3i(i, j, k))
             unclear = unclear + write_distance(out, index, distance)
             note_searched(out, index, guess)
     if unclear > 0:
@@ -98,8 +101,10 @@ def _mend(begin: int, tree: Tree, slab: Slab, step: int, out: Output):
     while number < out.values.shape[0]:
         value = read_distance(address, number)
         if value == wp.inf or value == -wp.inf:
-            mesh, at = unravel(number, slab.shape)
-            distance, slot = searched_distance(tree, mesh, voxel(slab, at[0], at[1], at[2]), mesh * tree.count)
+            mesh, at = voxel_at(slab, number)
+            one = tree_of(tree, mesh)
+            point = voxel(slab_of(slab, mesh), at[0], at[1], at[2])
+            distance, slot = searched_distance(one, mesh, point, slots_of(one, mesh))
             put_distance(address, number, wp.where(value < 0.0, -distance, distance))
             note_searched(out, number, slot)
         number = number + step

@@ -14,6 +14,12 @@ POINT_BITS = 13
 
 
 @wp.func
+def curve_bits(triangles: int):
+    """Bits of a place along an axis, for a mesh of so many triangles."""
+    return wp.where(triangles <= FEW, COARSE_BITS, FINE_BITS)
+
+
+@wp.func
 def hilbert_code(x: wp.uint32, y: wp.uint32, z: wp.uint32, bits: int):
     """Position along a 3D Hilbert curve of `bits` bits an axis (Skilling 2004). It never jumps, unlike Morton order."""
     v = wp.vec3ui(x, y, z)

@@ -10,16 +10,83 @@ wp.set_module_options({"enable_backward": False})
 SEARCHED = 7
 
 
+# Entries of a slab's row, where each mesh of a batch has a grid of its own: origin, spacing, axes, the slab's shape,
+# its first layer, and its first voxel and first region in the count of all.
+ORIGIN, SPACING, AXES, SHAPE, LAYER, VOXEL, REGION, SLAB_ROW = 0, 3, 6, 15, 18, 19, 20, 21
+
+
 @wp.struct
 class Slab:
-    """The voxels `first <= i < first + shape[0]` of a grid."""
+    """The voxels `first <= i < first + shape[0]` of a grid; of meshes that have grids of their own see `slab_of`."""
 
     origin: wp.vec3d  # centre of the grid's voxel (0,0,0)
     spacing: wp.vec3d
     axes: wp.mat33d  # if turned: columns from one voxel to the next along i, j and k
     turned: wp.int32  # 0 if the grid's axes are x, y and z
-    shape: wp.vec3i  # of the slab
+    shape: wp.vec3i  # of the slab; of meshes that have grids of their own the longest along each axis
     first: wp.int32
+    rows: wp.array(dtype=wp.float64)  # (meshes * SLAB_ROW) of meshes that have grids of their own
+    meshes: wp.int32  # how many they are; 0 if all meshes have the same
+    alone: wp.int32  # 1 if this is the slab of one mesh
+    start: wp.int32  # and the number of its first voxel
+
+
+@wp.func
+def three_of(rows: wp.array(dtype=wp.float64), at: int):
+    return wp.vec3d(rows[at], rows[at + 1], rows[at + 2])
+
+
+@wp.func
+def slab_of(slab: Slab, mesh: int):
+    """The slab of one mesh of a batch. Functions that are told the mesh's number take either.
+
+    Either all grids are turned, or none is. To be called anew wherever it is needed: what is read again is better than
+    what a GPU's lanes keep in registers.
+    """
+    one = Slab()
+    one.origin = slab.origin
+    one.spacing = slab.spacing
+    one.axes = slab.axes
+    one.turned = slab.turned
+    one.shape = slab.shape
+    one.first = slab.first
+    one.alone = 1
+    one.start = mesh * slab.shape[0] * slab.shape[1] * slab.shape[2]
+    if slab.meshes > 0:
+        row = SLAB_ROW * mesh
+        one.origin = three_of(slab.rows, row + ORIGIN)
+        one.spacing = three_of(slab.rows, row + SPACING)
+        one.shape = wp.vec3i(three_of(slab.rows, row + SHAPE))
+        one.first = int(slab.rows[row + LAYER])
+        one.start = int(slab.rows[row + VOXEL])
+        if slab.turned != 0:
+            one.axes = wp.matrix_from_rows(
+                three_of(slab.rows, row + AXES),
+                three_of(slab.rows, row + AXES + 3),
+                three_of(slab.rows, row + AXES + 6),
+            )
+    return one
+
+
+@wp.func_native(
+    snippet=f"""
+    int low = 0, high = slab.meshes;
+    while (high - low > 1) {{
+        const int middle = (low + high) / 2;
+        if (slab.rows.data[{SLAB_ROW} * middle + entry] <= (double)number) low = middle; else high = middle;
+    }}
+    return low;
+"""
+)
+def mesh_in_rows(slab: Slab, entry: int, number: int) -> int:
+    """The mesh of a voxel or region, by the VOXEL or REGION entry of the rows."""
+    ...
+
+
+@wp.func
+def start_of_mesh(slab: Slab, mesh: int):
+    """The number of a mesh's first voxel, counting through the meshes of a batch."""
+    return wp.where(slab.alone != 0, slab.start, mesh * slab.shape[0] * slab.shape[1] * slab.shape[2])
 
 
 @wp.func_native(
@@ -97,9 +164,21 @@ def unravel(number: int, shape: wp.vec3i):
 
 
 @wp.func
+def voxel_at(slab: Slab, number: int):
+    """The mesh and the indices of a voxel, counted as by `index_of`."""
+    if slab.meshes > 0:
+        mesh = mesh_in_rows(slab, VOXEL, number)
+        one = slab_of(slab, mesh)
+        _none, at = unravel(number - one.start, one.shape)
+        return mesh, at
+    mesh, at = unravel(number, slab.shape)
+    return mesh, at
+
+
+@wp.func
 def index_of(slab: Slab, mesh: int, at: wp.vec3i):
     """The number of a voxel, counting through the meshes of a batch, k fastest: there are at most 2^30."""
-    return ((mesh * slab.shape[0] + at[0]) * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
+    return start_of_mesh(slab, mesh) + (at[0] * slab.shape[1] + at[1]) * slab.shape[2] + at[2]
 
 
 @wp.struct

@@ -11,8 +11,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
-from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, start_of_mesh, unravel, voxel, voxel_at
 from sdm.kernels.launch import launch
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
@@ -30,28 +30,32 @@ Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
 
 
 @wp.kernel
-def _sum_columns(begin: int, slab: Slab, counts: wp.array4d(dtype=wp.int32), values: wp.array4d(dtype=wp.float32)):
+def _sum_columns(begin: int, slab: Slab, counts: wp.array(dtype=wp.int32), values: wp.array(dtype=wp.float32)):
     """From crossings to winding numbers, in the same memory: a voxel sees every crossing at or beyond it."""
     i = begin + wp.tid()
     columns = slab.shape[1] * slab.shape[2]
     mesh = i / columns
-    j = (i - mesh * columns) / slab.shape[2]
-    k = i % slab.shape[2]
+    here = slab_of(slab, mesh)
+    layer = here.shape[1] * here.shape[2]
+    column = i - mesh * columns
+    if column >= layer:
+        return
+    at = start_of_mesh(here, mesh) + column
     total = int(0)
-    end = slab.shape[0]
+    end = here.shape[0]
     while end >= AHEAD:
         # All loads before any store, which each would wait for.
         ahead = Ahead()
         for back in range(AHEAD):
-            ahead[back] = counts[mesh, end - 1 - back, j, k]
+            ahead[back] = counts[at + (end - 1 - back) * layer]
         for back in range(AHEAD):
             total = total + ahead[back]
-            values[mesh, end - 1 - back, j, k] = float(total)
+            values[at + (end - 1 - back) * layer] = float(total)
         end = end - AHEAD
     while end > 0:
         end = end - 1
-        total = total + counts[mesh, end, j, k]
-        values[mesh, end, j, k] = float(total)
+        total = total + counts[at + end * layer]
+        values[at + end * layer] = float(total)
 
 
 @wp.func
@@ -64,14 +68,16 @@ def numbered_voxel(tree: Tree, slab: Slab, number: int):
 
 @wp.kernel
 def _count_at_voxels(
-    begin: int, tree: Tree, caps: Tree, with_caps: int, slab: Slab, values: wp.array4d(dtype=wp.float32)
+    begin: int, tree: Tree, caps: Tree, with_caps: int, slab: Slab, values: wp.array(dtype=wp.float32)
 ):
     """One ray for every voxel: for turned grids, whose columns are not along x."""
-    mesh, i, j, k, p = numbered_voxel(tree, slab, begin + wp.tid())
-    found = count_crossings(tree, mesh, p)
+    number = begin + wp.tid()
+    mesh, at = voxel_at(slab, number)
+    p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), at[0], at[1], at[2]))
+    found = count_crossings(tree_of(tree, mesh), mesh, p)
     if with_caps != 0:
         found = found + count_crossings(caps, mesh, p)
-    values[mesh, i, j, k] = float(found)
+    values[number] = float(found)
 
 
 @wp.kernel
@@ -99,27 +105,25 @@ def slab_winding(
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
-    Fills `values` (meshes, n, ny, nz) float32. Where an open mesh's winding number is within a quarter of a whole
-    number, it may be that number instead. `empty(length, dtype)` allocates scratch; for `most_columns` see
-    `PlanOptions`.
+    Fills `values` (meshes, n, ny, nz) float32, or of meshes that have grids of their own all in one row, each as if it
+    were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
+    instead. `empty(length, dtype)` allocates scratch; for `most_columns` see `PlanOptions`.
     """
-    device = values.device
-    meshes, nx, ny, nz = values.shape
-    total = meshes * nx * ny * nz
+    device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
+    flat = values.flatten()
     # Caps close the holes, and are opened again.
     with_caps = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
     if winding.kind == SOUP:
         values.zero_()
     elif slab.turned != 0:
-        launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, values], device)
+        launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)
     else:
         values.zero_()
-        counts = values.view(wp.int32)
-        flat = counts.flatten()
-        scan_triangles(tree, slab, flat, meshes, empty, most_columns)
+        counts = flat.view(wp.int32)
+        scan_triangles(tree, slab, counts, meshes, empty, most_columns)
         if with_caps:
-            scan_triangles(winding.caps.tree, slab, flat, meshes, empty, most_columns)
-        launch(_sum_columns, meshes * ny * nz, [slab, counts, values], device)
+            scan_triangles(winding.caps.tree, slab, counts, meshes, empty, most_columns)
+        launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
     elif winding.kind != CLOSED:

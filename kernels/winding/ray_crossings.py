@@ -13,7 +13,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import NodeStack
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of, to_lattice
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of, slots_of, to_lattice
 
 wp.set_module_options({"enable_backward": False})
 
@@ -151,7 +151,7 @@ def count_on_ray(tree: Tree, mesh: int, p: wp.vec3d, back: bool):
             leaf = node - leaves
             end = first_triangle(tree, leaf + 1)
             for t in range(first_triangle(tree, leaf), end):
-                slot = mesh * tree.count + t
+                slot = slots_of(tree, mesh) + t
                 total = total + crossing_on_ray(tree, slot, q, p[0], back)
             node = int(0)
         else:

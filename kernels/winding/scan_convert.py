@@ -11,8 +11,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_corners, to_lattice
-from sdm.kernels.geometry.voxel_grid import Slab, along, count_below
+from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE_SLACK, SCALE, Tree, load_corners, mesh_of_slot, to_lattice
+from sdm.kernels.geometry.voxel_grid import Slab, along, count_below, index_of, slab_of
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
@@ -74,8 +74,7 @@ def mark_columns(
         if sign != 0:
             below = count_below(slab, 0, crossing_of(a, b, c, pa[0], pb[0], pc[0], q), scale)
             if below > 0:
-                at = ((mesh * slab.shape[0] + below - 1) * slab.shape[1] + j) * slab.shape[2] + k
-                fetch_add(counts, at, sign)
+                fetch_add(counts, index_of(slab, mesh, wp.vec3i(below - 1, j, k)), sign)
         column = column + lanes
     return columns
 
@@ -89,7 +88,8 @@ def mark_triangle(
     a = tree.lattice[3 * slot]
     b = tree.lattice[3 * slot + 1]
     c = tree.lattice[3 * slot + 2]
-    return mark_columns(tree, slab, counts, slot / tree.count, pa, pb, pc, a, b, c, most, lane, lanes)
+    mesh = mesh_of_slot(tree, slot)
+    return mark_columns(tree, slab_of(slab, mesh), counts, mesh, pa, pb, pc, a, b, c, most, lane, lanes)
 
 
 @wp.kernel
@@ -160,8 +160,8 @@ def scan_triangles(
     """
     device = counts.device
     columns = slab.shape[1] * slab.shape[2]
-    slots = meshes * tree.count
-    lanes = lanes_for_each(tree.count, meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
+    slots = tree.face.shape[0]
+    lanes = lanes_for_each(-(-slots // meshes), meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
     most = most_columns or MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
     some_large = columns >= most * lanes
     large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)

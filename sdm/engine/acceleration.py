@@ -21,7 +21,7 @@ from sdm.kernels.launch import set_array
 from sdm.kernels.winding import cap_tree, dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import Join, kernels_beside
-from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, workspace
+from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, repeated_row, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges
 from sdm.topology.cap_triangles import cap_triangles
 from sdm.topology.face_pairing import pairing_of
@@ -328,10 +328,13 @@ def fill_surface(
     join: Join | None = None,
 ) -> None:
     """Queue the kernels that do not depend on a boundary, and fill each mesh's `bounds`, as `build_tree` does."""
-    meshes, count, empty = vertices.shape[0], faces.shape[0], workspace(vertices.device)
+    count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
-    normals = empty(4 * meshes * count, wp.float32)
-    keys, slots = empty(2 * meshes * count, wp.int64), empty(2 * meshes * count, wp.int32)
+    if view.tree.meshes:
+        # Meshes that differ: all vertices in one row, which is that of every mesh.
+        corners = repeated_row(corners, view.tree.meshes)
+    normals = empty(4 * count, wp.float32)
+    keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)
     build_tree(view.tree, corners, triples, bounds, keys, slots, normals)
     if join is not None:
         join()

@@ -23,7 +23,7 @@ from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import LARGEST_SLAB, index_map, is_recordable, put_together, slabs_of, unsigned_index_map
 from sdm.engine.ops import map_slab, points_distance, points_winding, structure_slab
 from sdm.engine.points import as_points, at_points
-from sdm.engine.repeated_faces import CROWDED, RepeatedFaces, repeated_faces
+from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError
 from sdm.runtime.operators import is_eager
 from sdm.topology.boundary_edges import boundary_edges
@@ -69,11 +69,7 @@ class MeshIndex:
         mesh, edges = self.mesh, self._edges
         self._repeated: RepeatedFaces | None = None
         self._rims: Tensor | None = None
-        # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
-        if self.device.type == "cpu" and (
-            len(mesh) >= CROWDED * mesh.vertices.shape[0]
-            or (edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any()))
-        ):
+        if may_be_crowded(mesh, edges):
             self._repeated = repeated_faces(mesh)
         if self._repeated is not None:
             mesh, edges = self._repeated.distinct, None

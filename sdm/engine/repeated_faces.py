@@ -31,6 +31,15 @@ CROWDED = 32
 CHUNK = 1 << 14
 
 
+def may_be_crowded(mesh: TriangleMesh, edges: Int32[Tensor, "E 2"]) -> bool:
+    """True if a mesh with these boundary edges may have triangles many times, on the host, where that is looked at."""
+    # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
+    return mesh.device.type == "cpu" and (
+        len(mesh) >= CROWDED * mesh.vertices.shape[0]
+        or (edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any()))
+    )
+
+
 class RepeatedFaces:
     """A mesh with triangles that it has many times.
 

@@ -86,6 +86,19 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.dev
     return arrays.array_at(address, shape, dtype, warp_name(device))
 
 
+def repeated_row(array: wp.array, rows: int) -> wp.array:
+    """The array (1,n) as one of so many rows, all over the same memory."""
+    step = array.strides[1]
+    return wp.array(
+        ptr=array.ptr,
+        dtype=array.dtype,
+        shape=(rows, array.shape[1]),
+        strides=(0, step),
+        device=array.device,
+        copy=False,
+    )
+
+
 def version_of(tensor: Tensor) -> int | None:
     """Number of writes into a tensor that torch has counted; None if it counts none, as in inference mode."""
     return None if tensor.is_inference() else tensor._version

@@ -1,0 +1,1 @@
+"""Meshes that differ, in one call: chunks of them are built together, and their maps made together."""

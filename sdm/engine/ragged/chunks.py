@@ -1,0 +1,67 @@
+"""Chunks of a list of meshes and grids: as many at a time as a bound of memory allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+
+from sdm.core.device import total_memory
+
+T = TypeVar("T")
+
+# Bytes of a chunk: of a GPU's memory this share, and of a CPU, whose caches are small and which gains little.
+GPU_SHARE, CPU_BYTES = 24, 1 << 28
+# What a triangle takes while its structure is built and searched, and what a voxel does.
+TRIANGLE_BYTES, VOXEL_BYTES = 1000, 8
+# Of meshes, and of voxels, whose numbers have 32 bits.
+MOST_MESHES, MOST_VOXELS = 1 << 12, 1 << 29
+
+
+@dataclass(frozen=True)
+class Load:
+    """Share of a chunk that one mesh takes."""
+
+    triangles: int
+    voxels: int = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory, about."""
+        return TRIANGLE_BYTES * self.triangles + VOXEL_BYTES * self.voxels
+
+
+def bytes_for(device: torch.device) -> int:
+    """Bytes of a chunk on a device, where nobody says."""
+    return total_memory(device) // GPU_SHARE if device.type == "cuda" else CPU_BYTES
+
+
+def in_chunks(items: Iterable[T], load: Callable[[T], Load], limit: Callable[[T], int]) -> Iterator[list[T]]:
+    """The items in order, as many at a time as fit: at least one.
+
+    Args:
+        items: Taken as they are needed.
+        load: What an item adds.
+        limit: Bytes of a chunk that begins with this item.
+    """
+    chunk: list[T] = []
+    nbytes = voxels = most = 0
+    for item in items:
+        more = load(item)
+        if chunk and (nbytes + more.nbytes > most or voxels + more.voxels > MOST_VOXELS or len(chunk) == MOST_MESHES):
+            yield chunk
+            chunk, nbytes, voxels = [], 0, 0
+        if not chunk:
+            most = limit(item)
+        chunk.append(item)
+        nbytes, voxels = nbytes + more.nbytes, voxels + more.voxels
+    if chunk:
+        yield chunk
+
+
+def voxels_of(shape: tuple[int, ...]) -> int:
+    """Voxels of a grid of this shape, with the room that lets the next map begin at a multiple of 256 bytes."""
+    return -(-math.prod(shape) // 64) * 64

@@ -1,0 +1,183 @@
+"""Maps of meshes that differ on grids of any shape: one build and one pass over the columns for all meshes of a chunk.
+
+The stages of the dense query run once for the meshes whose plans have cells and shares in common, as these decide
+about the last bit of a value. What a map is does not depend on the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.core.grid import IDENTITY, Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.ops import slab_view, structure_slab
+from sdm.engine.plan_override import OPTIONS
+from sdm.engine.ragged.chunks import voxels_of
+from sdm.engine.ragged.structure import RaggedStructure, build_ragged
+from sdm.engine.repeated_faces import may_be_crowded
+from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
+from sdm.kernels.bvh.tree import depth_for
+from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan, memory_of
+from sdm.kernels.dense.query import Surface, Target, query_slabs
+from sdm.kernels.geometry.voxel_grid import AXES, LAYER, ORIGIN, REGION, SHAPE, SLAB_ROW, SPACING, VOXEL, Slab
+from sdm.kernels.launch import set_array
+from sdm.kernels.winding.column_sums import slab_winding
+from sdm.runtime.graphs.branches import kernels_beside
+from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
+
+
+@dataclass(frozen=True)
+class MapJob:
+    """A mesh, on its device, and the grid of its map."""
+
+    number: int  # of the mesh in the whole list
+    mesh: TriangleMesh
+    grid: Grid
+
+    @property
+    def turned(self) -> bool:
+        """True if the grid's axes are not x, y and z."""
+        return self.grid.direction != IDENTITY
+
+    @property
+    def work(self) -> Workload:
+        """Workload of the map by itself."""
+        count = len(self.mesh)
+        return Workload(count, depth_for(count), 1, self.grid.shape, self.grid.spacing, self.turned)
+
+
+def plan_of(job: MapJob) -> Plan:
+    """The plan of a map by itself."""
+    device = wp.device_from_torch(job.mesh.device)
+    return make_plan(job.work, memory_of(device.alias), OPTIONS.get())
+
+
+def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
+    """The maps (nx,ny,nz) of meshes on one device, and how many voxels of each are ambiguous.
+
+    None in place of one of a mesh with many copies of a triangle, which is left to its own call.
+
+    Args:
+        jobs: Their plans are for cells. Either all grids are turned, or none is.
+
+    Raises:
+        MeshError: A face index out of range.
+    """
+    plans = [plan_of(job) for job in jobs]
+    numbers = [job.number for job in jobs]
+    structure = build_ragged([job.mesh for job in jobs], [plan.levels_left_out for plan in plans], numbers)
+    crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
+    thick = _with_thick_slices(jobs, structure) - crowded
+    together = [i for i in range(len(jobs)) if i not in thick | crowded]
+    device = structure.memory.device
+    sizes = [voxels_of(job.grid.shape) for job in jobs]
+    starts = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+    values = torch.empty(starts[-1], dtype=torch.float32, device=device)
+    ambiguous = torch.zeros(len(jobs), dtype=torch.int32, device=device)
+    maps = [
+        values[start : start + math.prod(job.grid.shape)].view(job.grid.shape)
+        for start, job in zip(starts, jobs, strict=False)
+    ]
+    if together:
+        groups = _groups(jobs, plans, together)
+        rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
+        _fill(jobs, structure, groups, rows, values, maps, ambiguous)
+    for i in thick:
+        own, unclear = structure_slab(structure.of_mesh(i), jobs[i].grid, 0, maps[i].shape[0])
+        maps[i], ambiguous[i] = own[0], unclear[0]
+    # Of closed meshes it is known without a look at the device, which would wait for it.
+    counts = ambiguous.tolist() if structure.topologies else []
+    found = [(values, counts[i] if i in structure.topologies else 0) for i, values in enumerate(maps)]
+    return [None if i in crowded else pair for i, pair in enumerate(found)]
+
+
+def _with_thick_slices(jobs: Sequence[MapJob], structure: RaggedStructure) -> set[int]:
+    """The maps that are measured on finer grids, each by itself (`sdm.engine.thick_slices`)."""
+    if structure.memory.device.type != "cpu":
+        return set()
+    factors = OPTIONS.get().slice_factors
+    scales = scales_of(structure.view.tree, len(jobs))
+    return {
+        i
+        for i, (job, scale) in enumerate(zip(jobs, scales, strict=True))
+        if finer(Slices(job.grid.spacing, job.grid.shape, 0), scale, len(job.mesh), factors) != AS_IT_IS
+    }
+
+
+def _groups(jobs: Sequence[MapJob], plans: Sequence[Plan], together: Sequence[int]) -> list[tuple[list[int], Plan]]:
+    """The maps whose plans agree where that decides about bits, and one plan for each such group."""
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for i in together:
+        alike.setdefault((plans[i].cell, plans[i].region_shares, plans[i].cell_shares), []).append(i)
+    memory = memory_of(wp.device_from_torch(jobs[0].mesh.device).alias)
+    return [
+        (group, joint_plan([jobs[i].work for i in group], [plans[i] for i in group], memory, OPTIONS.get()))
+        for group in alike.values()
+    ]
+
+
+def _slab_rows(
+    jobs: Sequence[MapJob], plans: Sequence[Plan], starts: Sequence[int], groups: Sequence[tuple[list[int], Plan]]
+) -> np.ndarray:
+    """Rows of the slabs (groups, meshes, SLAB_ROW) float64: in each group's the other meshes have no regions."""
+    rows = np.zeros((len(groups), len(jobs), SLAB_ROW))
+    for i, job in enumerate(jobs):
+        grid, row = job.grid, rows[:, i]
+        row[:, ORIGIN : ORIGIN + 3] = grid.origin
+        row[:, SPACING : SPACING + 3] = grid.spacing
+        row[:, SHAPE : SHAPE + 3] = grid.shape
+        row[:, LAYER], row[:, VOXEL] = 0, starts[i]
+        if job.turned:
+            row[:, AXES : AXES + 9] = [
+                d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)
+            ]
+    for (group, _plan), table in zip(groups, rows, strict=True):
+        regions = np.zeros(len(jobs))
+        regions[group] = [plans[i].total for i in group]
+        table[1:, REGION] = np.cumsum(regions)[:-1]
+    return rows
+
+
+def _slab(jobs: Sequence[MapJob], rows: Tensor) -> Any:
+    """All slabs, as kernels take them."""
+    slab = Slab()
+    slab.turned = int(jobs[0].turned)
+    slab.shape = wp.vec3i(*(max(job.grid.shape[axis] for job in jobs) for axis in range(3)))
+    slab.meshes = len(jobs)
+    set_array(slab, "rows", as_warp(rows.view(-1), wp.float64))
+    return slab
+
+
+def _fill(
+    jobs: Sequence[MapJob],
+    structure: RaggedStructure,
+    groups: Sequence[tuple[list[int], Plan]],
+    rows: Tensor,
+    values: Tensor,
+    maps: Sequence[Tensor],
+    ambiguous: Tensor,
+) -> None:
+    """Queue the kernels of all groups' maps."""
+    empty, options, (tree, closed, frames, features, cones) = workspace(values.device), OPTIONS.get(), structure.view
+    target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), None)
+    with on_current_stream(values, structure.memory, structure.parts, rows):
+        slabs = [_slab(jobs, table) for table in rows]
+        slab_winding(tree, closed, slabs[0], target.values, empty, options.most_columns)
+        regions = {i for group, _ in groups for i in group}
+        for i in regions & structure.topologies.keys():
+            # Its whole numbers are not its winding numbers, which come in their place.
+            alone, grid = structure.of_mesh(i), jobs[i].grid
+            slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, tuple(x for row in grid.direction for x in row))
+            whole = as_warp(maps[i][None], wp.float32)
+            slab_winding(alone.view.tree, alone.view.winding, slab, whole, empty, options.most_columns)
+        parts = [(slab, plan) for slab, (_, plan) in zip(slabs, groups, strict=True)]
+        query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, values))

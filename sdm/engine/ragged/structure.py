@@ -1,0 +1,204 @@
+"""The acceleration structures of meshes that differ, built together: one sort of all triangles, the number of the mesh
+in front of the place on the curve.
+
+The arrays are those of `sdm.engine.acceleration`, one mesh behind the other. A table says where each begins. A mesh's
+part of them is bit for bit its structure by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import (
+    ARRAYS,
+    AccelerationStructure,
+    KernelView,
+    MeshKind,
+    Sizes,
+    fill_boundary,
+    fill_surface,
+    kind_of,
+    topology_for,
+)
+from sdm.errors import MeshError
+from sdm.kernels.bvh.tree import PART_SIZE, coarser, depth_for
+from sdm.kernels.launch import set_array
+from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device
+from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.face_pairing import Pairing, PairingUnderWay, remember
+
+# What only an open mesh has.
+OF_BOUNDARY = ("boundary", "caps tree", "caps", "winding")
+
+
+class JoinedSizes(NamedTuple):
+    """Sizes that the shapes of all arrays follow from, as `Sizes` of meshes that differ: without boundaries."""
+
+    counts: tuple[int, ...]  # faces of each mesh
+
+    # Of no mesh the boundary is among the arrays.
+    edges = visited_edges = cap_nodes = dipole_nodes = 0
+    kind = MeshKind.CLOSED
+
+    @property
+    def meshes(self) -> int:
+        """Number of meshes."""
+        return len(self.counts)
+
+    @property
+    def faces(self) -> int:
+        """Of the largest mesh."""
+        return max(self.counts)
+
+    @property
+    def slots(self) -> int:
+        """Triangles of all meshes."""
+        return sum(self.counts)
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of all hierarchies."""
+        return sum(2 << depth_for(count) for count in self.counts)
+
+
+@dataclass(frozen=True, eq=False)
+class RaggedStructure:
+    """The structures of meshes that differ.
+
+    Args:
+        meshes: They themselves, on their device.
+        sizes: Of the arrays.
+        memory: The tensor that all arrays are parts of.
+        parts: Where each mesh begins, see `sdm.kernels.bvh.tree`.
+        view: The arrays for kernels: of the winding numbers, as if all meshes were closed.
+        bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
+        topologies: Of each open mesh, by its place.
+    """
+
+    meshes: list[TriangleMesh]
+    sizes: JoinedSizes
+    memory: Tensor
+    parts: Tensor
+    view: KernelView
+    bounds: Tensor
+    topologies: dict[int, MeshTopology]
+
+    def of_mesh(self, mesh: int) -> AccelerationStructure:
+        """The structure of one mesh, over the same memory; what only an open mesh has is made here."""
+        count = self.sizes.counts[mesh]
+        topology = self.topologies.get(mesh)
+        edges = 0 if topology is None else topology.boundary.shape[0]
+        sizes, begin, tensors = Sizes(1, count, edges, kind_of(edges, count)), JoinedSizes(self.sizes.counts[:mesh]), []
+        for array, whole in zip(ARRAYS, self._tensors, strict=True):
+            step, length = wp.types.type_size_in_bytes(array.dtype), array.length(sizes)
+            if array.struct in OF_BOUNDARY:
+                tensors.append(torch.empty(step * length, dtype=torch.uint8, device=self.memory.device))
+            else:
+                first = step * array.length(cast(Sizes, begin))
+                tensors.append(whole[first : first + step * length])
+        structure = AccelerationStructure.from_tensors(tensors, sizes.kind, 1)
+        if topology is not None:
+            vertices = self.meshes[mesh].vertices.detach()[None]
+            with on_current_stream(vertices, vertices, *tensors, self.bounds, *topology):
+                fill_boundary(structure, vertices, topology, as_warp(self.bounds[6 * mesh :][:6], wp.float32))
+        return structure
+
+    @property
+    def _tensors(self) -> list[Tensor]:
+        return AccelerationStructure.in_block(cast(Sizes, self.sizes), self.memory.device, self.memory).tensors
+
+
+def build_ragged(meshes: Sequence[TriangleMesh], left_out: Sequence[int], numbers: Sequence[int]) -> RaggedStructure:
+    """Build the structures of meshes on one device.
+
+    Args:
+        meshes: Any triangles.
+        left_out: Last levels of each tree that candidate lists do without.
+        numbers: The meshes' numbers, as errors call them.
+
+    Raises:
+        MeshError: A face index out of range.
+    """
+    device, sizes = meshes[0].device, JoinedSizes(tuple(len(mesh) for mesh in meshes))
+    rows, first_face, first_vertex, root = [], 0, 0, 0
+    for mesh, count, levels in zip(meshes, sizes.counts, left_out, strict=True):
+        depth, vertex_count = depth_for(count), mesh.vertices.shape[0]
+        rows.append((first_face, count, depth, root, levels, first_vertex, vertex_count))
+        first_face, first_vertex, root = first_face + count, first_vertex + vertex_count, root + (2 << depth)
+    table = to_device(torch.tensor(rows, dtype=torch.int32), device)
+    parts = table[:, :PART_SIZE].contiguous().view(-1)
+    vertices = torch.cat([mesh.vertices.detach() for mesh in meshes])
+    faces, out_of_range = _joined_faces(meshes, table, first_face)
+    # Typed for meshes that share faces, but only these attributes are looked at.
+    empty = AccelerationStructure.in_block(cast(Sizes, sizes), device)
+    tree = coarser(empty.view.tree, 0)
+    set_array(tree, "parts", as_warp(parts, wp.int32))
+    tree.meshes = len(meshes)
+    view = empty.view._replace(tree=tree)
+    bounds = torch.empty(6 * len(meshes), dtype=torch.float32, device=device)
+    under_way = PairingUnderWay(faces, first_vertex)
+    with on_current_stream(vertices, vertices, faces, parts):
+        # The kernels do not wait for what the faces say about the boundary.
+        fill_surface(view, vertices[None], faces, under_way.neighbours, as_warp(bounds, wp.float32))
+    pairing = under_way.finish()
+    # This was queued before the pairing was.
+    if bool(out_of_range):
+        _refuse_out_of_range(meshes, numbers)
+    return RaggedStructure(
+        list(meshes), sizes, empty.memory[0], parts, view, bounds, _open_topologies(meshes, rows, pairing)
+    )
+
+
+def _joined_faces(meshes: Sequence[TriangleMesh], table: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """All faces (F,3) by the number of their vertices among all, and on the host whether any is out of range."""
+    given = torch.cat([mesh.faces for mesh in meshes])
+    # Of each face its mesh's first vertex, and how many it has.
+    first, length = torch.repeat_interleave(table[:, 5:], table[:, 1], dim=0, output_size=count).split(1, dim=1)
+    within = given.clamp(min=0).minimum(length - 1)
+    wrong = (within != given).any()
+    if given.is_cuda:
+        wrong = torch.empty((), dtype=torch.bool, pin_memory=True).copy_(wrong, non_blocking=True)
+    return within.add_(first), wrong
+
+
+def _refuse_out_of_range(meshes: Sequence[TriangleMesh], numbers: Sequence[int]) -> None:
+    for mesh, number in zip(meshes, numbers, strict=True):
+        low, high = (int(bound) for bound in mesh.faces.aminmax())
+        count = mesh.vertices.shape[0]
+        if low < 0 or high >= count:
+            raise MeshError(
+                f"mesh {number}: a face uses vertex {low if low < 0 else high}, but the {count} vertices are numbered "
+                f"0 to {count - 1}"
+            )
+
+
+def _open_topologies(
+    meshes: Sequence[TriangleMesh], rows: Sequence[tuple[int, ...]], pairing: Pairing
+) -> dict[int, MeshTopology]:
+    """Topology of each mesh with a boundary; what its faces say by themselves is taken from the pairing of all."""
+    if pairing.unmatched.shape[0] == 0:
+        return {}
+    firsts = torch.tensor([row[5] for row in rows], dtype=torch.int32, device=pairing.unmatched.device)
+    owners = torch.searchsorted(firsts, pairing.unmatched[:, 0].contiguous(), right=True) - 1
+    found = {}
+    for mesh in owners.unique().tolist():
+        first_face, count, *_, first_vertex, vertices = rows[mesh]
+        unmatched = pairing.unmatched[owners == mesh]
+        unmatched[:, :2] -= first_vertex
+        around = pairing.neighbours[first_face : first_face + count].clone()
+        edges = around[:, :3]
+        edges.copy_(torch.where(edges < 0, edges, edges - 3 * first_face))
+        faces = meshes[mesh].faces
+        remember(faces, vertices, Pairing(unmatched, around))
+        topology = topology_for(meshes[mesh].vertices.detach()[None].contiguous(), faces)
+        # Vertices at one place may have closed it.
+        if topology.boundary.shape[0]:
+            found[mesh] = topology
+    return found

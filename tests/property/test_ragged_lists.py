@@ -1,0 +1,104 @@
+"""Maps and distances of random lists of meshes that differ: bit for bit those of single calls."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdm
+from sdm.bench.common.meshes import cube, sphere, torus
+from sdm.engine.plan_override import plan_override
+
+
+def random_mesh(rng: np.random.Generator) -> sdm.TriangleMesh:
+    """Closed, open or dirty; of a few triangles or of a thousand; somewhere."""
+    shapes = cube, lambda: sphere(int(rng.integers(4, 24))), lambda: torus(int(rng.integers(20, 900)))
+    vertices, faces = shapes[rng.integers(3)]()
+    vertices = (vertices * rng.uniform(0.5, 2.0, 3) + rng.normal(size=3)).astype(np.float32)
+    dirt = rng.integers(6)
+    if dirt == 0:  # holes
+        faces = faces[rng.random(len(faces)) > rng.choice([0.02, 0.3])]
+    elif dirt == 1:  # every triangle with vertices of its own, as in an STL file
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+    elif dirt == 2:  # turned, repeated and flat ones
+        faces = np.concatenate(
+            [np.where(rng.random((len(faces), 1)) < 0.1, faces[:, ::-1], faces), faces[:2, [0, 1, 1]]]
+        )
+    return sdm.TriangleMesh(vertices, faces if len(faces) else np.array([[0, 1, 2]]))
+
+
+def random_grid(rng: np.random.Generator, mesh: sdm.TriangleMesh) -> sdm.Grid:
+    kind = rng.integers(4)
+    if kind == 0:
+        return sdm.Grid.around(mesh, spacing=tuple(rng.uniform(0.08, 0.4, 3)))
+    grid = sdm.Grid.around(mesh, tuple(rng.integers(1, 24, 3).tolist()) if kind == 1 else int(rng.integers(2, 36)))
+    if kind < 3:
+        return grid
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return sdm.Grid(grid.origin, grid.spacing, grid.shape, turn)
+
+
+def assert_same(found: list[sdm.SDM], meshes: list[sdm.TriangleMesh], grids: list[sdm.Grid]) -> None:
+    assert len(found) == len(meshes)
+    for i, (field, mesh, grid) in enumerate(zip(found, meshes, grids, strict=True)):
+        alone = sdm.signed_distance_map(mesh, grid, device="cpu")
+        assert field.grid == grid
+        assert torch.equal(field.values, alone.values), (i, mesh, grid)
+        assert field.ambiguous_voxels == alone.ambiguous_voxels, (i, mesh, grid)
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+@settings(deadline=None, max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 7),
+    options=st.sampled_from(
+        [
+            {},
+            {"cell": 16},
+            {"shares": (4, 2), "split_length": 3},
+            {"levels_left_out": 1, "most_regions": 2},
+            {"slice_factors": (1,)},
+        ]
+    ),
+    max_bytes=st.sampled_from([None, 1, 1 << 20]),
+)
+def test_maps_are_those_of_single_calls(seed, count, options, max_bytes):
+    rng = np.random.default_rng(seed)
+    meshes = [random_mesh(rng) for _ in range(count)]
+    grids = [random_grid(rng, mesh) for mesh in meshes]
+    with plan_override(**options):
+        assert_same(sdm.signed_distance_maps(meshes, grids, device="cpu", max_bytes=max_bytes), meshes, grids)
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
+def test_distances_are_those_of_single_calls(seed, count):
+    rng = np.random.default_rng(seed)
+    meshes = [random_mesh(rng) for _ in range(count)]
+    points = [torch.from_numpy(rng.normal(size=(rng.integers(0, 60), 3)).astype(np.float32)) for _ in meshes]
+    found = sdm.signed_distances(meshes, points, device="cpu")
+    for values, mesh, at in zip(found, meshes, points, strict=True):
+        assert torch.equal(values, sdm.signed_distance(mesh, at, device="cpu"))
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+def test_a_huge_mesh_beside_tiny_ones():
+    rng = np.random.default_rng(5)
+    meshes = [sdm.TriangleMesh(*cube()), sdm.TriangleMesh(*sphere(150)), *(random_mesh(rng) for _ in range(4))]
+    grids = [sdm.Grid.around(mesh, 40 if i == 0 else 17) for i, mesh in enumerate(meshes)]
+    assert_same(sdm.signed_distance_maps(meshes, grids, device="cpu"), meshes, grids)
+
+
+def test_what_found_no_room_is_searched():
+    meshes = [sdm.TriangleMesh(*sphere(n)) for n in (9, 20, 14)]
+    grids = [sdm.Grid.around(mesh, n) for mesh, n in zip(meshes, (20, 33, 18), strict=True)]
+    with plan_override(pool_entries=64 * 40):
+        found = sdm.signed_distance_maps(meshes, grids, device="cpu")
+    for field, mesh, grid in zip(found, meshes, grids, strict=True):
+        alone = sdm.signed_distance_map(mesh, grid, device="cpu")
+        torch.testing.assert_close(field.values, alone.values, atol=1e-6, rtol=0)
