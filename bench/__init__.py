@@ -1,1 +1,1 @@
-"""Benchmarks and the accuracy report: run from a checkout, not part of the installed package."""
+"""Benchmarks and the accuracy report, installed as `sdm.bench`; a checkout has their records in `bench/results`."""
