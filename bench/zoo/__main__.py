@@ -42,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SDMError as error:
         print(error, file=sys.stderr)
         return 2
+    made_on = describe(device)
     rows: list[dict[str, Any]] = []
     worker = Worker(trial, given.limit_s)
     for number, found in enumerate(files, 1):
@@ -52,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows.append(row)
         print(f"[{number}/{len(files)}] {sentence(row)}", flush=True)
         report = {
-            "machine": describe(device),
+            "machine": made_on,
             "resolution": given.resolution,
             "endings_not_read": other_endings(given.folder),
             "summary": summary(rows),
@@ -94,10 +95,12 @@ def sentence(row: dict[str, Any]) -> str:
         return f"{name} refused: {row['refused']}"
     checked = row["checked"]
     kind = "closed" if row["closed"] else f"open, {row['boundary_edges']} boundary edges"
+    advised = row.get("recommended_sign", row["sign"])
+    advice = "" if advised == row["sign"] else f", {advised} recommended"
     verdict = f"  WRONG: {checked['over_limit']} values, {checked['wrong_signs']} signs" if is_wrong(row) else ""
     return (
         f"{name}: {row['triangles']} triangles, {row['components']} parts, {kind}, {row['sign']} "
-        f"({row['ambiguous_voxels']} ambiguous), {checked['max_error'] or 0:.2f} roundings; first "
+        f"({row['ambiguous_voxels']} ambiguous{advice}), {checked['max_error'] or 0:.2f} roundings; first "
         f"{row['first_ms']:.3g} ms, repeated {row['repeated_ms']:.3g}, stock {row['stock_ms']:.3g}{verdict}"
     )
 

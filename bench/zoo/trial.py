@@ -45,7 +45,9 @@ def trial(found: Found, device: str, resolution: int, points: int) -> dict[str, 
 
 def _look(mesh: sdm.TriangleMesh) -> dict[str, Any]:
     report = sdm.inspect_mesh(mesh)
-    return {
+    # Of reports that recommend one.
+    advised = getattr(report, "recommended_sign", None)
+    return ({} if advised is None else {"recommended_sign": advised}) | {
         "triangles": report.triangles,
         "vertices": report.vertices,
         "components": report.components,
@@ -75,7 +77,7 @@ def _measure(case: Case, device: str, resolution: int, points: int) -> dict[str,
     tally = compare(case, asked, answers, brute.distance(asked)[0], brute.winding_number(asked))
     stock = min(stock_ms(peer, case, grid, device) for peer in builders(device))
     return {
-        "sign": "winding",
+        "sign": field.sign,
         "ambiguous_voxels": field.ambiguous_voxels,
         "inside_voxels": int((values < 0).sum()),
         "first_ms": first,
