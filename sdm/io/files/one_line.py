@@ -6,6 +6,8 @@ LONGEST = 200
 
 
 def one_line(message: object) -> str:
-    """A message on one line, cut where it grows long."""
+    """A message on one line, cut where it grows long; of an error without one, its name."""
     text = " ".join(str(message).split()).rstrip(".")
+    if not text and isinstance(message, BaseException):
+        text = type(message).__name__
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."

@@ -89,6 +89,9 @@ def _read(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
     except IndexError as error:
         why = one_line(error)
         raise MeshError(f"{path} cannot be read: a face uses a vertex that is not there ({why})") from error
+    except FileNotFoundError as error:
+        needed = one_line(error.filename or error)
+        raise MeshError(f"{path} cannot be read: it needs {needed}, and that file is not there") from error
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {one_line(error.strerror or error)}") from error
     except UnicodeEncodeError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.io.meshes.archive import check_zip
 from sdm.io.meshes.check_gltf import check_gltf
+from sdm.io.meshes.collada_looks import without_looks
 
 if TYPE_CHECKING:
     from trimesh import Scene
@@ -32,14 +34,26 @@ def read_scene(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
         check_gltf(path)
     if ending in ZIPPED:
         check_zip(path)
-    options: dict[str, Any] = {}
-    if ending in ("dae", "zae"):
-        # What it cannot read it would leave out.
-        options["ignore_broken"] = False
-    vertices, faces = _flatten(trimesh.load_scene(path, process=False, **options), path)
+    scene = _read_collada(path, ending) if ending in ("dae", "zae") else trimesh.load_scene(path, process=False)
+    vertices, faces = _flatten(scene, path)
     if ending == "dxf" and DRAWN_FACES.search(path.read_bytes()):
         raise MeshError(f"{path} is a drawing, whose faces are not read: export it as .stl, .ply or .obj")
     return vertices, faces
+
+
+def _read_collada(path: Path, ending: str) -> Scene:
+    import trimesh
+    from collada.common import DaeError
+
+    # What it cannot read trimesh would leave out.
+    strict: dict[str, Any] = {"process": False, "ignore_broken": False}
+    try:
+        return trimesh.load_scene(path, **strict)
+    except DaeError:
+        if ending != "dae":
+            raise
+    # Perhaps it is but a camera, a light or a material.
+    return trimesh.load_scene(io.BytesIO(without_looks(path.read_bytes())), file_type="dae", **strict)
 
 
 def _flatten(scene: Scene, path: Path) -> tuple[np.ndarray, np.ndarray]:

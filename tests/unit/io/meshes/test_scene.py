@@ -114,3 +114,52 @@ def test_a_drawing_with_faces(tmp_path):
     (tmp_path / "a.dxf").write_text("0\nSECTION\n2\nENTITIES\n0\n3DFACE\n8\n0\n0\nENDSEC\n0\nEOF\n")
     with pytest.raises(MeshError, match=r"a\.dxf"):
         load_mesh(tmp_path / "a.dxf")
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        '<library_lights><light id="lamp"><technique_common/></light></library_lights>',
+        '<library_cameras><camera id="eye"/></library_cameras>',
+        (
+            '<library_effects><effect id="red"><profile_COMMON><technique sid="t"><phong><diffuse>'
+            "<color>a b c d</color></diffuse></phong></technique></profile_COMMON></effect></library_effects>"
+        ),
+    ],
+    ids=["light", "camera", "effect"],
+)
+def test_a_broken_lamp_is_no_broken_mesh(broken, tmp_path):
+    collada = pytest.importorskip("collada")
+    path = tmp_path / "a.dae"
+    trimesh.creation.box((1, 2, 3)).export(path)
+    text = path.read_text()
+    at = text.index("<library_geometries>")
+    path.write_text(text[:at] + broken + text[at:])
+    with pytest.raises(collada.common.DaeError):
+        trimesh.load_scene(path, ignore_broken=False)
+    report = inspect_mesh(load_mesh(path))
+    assert (report.triangles, report.closed, report.volume) == (12, True, pytest.approx(6))
+    # What is broken of the mesh itself is not passed over.
+    path.write_text(path.read_text().replace("<float_array ", "<float_array>x</float_array><float_array ", 1))
+    with pytest.raises(MeshError, match="cannot be read"):
+        load_mesh(path)
+
+
+def test_a_part_of_its_own_that_is_missing(tmp_path):
+    trimesh.Scene(trimesh.creation.box()).export(tmp_path / "a.gltf")
+    for part in tmp_path.glob("*.bin"):
+        part.unlink()
+    with pytest.raises(MeshError, match=r"a\.gltf cannot be read: it needs .*\.bin, and that file is not there"):
+        load_mesh(tmp_path / "a.gltf")
+
+
+def test_an_error_without_a_word_has_a_name(tmp_path, monkeypatch):
+    (tmp_path / "a.dae").write_text("<x/>")
+    monkeypatch.setattr(formats, "_is_installed", lambda ending: True)
+
+    def load_scene(*args, **kwargs):
+        raise AssertionError
+
+    monkeypatch.setattr(trimesh, "load_scene", load_scene)
+    with pytest.raises(MeshError, match=r"not what its name says \(AssertionError\)"):
+        load_mesh(tmp_path / "a.dae")
