@@ -1,0 +1,31 @@
+"""The benchmark of meshes that differ: lists of shapes, no two alike, and a report of both, on a CPU."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from sdm.bench.dense import ragged
+from sdm.inspect import inspect_mesh
+
+
+def test_lists_are_of_closed_shapes_that_differ():
+    cases = ragged.list_of("wide", 6, 60, 600)
+    sizes = sorted(map(len, cases))
+    assert len(set(sizes)) == 6
+    assert sizes[0] < 90
+    assert 480 < sizes[-1] < 720
+    assert all(inspect_mesh(mesh).closed for mesh in ragged.fresh(cases, "cpu"))
+
+
+def test_report(tmp_path, capsys):
+    out = tmp_path / "ragged.json"
+    options = "--device cpu --scale 0.03 --resolution 12 --some 2 --runs 1 --lists alike"
+    ragged.main([*options.split(), "--out", str(out)])
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["different_from_single"] == row["wrong_signs"] == 0
+    assert row["max_error"] <= 4
+    assert all(np.isfinite(row[key]) and row[key] > 0 for key in ("joint", "single", "stock_sah", "stock_sah_built"))
+    assert out.with_suffix(".png").exists()
+    assert "list alike" in capsys.readouterr().out
