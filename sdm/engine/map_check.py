@@ -23,17 +23,27 @@ from sdm.inspect.problems import NOTHING_INSIDE
 from sdm.inspect.quick_look import look_at
 from sdm.runtime.operators import is_eager
 
+NOTHING_SHUT_OFF = (
+    "nothing is inside: the flood comes everywhere, through gaps that are not narrower than hole_size; give a larger "
+    "one (--hole-size), or the mesh encloses nothing"
+)
 PACKAGE = str(Path(__file__).parents[1])
 
 
-def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int) -> list[str]:
+def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str | None = "winding") -> list[str]:
     """Sentences about why a map is probably not what was meant, the gravest first; none for most.
 
     Args:
         mesh: The mesh as it was measured.
         grid: Where.
         inside_voxels: How many values are negative.
+        sign: The method that said so. Without one there is no doubt about it.
     """
+    if sign == "none":
+        return []
+    if sign == "flood":
+        # The way that faces face does not matter.
+        return [] if inside_voxels else placement_problems(*mesh.bounds, grid) or [NOTHING_SHUT_OFF]
     found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
     if found or inside_voxels:
         return found
@@ -72,12 +82,13 @@ class MapCheck:
             or any(t.is_inference() for t in (mesh.vertices, mesh.faces))
         ):
             return field
+        sign = field.sign
         states = mesh.vertices._version, mesh.faces._version
 
         def check(grid: Grid, inside_voxels: int) -> None:
             # Of vertices that were moved in place since, nobody knows how they faced.
             if not self._said and states == (mesh.vertices._version, mesh.faces._version):
-                found = doubts_about(mesh, grid, inside_voxels)
+                found = doubts_about(mesh, grid, inside_voxels, sign)
                 self._said = bool(found)
                 if found:
                     warn(f"{mesh.name}: {'; '.join(found)}")

@@ -39,6 +39,10 @@ def compute(
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
     ] = None,
     orient: Literal["keep", "auto"] = "keep",
+    sign: Literal["winding", "flood", "none"] = "winding",
+    hole_size: Annotated[
+        float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
+    ] = None,
     scale: float = 1.0,
     mesh_space: Literal["ras", "lps"] = "ras",
     resume: bool = False,
@@ -58,6 +62,9 @@ def compute(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
         orient: auto makes faces agree and turns parts that are inside out; keep takes meshes as they are.
+        sign: winding goes by the generalised winding number; flood calls inside what a ball from outside cannot reach,
+            whichever way faces face; none writes unsigned distances. sdm inspect recommends one.
+        hole_size: With --sign flood, the ball's diameter, in the mesh's unit after --scale: narrower gaps are closed.
         scale: Multiply the vertices by this first: 1000 for a mesh in metres and an image in millimetres.
         mesh_space: lps for a mesh in left-posterior-superior coordinates, whose x and y are negated first; images and
             maps are in ras, right-anterior-superior.
@@ -68,10 +75,12 @@ def compute(
     from sdm.cli.common.jobs import Settings, run
     from sdm.cli.common.output_files import plan
     from sdm.core.device import choose_device
+    from sdm.engine.arguments import SignMethod
     from sdm.errors import GridError, MeshError
     from sdm.io import grid_like as read_grid
     from sdm.io.maps.api import is_placed
 
+    SignMethod(sign, hole_size)
     given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
     both = [name for name, value in given.items() if value is not None]
     if len(both) > 1:
@@ -89,6 +98,8 @@ def compute(
         margin=margin,
         device=choose_device(device),
         orient=orient,
+        sign=sign,
+        hole_size=hole_size,
         scale=scale,
         mesh_space=mesh_space,
         resume=resume,

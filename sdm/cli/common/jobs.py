@@ -15,6 +15,7 @@ from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.engine.arguments import Sign
 from sdm.engine.map_check import doubts_about
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
@@ -38,6 +39,8 @@ class Settings:
         orient: Whether faces that disagree, and parts that are inside out, are turned.
         scale: What the vertices are multiplied by.
         mesh_space: `"lps"` negates their x and y.
+        sign: The method by which maps are signed.
+        hole_size: Of a flood, the narrowest gaps that it passes.
         resume: Whether maps of the same triangles that are there on the same grid are left.
     """
 
@@ -49,6 +52,8 @@ class Settings:
     device: torch.device
     orient: Literal["keep", "auto"]
     resume: bool
+    sign: Sign = "winding"
+    hole_size: float | None = None
     scale: float = 1.0
     mesh_space: Literal["ras", "lps"] = "ras"
 
@@ -98,13 +103,22 @@ def _compute(source: Path, target: Path, settings: Settings, progress: FileProgr
     mesh = _placed(load_mesh(source), settings)
     grid = settings.grid(mesh)
     measured = orient_outward(mesh) if settings.orient == "auto" else mesh
-    digest = digest_of(measured)
+    how = "" if settings.sign == "winding" else f" {settings.sign} {settings.hole_size}"
+    digest = digest_of(measured, how)
     if settings.resume and _finished(target, grid, digest):
         progress.print(f"{mesh.name}: {target} is there already")
         return
     refuse_inputs([target], [settings.like_image])
     index = MeshIndex(measured, settings.device, warn=False)
-    counts = write_streamed(index, grid, target, progress=progress.share, made_from=digest)
+    counts = write_streamed(
+        index,
+        grid,
+        target,
+        progress=progress.share,
+        made_from=digest,
+        sign=settings.sign,
+        hole_size=settings.hole_size,
+    )
     seconds = time.perf_counter() - start
 
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
@@ -113,8 +127,10 @@ def _compute(source: Path, target: Path, settings: Settings, progress: FileProgr
         f"{seconds:.2f} s on {settings.device}, written to {target}"
     )
     said = [] if measured is mesh else [_turned(mesh, measured)]
-    doubts = doubts_about(measured, grid, counts.inside)
-    said += [f": {doubt}" for doubt in doubts] + _about_gaps(index.closed, counts, bool(doubts), grid)
+    doubts = doubts_about(measured, grid, counts.inside, settings.sign)
+    said += [f": {doubt}" for doubt in doubts]
+    if settings.sign == "winding":
+        said += _about_gaps(index.closed, counts, bool(doubts), grid)
     for warning in said:
         progress.print(f"sdm: warning: {mesh.name}{warning}", warn=True)
 

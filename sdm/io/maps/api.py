@@ -16,11 +16,12 @@ from sdm.errors import FormatError, GridError, SDMError
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
 from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
-from sdm.io.maps.record import MADE_FROM
+from sdm.io.maps.record import HOLE_SIZE, MADE_FROM, SIGN_METHOD
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from sdm.engine.arguments import Sign
     from sdm.engine.mesh_index import MeshIndex
 
 
@@ -115,6 +116,8 @@ def write_streamed(
     *,
     progress: Callable[[float], Any] | None = None,
     made_from: str | None = None,
+    sign: Sign = "winding",
+    hole_size: float | None = None,
 ) -> VoxelCounts:
     """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
 
@@ -124,6 +127,8 @@ def write_streamed(
         path: Where to write, as for `save`.
         progress: Called with the share that is done, 0 to 1; for formats other than `.zarr` at the end alone.
         made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
+        sign: As for `sdm.signed_distance_map`. A flood's map has to fit into memory, whatever the format.
+        hole_size: Of a flood.
 
     Returns:
         How many voxels are inside, and how many are ambiguous: of a closed mesh none.
@@ -132,11 +137,14 @@ def write_streamed(
         FormatError: As `save`, before anything is computed.
         GridError: Not `.zarr`, and the map does not fit into memory.
     """
+    # Its package needs what reading and writing does not.
+    from sdm.engine.arguments import SignMethod
+
     target = Path(path)
     chosen = check_target(target)
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:
-        field = index.signed_distance_map(grid)
+        field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size)
         _save(field, target, made_from)
         if progress is not None:
             progress(1.0)
@@ -144,9 +152,14 @@ def write_streamed(
     inside, unclear = torch.zeros(2, dtype=torch.int64, device=index.device)
     with replacing(target) as part:
         layer_bytes = 4 * grid.shape[1] * grid.shape[2]
-        slabs = index.slabs(grid, max_bytes=chosen.module.slab_layers(grid) * layer_bytes, ambiguous=unclear)
+        size = chosen.module.slab_layers(grid) * layer_bytes
+        slabs = index.slabs(grid, max_bytes=size, ambiguous=unclear, sign=sign, hole_size=hole_size)
+        hole = SignMethod(sign, hole_size).hole_on(grid) if sign == "flood" else None
+        signs = {SIGN_METHOD: sign} if hole is None else {SIGN_METHOD: sign, HOLE_SIZE: hole}
         told = _told(slabs, grid.shape[0], progress, inside)
-        chosen.module.write_slabs(told, grid, part, lambda: int(unclear), made_from)
+        chosen.module.write_slabs(
+            told, grid, part, lambda: int(unclear) if sign == "winding" else None, made_from, signs
+        )
     return VoxelCounts(int(inside), int(unclear))
 
 

@@ -21,7 +21,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
-from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_checksum
+from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
 
 # NIfTI-1 counts voxels with 16 bits.
 LARGEST_NIFTI_1 = 32767
@@ -53,7 +53,7 @@ def read(path: Path) -> SDM:
         grid, count, kept = _geometry(image, path)
         values = plain_numbers(np.asanyarray(image.dataobj).reshape(grid.shape), path)
         verify(kept, values, str(path))
-        return SDM(torch.from_numpy(values), grid, count)
+        return SDM(torch.from_numpy(values), grid, count, **sign_arguments(kept))
 
 
 def read_grid(path: Path) -> Grid:
@@ -83,7 +83,7 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     image.header.set_intent("estimate", name="distance")
     image.set_sform(affine, space)
     image.set_qform(affine, space)
-    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from), values)
+    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
     text = to_line({KEY: kept})
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image

@@ -12,9 +12,20 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
-from sdm.io.maps.record import MADE_FROM, from_record, record
+from sdm.io.maps.record import (
+    DISAGREEMENTS,
+    HOLE_SIZE,
+    MADE_FROM,
+    SIGN_METHOD,
+    from_record,
+    record,
+    sign_arguments,
+    signs_of,
+)
 
 FIELDS = ("version", "origin", "spacing", "shape", "direction", "ambiguous_voxels")
+# Where it is known.
+KNOWN = (MADE_FROM, SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS)
 # An archive holds arrays alone, and no array is None.
 UNCOUNTED = -1
 # Bytes of what is beside the values, at most.
@@ -23,10 +34,10 @@ MOST_BESIDE = 1 << 20
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map, not compressed: distances hardly shrink."""
-    kept = record(field.grid, field.ambiguous_voxels, made_from)
+    kept = record(field.grid, field.ambiguous_voxels, made_from, signs_of(field))
     if kept["ambiguous_voxels"] is None:
         kept["ambiguous_voxels"] = UNCOUNTED
-    arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, MADE_FROM) if name in kept}
+    arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, *KNOWN) if name in kept}
     with path.open("wb") as file:
         np.savez(file, values=field.numpy().astype(np.float32, copy=False), **arrays)
 
@@ -37,7 +48,8 @@ def read(path: Path) -> SDM:
         archive = _open(file, path)
         grid, count = _geometry(archive, path)
         _check_values(archive, grid, path)
-        return SDM(torch.from_numpy(plain_numbers(archive["values"], path)), grid, count)
+        values = torch.from_numpy(plain_numbers(archive["values"], path))
+        return SDM(values, grid, count, **sign_arguments(_record(archive)))
 
 
 def read_grid(path: Path) -> Grid:
@@ -79,7 +91,7 @@ def _geometry(archive: Any, path: Path) -> tuple[Grid, int | None]:
 
 
 def _record(archive: Any) -> dict[str, Any]:
-    names = (*FIELDS, MADE_FROM) if "values" in archive else ()
+    names = (*FIELDS, *KNOWN) if "values" in archive else ()
     found = {name: archive[name].tolist() for name in names if name in archive}
     if found.get("ambiguous_voxels") == UNCOUNTED:
         found["ambiguous_voxels"] = None

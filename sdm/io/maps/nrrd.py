@@ -16,7 +16,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.nrrd_data import read_header, read_values
-from sdm.io.maps.record import KEY, from_record, record, to_line, verify, with_checksum
+from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
 
 SPACE = "right-anterior-superior"
 # Axes of the spaces of the NRRD standard that point the other way than right, anterior and superior.
@@ -34,7 +34,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a map, not compressed: distances hardly shrink."""
     affine = field.grid.affine
     values = field.numpy().astype("<f4", copy=False)
-    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from), values)
+    kept = with_checksum(record(field.grid, field.ambiguous_voxels, made_from, signs_of(field)), values)
     header = {
         "space": SPACE,
         "space directions": affine[:3, :3].T,
@@ -56,7 +56,7 @@ def read(path: Path) -> SDM:
         grid, count, kept = _geometry(header, path)
         values = plain_numbers(read_values(file, header, path), path)
     verify(kept, values, str(path))
-    return SDM(torch.from_numpy(values), grid, count)
+    return SDM(torch.from_numpy(values), grid, count, **sign_arguments(kept))
 
 
 def read_grid(path: Path) -> Grid:

@@ -22,11 +22,14 @@ import warp as wp
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import MADE_FROM
+from sdm.io.maps.record import DISAGREEMENTS, HOLE_SIZE, MADE_FROM, SIGN_METHOD, sign_arguments
 from sdm.kernels.nanovdb import lookup, store
 
 BLOCK = 8
-NAME = re.compile(r"sdm (\d+)x(\d+)x(\d+) (\d+|-) ([A-Za-z0-9+/=]+)(?: ([0-9a-f]+))?")
+NAME = re.compile(r"sdm (\d+)x(\d+)x(\d+) (\d+|-) ([A-Za-z0-9+/=]+)(?: ([0-9a-f]+))?(?: ([WFN])(\d*))?")
+SIGNS = {"W": "winding", "F": "flood", "N": "none"}
+# Letters of a grid's 15 numbers; a 16th is the size of holes.
+PACKED = 160
 # Layers of voxels that go between NumPy and Warp at a time.
 LAYERS = 64
 LEVEL_SET = 1
@@ -52,7 +55,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     for begin in range(0, len(values), LAYERS):
         slab = np.ascontiguousarray(values[begin : begin + LAYERS])
         store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False))
-    _complete_header(volume.array().numpy().view(np.uint8), grid, field.ambiguous_voxels, made_from)
+    _complete_header(volume.array().numpy().view(np.uint8), field, made_from)
     volume.save_to_nvdb(str(path))
 
 
@@ -65,7 +68,7 @@ def read(path: Path) -> SDM:
     for begin in range(0, len(values), LAYERS):
         slab = wp.array(values[begin : begin + LAYERS], dtype=wp.float32, device="cpu", copy=False)
         lookup(volume, begin, slab)
-    return SDM(torch.from_numpy(values), grid, count)
+    return SDM(torch.from_numpy(values), grid, count, **sign_arguments(read_record(path)))
 
 
 def read_grid(path: Path) -> Grid:
@@ -75,7 +78,9 @@ def read_grid(path: Path) -> Grid:
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values, but for the geometry."""
-    return {MADE_FROM: _named(path)[-1]}
+    *_, packed, digest, letter, differ = _named(path)
+    hole = struct.unpack_from("<16d", base64.b64decode(packed))[15] if len(packed) > PACKED else None
+    return {MADE_FROM: digest, SIGN_METHOD: SIGNS.get(letter), HOLE_SIZE: hole, DISAGREEMENTS: differ or None}
 
 
 def _volume(grid: Grid, values: np.ndarray) -> wp.Volume:
@@ -91,12 +96,18 @@ def _volume(grid: Grid, values: np.ndarray) -> wp.Volume:
     )
 
 
-def _complete_header(data: np.ndarray, grid: Grid, ambiguous_voxels: int | None, made_from: str | None) -> None:
+def _complete_header(data: np.ndarray, field: SDM, made_from: str | None) -> None:
     """Write name, class and double-precision transform into a volume's own bytes."""
+    grid = field.grid
     numbers = struct.pack("<15d", *grid.origin, *grid.spacing, *np.ravel(grid.direction))
-    count = "-" if ambiguous_voxels is None else str(ambiguous_voxels)
+    if field.hole_size is not None:
+        numbers += struct.pack("<d", field.hole_size)
+    count = "-" if field.ambiguous_voxels is None else str(field.ambiguous_voxels)
     words = ["sdm", "x".join(map(str, grid.shape)), count, base64.b64encode(numbers).decode()]
-    name = " ".join(words if made_from is None else [*words, made_from]).encode()
+    words += [] if made_from is None else [made_from]
+    letters = [letter for letter, sign in SIGNS.items() if sign == field.sign]
+    words += [f"{letter}{'' if field.sign_disagreements is None else field.sign_disagreements}" for letter in letters]
+    name = " ".join(words).encode()
     matrix = grid.affine[:3, :3]
     transform = np.concatenate([matrix.ravel(), np.linalg.inv(matrix).ravel(), grid.origin, [1.0]])
     size = np.asarray(grid.spacing, dtype="<f8")
@@ -110,14 +121,14 @@ def _complete_header(data: np.ndarray, grid: Grid, ambiguous_voxels: int | None,
 
 
 def _geometry(path: Path) -> tuple[Grid, int | None]:
-    *shape, count, packed, _ = _named(path)
-    numbers = struct.unpack("<15d", base64.b64decode(packed))
+    *shape, count, packed, _, _, _ = _named(path)
+    numbers = struct.unpack_from("<15d", base64.b64decode(packed))
     grid = Grid(numbers[:3], numbers[3:6], [int(n) for n in shape], np.reshape(numbers[6:], (3, 3)))
     return grid, None if count == "-" else int(count)
 
 
 def _named(path: Path) -> tuple[str, ...]:
-    """The parts of the grid's name; the last is None if no mesh is known."""
+    """The parts of the grid's name; the last three are None where mesh, sign and count of disagreements are unknown."""
     with path.open("rb") as file:
         head = file.read(FILE_NAME_AT + NAME_SIZE + 1)
     size = struct.unpack_from("<I", head, FILE_NAME_SIZE_AT)[0]

@@ -11,6 +11,7 @@ import numpy as np
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 
 VERSION = 1
@@ -18,6 +19,8 @@ VERSION = 1
 KEY = "sdm"
 # In it, the digest of the mesh, where it is known.
 MADE_FROM = "made_from"
+# In it, the method by which the map is signed, and what belongs to it, where it is known.
+SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS = "sign_method", "hole_size", "sign_disagreements"
 # In it, the checksum of values and record, for formats that have none of their own.
 CHECKSUM = "crc32"
 # In it, the checksum of the record alone. A damaged geometry would otherwise look as if another program had moved the
@@ -28,17 +31,24 @@ NO_VALUES = np.zeros(0, np.float32)
 DIGEST = 32
 
 
-def digest_of(mesh: TriangleMesh) -> str:
-    """Digest of a mesh: the same for the same triangles in the same order, facing the same way."""
+def digest_of(mesh: TriangleMesh, how: str = "") -> str:
+    """Digest of a mesh: the same for the same triangles in the same order, facing the same way.
+
+    Args:
+        mesh: The mesh.
+        how: What else a map depends on, besides the grid.
+    """
     vertices, faces = mesh.numpy()
-    digest = hashlib.sha256(f"{vertices.shape} {faces.shape}".encode())
+    digest = hashlib.sha256(f"{vertices.shape} {faces.shape}{how}".encode())
     digest.update(vertices.astype("<f4", copy=False).tobytes())
     digest.update(faces.astype("<i4", copy=False).tobytes())
     return digest.hexdigest()[:DIGEST]
 
 
-def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = None) -> dict[str, Any]:
-    """Geometry, counts and `digest_of` the mesh of a map, ready for JSON, which keeps every digit of a float64."""
+def record(
+    grid: Grid, ambiguous_voxels: int | None, made_from: str | None = None, signs: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Geometry, counts, `signs_of` and `digest_of` the mesh of a map, ready for JSON, which keeps all of a float64."""
     found = {
         "version": VERSION,
         "origin": list(grid.origin),
@@ -47,8 +57,26 @@ def record(grid: Grid, ambiguous_voxels: int | None, made_from: str | None = Non
         "direction": [list(row) for row in grid.direction],
         "ambiguous_voxels": ambiguous_voxels,
         "sign": "negative inside",
+        **(signs or {}),
     }
     return found if made_from is None else {**found, MADE_FROM: made_from}
+
+
+def signs_of(field: SDM) -> dict[str, Any]:
+    """The part of a map's record that says how it is signed: what is known of it."""
+    found = {SIGN_METHOD: field.sign, HOLE_SIZE: field.hole_size, DISAGREEMENTS: field.sign_disagreements}
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def sign_arguments(kept: Any) -> dict[str, Any]:
+    """The arguments of `SDM` that a record tells by what `signs_of` gave."""
+    kept = kept if isinstance(kept, dict) else {}
+    hole, count = kept.get(HOLE_SIZE), kept.get(DISAGREEMENTS)
+    return {
+        "sign": kept.get(SIGN_METHOD),
+        "hole_size": None if hole is None else float(hole),
+        "sign_disagreements": None if count is None else int(count),
+    }
 
 
 def with_checksum(kept: dict[str, Any], values: np.ndarray) -> dict[str, Any]:

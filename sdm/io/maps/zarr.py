@@ -14,7 +14,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import KEY, NO_VALUES, from_record, record, verify, with_checksum
+from sdm.io.maps.record import KEY, NO_VALUES, from_record, record, sign_arguments, signs_of, verify, with_checksum
 
 CHUNK = 128
 # The engine gives slabs of a multiple of this many layers, and so chunks have it too.
@@ -28,7 +28,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     values = field.numpy()
     layers = slab_layers(field.grid)
     slabs = ((i, min(i + layers, len(values)), values[i : i + layers]) for i in range(0, len(values), layers))
-    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels, made_from)
+    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels, made_from, signs_of(field))
 
 
 def slab_layers(grid: Grid) -> int:
@@ -43,6 +43,7 @@ def write_slabs(
     path: Path,
     ambiguous_voxels: Callable[[], int | None],
     made_from: str | None = None,
+    signs: dict[str, Any] | None = None,
 ) -> None:
     """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come.
 
@@ -66,7 +67,7 @@ def write_slabs(
         # Let go of this slab before the next one is computed.
         del values
     # Chunks have checksums of their own.
-    array.attrs[KEY] = with_checksum(record(grid, ambiguous_voxels(), made_from), NO_VALUES)
+    array.attrs[KEY] = with_checksum(record(grid, ambiguous_voxels(), made_from, signs), NO_VALUES)
 
 
 def read(path: Path) -> SDM:
@@ -78,7 +79,8 @@ def read(path: Path) -> SDM:
     # Zarr reads a chunk that is gone as the fill value, without a word.
     if lost := array.nchunks - array.nchunks_initialized:
         raise FormatError(f"{path} has lost {lost:,} of its {array.nchunks:,} chunks: copy or compute the map again")
-    return SDM(torch.from_numpy(np.asarray(array[:], dtype=np.float32)), grid, count)
+    values = torch.from_numpy(np.asarray(array[:], dtype=np.float32))
+    return SDM(values, grid, count, **sign_arguments(array.attrs.get(KEY)))
 
 
 def read_grid(path: Path) -> Grid:

@@ -125,3 +125,30 @@ def test_a_relative_name(tmp_path, monkeypatch):
     for ending in ENDINGS:
         save(noise(GRIDS["plain"]), f"map.{ending}")
         assert load(f"map.{ending}").grid == GRIDS["plain"]
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_files_say_by_which_method_a_map_is_signed(tmp_path, ending):
+    grid, path = GRIDS["unequal"], tmp_path / f"map.{ending}"
+    values = noise(grid).values
+    for said in (
+        {"sign": "winding", "hole_size": None, "sign_disagreements": None},
+        {"sign": "flood", "hole_size": 1 / 3, "sign_disagreements": 17},
+        {"sign": "none", "hole_size": None, "sign_disagreements": 0},
+        {"sign": None, "hole_size": None, "sign_disagreements": None},
+    ):
+        save(SDM(values, grid, **said), path)
+        back = load(path)
+        assert {name: getattr(back, name) for name in said} == said
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_streamed_files_have_the_wanted_sign(tmp_path, ending):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    index = MeshIndex(TriangleMesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), "cpu")
+    grid, path = Grid.around(index.mesh, 12), tmp_path / f"map.{ending}"
+    for sign, hole in (("winding", None), ("flood", 0.25), ("none", None)):
+        counts = write_streamed(index, grid, path, sign=sign, hole_size=hole)
+        back = load(path)
+        assert torch.equal(back.values, index.signed_distance_map(grid, sign=sign, hole_size=hole).values)
+        assert (back.sign, back.hole_size, counts.inside) == (sign, hole, back.inside_voxels)
