@@ -154,13 +154,24 @@ def signed_distance(
     *,
     return_closest: Literal[False] = False,
     device: str | torch.device | None = None,
+    sign: Sign = "winding",
 ) -> Tensor: ...
 @overload
 def signed_distance(
-    mesh: MeshLike, points: Any, *, return_closest: Literal[True], device: str | torch.device | None = None
+    mesh: MeshLike,
+    points: Any,
+    *,
+    return_closest: Literal[True],
+    device: str | torch.device | None = None,
+    sign: Sign = "winding",
 ) -> tuple[Tensor, Closest]: ...
 def signed_distance(
-    mesh: MeshLike, points: Any, *, return_closest: bool = False, device: str | torch.device | None = None
+    mesh: MeshLike,
+    points: Any,
+    *,
+    return_closest: bool = False,
+    device: str | torch.device | None = None,
+    sign: Sign = "winding",
 ) -> Tensor | tuple[Tensor, Closest]:
     """Exact signed distances of points from a mesh.
 
@@ -169,6 +180,7 @@ def signed_distance(
         points: (...,3) coordinates in the mesh's unit, NumPy or torch, taken as float32.
         return_closest: Also return where the closest points are.
         device: Where to compute; by default where the points are if they are a tensor, else a GPU if there is one.
+        sign: `"winding"`, or `"none"` for distances of at least 0. A flood needs a grid, so `"flood"` is refused.
 
     Returns:
         (...) float32, negative inside, as exact as `signed_distance_map`; NaN where a point is not finite.
@@ -179,7 +191,7 @@ def signed_distance(
         mesh = as_mesh(mesh)
     refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
-    return at_points(mesh.to(where), points, return_closest, None)
+    return at_points(mesh.to(where), points, return_closest, None, sign=sign)
 
 
 @overload

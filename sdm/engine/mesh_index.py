@@ -99,12 +99,18 @@ class MeshIndex:
         self._build()
 
     @overload
-    def signed_distance(self, points: Any, *, return_closest: Literal[False] = False) -> Tensor: ...
+    def signed_distance(
+        self, points: Any, *, return_closest: Literal[False] = False, sign: Sign = "winding"
+    ) -> Tensor: ...
     @overload
-    def signed_distance(self, points: Any, *, return_closest: Literal[True]) -> tuple[Tensor, Closest]: ...
-    def signed_distance(self, points: Any, *, return_closest: bool = False) -> Tensor | tuple[Tensor, Closest]:
+    def signed_distance(
+        self, points: Any, *, return_closest: Literal[True], sign: Sign = "winding"
+    ) -> tuple[Tensor, Closest]: ...
+    def signed_distance(
+        self, points: Any, *, return_closest: bool = False, sign: Sign = "winding"
+    ) -> Tensor | tuple[Tensor, Closest]:
         """As `sdm.signed_distance`, on this index."""
-        return at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh)
+        return at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh, sign)
 
     def distances_in(self, cube: Sequence[float], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh, as_tensor
-from sdm.engine.acceleration import AccelerationStructure
-from sdm.engine.arguments import refuse_forward_mode
+from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.arguments import Sign, SignMethod, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.ops import points_closest, points_distance
 from sdm.engine.repeated_faces import RepeatedFaces
-from sdm.errors import MeshError
+from sdm.errors import MeshError, SDMError
 
 
 def as_points(points: Any, device: torch.device) -> Tensor:
@@ -32,6 +32,7 @@ def at_points(
     structure: AccelerationStructure | None,
     repeated: RepeatedFaces | None = None,
     whole: TriangleMesh | None = None,
+    sign: Sign = "winding",
 ) -> Tensor | tuple[Tensor, Closest]:
     """Signed distances of points from a mesh, as `sdm.signed_distance` gives them.
 
@@ -42,7 +43,32 @@ def at_points(
         structure: The mesh's, or None to build it here.
         repeated: The triangles that it has many times, if it has such.
         whole: The mesh with all of these.
+        sign: "winding", or "none" for unsigned distances.
+
+    Raises:
+        SDMError: Another sign.
     """
+    if SignMethod(sign).sign == "flood":
+        raise SDMError("a flood needs the voxels of a grid to go through: sign='flood' is for maps, not for points")
+    if sign == "none":
+        found = _signed(mesh, points, return_closest, structure or unbounded(mesh), repeated, whole)
+        return found.abs() if isinstance(found, Tensor) else (found[0].abs(), found[1])
+    return _signed(mesh, points, return_closest, structure, repeated, whole)
+
+
+def unbounded(mesh: TriangleMesh) -> AccelerationStructure:
+    """The structure of a mesh whose boundary nobody asks for."""
+    return build(mesh.vertices.detach()[None], mesh.faces, mesh.faces.new_empty((0, 2)))
+
+
+def _signed(
+    mesh: TriangleMesh,
+    points: Any,
+    return_closest: bool,
+    structure: AccelerationStructure | None,
+    repeated: RepeatedFaces | None,
+    whole: TriangleMesh | None,
+) -> Tensor | tuple[Tensor, Closest]:
     at = as_points(points, mesh.device)
     shape, at = at.shape[:-1], at.reshape(-1, 3)
     if not return_closest and not (at.requires_grad or mesh.vertices.requires_grad):

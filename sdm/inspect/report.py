@@ -15,6 +15,7 @@ from sdm.inspect.edges import edges_of
 from sdm.inspect.orientation import inside_out, to_turn
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.problems import problems_of, sign_problems
+from sdm.inspect.recommendation import recommended_sign
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class MeshReport:
         nonmanifold_vertices: Vertices at which separate fans of faces meet.
         volume: Signed volume in cubic units, negative if inside out; None for meshes that are not closed.
         area: Total area in square units, repeated faces included.
+        recommended_sign: The `sign` of `sdm.signed_distance_map` that suits the mesh: "winding", "flood" or "none".
+        recommendation: Why, in a sentence.
         problems: What deserves attention, in plain sentences; empty for a clean mesh.
     """
 
@@ -70,6 +73,8 @@ class MeshReport:
     nonmanifold_vertices: int
     volume: float | None
     area: float
+    recommended_sign: str
+    recommendation: str
     problems: list[str]
 
     @property
@@ -133,4 +138,6 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         "volume": volume if closed else None,
         "area": float(components.area.sum()),
     }
+    shut = float(components.area[components.nearly_closed].sum() / (facts["area"] or 1.0))
+    facts["recommended_sign"], facts["recommendation"] = recommended_sign(facts, shut)
     return MeshReport(**facts, problems=problems_of(facts, unjudged))

@@ -40,7 +40,7 @@ def _print_table(report: MeshReport) -> None:
     # As Text, since a name may look like markup.
     table = Table(title=Text(report.name), title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in _rows(report):
-        table.add_row(name, value)
+        table.add_row(name, Text(value, overflow="fold"))
     console.print(table)
     if not report.problems:
         console.print("no problems found", style="green")
@@ -66,6 +66,7 @@ def _rows(report: MeshReport) -> list[tuple[str, str]]:
         ("nonmanifold edges", f"{report.nonmanifold_edges:,}"),
         ("volume", "undefined" if report.volume is None else f"{report.volume:.6g}"),
         ("area", f"{report.area:.6g}"),
+        ("recommended sign", f"{report.recommended_sign}: {report.recommendation}"),
     ]
 
 

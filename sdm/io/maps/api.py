@@ -140,11 +140,12 @@ def write_streamed(
     # Its package needs what reading and writing does not.
     from sdm.engine.arguments import SignMethod
 
+    asked: dict[str, Any] = {} if sign == "winding" and hole_size is None else {"sign": sign, "hole_size": hole_size}
     target = Path(path)
     chosen = check_target(target)
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:
-        field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size)
+        field = index.signed_distance_map(grid, **asked)
         _save(field, target, made_from)
         if progress is not None:
             progress(1.0)
@@ -153,7 +154,7 @@ def write_streamed(
     with replacing(target) as part:
         layer_bytes = 4 * grid.shape[1] * grid.shape[2]
         size = chosen.module.slab_layers(grid) * layer_bytes
-        slabs = index.slabs(grid, max_bytes=size, ambiguous=unclear, sign=sign, hole_size=hole_size)
+        slabs = index.slabs(grid, max_bytes=size, ambiguous=unclear, **asked)
         hole = SignMethod(sign, hole_size).hole_on(grid) if sign == "flood" else None
         signs = {SIGN_METHOD: sign} if hole is None else {SIGN_METHOD: sign, HOLE_SIZE: hole}
         told = _told(slabs, grid.shape[0], progress, inside)

@@ -241,3 +241,17 @@ def test_closest_points_come_with_every_sign(device):
         assert torch.equal(field.values, index.signed_distance_map(16, sign=sign).values)
         assert (field.sign, field.sign_disagreements) == (sign, None)
         assert tuple(hit.points.shape) == (16, 16, 16, 3)
+
+
+def test_points_have_distances_without_a_sign_and_no_flood(device):
+    bowl = without(ball(2), ball(2).triangles_center[:, 2] > 0)
+    points = torch.rand(300, 3, generator=torch.Generator().manual_seed(0)).to(device) * 3 - 1.5
+    index = sdm.MeshIndex(bowl, device)
+    expected, hit = index.signed_distance(points, return_closest=True)
+    for measure in (index.signed_distance, lambda *at, **how: sdm.signed_distance(bowl, *at, device=device, **how)):
+        assert torch.equal(measure(points, sign="none"), expected.abs())
+        values, there = measure(points, sign="none", return_closest=True)
+        assert torch.equal(values, expected.abs())
+        assert torch.equal(there.faces, hit.faces)
+        with pytest.raises(SDMError, match="for maps, not for points"):
+            measure(points, sign="flood")
