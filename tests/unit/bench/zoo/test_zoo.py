@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import tarfile
-import time
 
 import numpy as np
 import pytest
@@ -19,6 +17,7 @@ from sdm.bench.zoo.speed_summary import lines, summaries
 from sdm.bench.zoo.trial import trial
 from sdm.bench.zoo.worker import Worker
 from sdm.cli import main as sdm_command
+from tests.helpers.misbehave import misbehave
 
 
 @pytest.fixture
@@ -70,16 +69,8 @@ def test_exceptions_and_sentences_are_told_apart(folder, monkeypatch):
     assert zoo.summary([row])["broken"] == 1
 
 
-def _misbehave(how):
-    if how == "hang":
-        time.sleep(60)
-    if how == "die":
-        os._exit(3)
-    return {"how": how}
-
-
 def test_a_worker_outlives_hangs_and_crashes():
-    worker = Worker(_misbehave, 20.0)
+    worker = Worker(misbehave, 300.0)
     assert worker("well") == {"how": "well"}
     assert worker("die") == "the process ended with code 3"
     worker._limit_s = 0.2

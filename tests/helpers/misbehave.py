@@ -1,0 +1,15 @@
+"""A function that hangs or takes its process down, in a module that a new process imports in no time."""
+
+from __future__ import annotations
+
+import os
+import time
+
+
+def misbehave(how: str) -> dict[str, str]:
+    """`how` is "hang", "die" or anything else, which is given back."""
+    if how == "hang":
+        time.sleep(600)
+    if how == "die":
+        os._exit(3)
+    return {"how": how}
