@@ -19,7 +19,7 @@ from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.arguments import refuse_forward_mode
 from sdm.engine.map_check import quiet
 from sdm.engine.ragged.chunks import Load, bytes_for, in_chunks, voxels_of
-from sdm.engine.ragged.joint_maps import MapJob, plan_of, ragged_maps
+from sdm.engine.ragged.joint_maps import MapJob, ragged_maps
 from sdm.engine.ragged.lists import each_grid, each_points, in_pairs, numbered
 from sdm.engine.ragged.structure import build_ragged
 from sdm.engine.repeated_faces import CROWDED
@@ -131,7 +131,7 @@ def _can_join(job: MapJob) -> bool:
     return (
         _is_plain(job.mesh)
         and math.prod(job.grid.shape) <= LARGEST_JOINED
-        and plan_of(job).method == "cells"
+        and job.plan.method == "cells"
         # A mesh of copies of few triangles.
         and (job.mesh.device.type == "cuda" or len(job.mesh) < CROWDED * job.mesh.vertices.shape[0])
     )

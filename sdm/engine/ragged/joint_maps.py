@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -43,22 +43,21 @@ class MapJob:
     mesh: TriangleMesh
     grid: Grid
 
-    @property
+    @cached_property
     def turned(self) -> bool:
         """True if the grid's axes are not x, y and z."""
         return self.grid.direction != IDENTITY
 
-    @property
+    @cached_property
     def work(self) -> Workload:
         """Workload of the map by itself."""
         count = len(self.mesh)
         return Workload(count, depth_for(count), 1, self.grid.shape, self.grid.spacing, self.turned)
 
-
-def plan_of(job: MapJob) -> Plan:
-    """The plan of a map by itself."""
-    device = wp.device_from_torch(job.mesh.device)
-    return make_plan(job.work, memory_of(device.alias), OPTIONS.get())
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan of the map by itself."""
+        return make_plan(self.work, memory_of(wp.device_from_torch(self.mesh.device).alias), OPTIONS.get())
 
 
 def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
@@ -72,7 +71,7 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
     Raises:
         MeshError: A face index out of range.
     """
-    plans = [plan_of(job) for job in jobs]
+    plans = [job.plan for job in jobs]
     numbers = [job.number for job in jobs]
     structure = build_ragged([job.mesh for job in jobs], [plan.levels_left_out for plan in plans], numbers)
     crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
