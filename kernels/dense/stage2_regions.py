@@ -55,10 +55,10 @@ def _list_regions(
     while item < grid.count * regions.shares:
         region = item / regions.shares
         mesh, start = region_start(slab, grid, region)
-        one = tree_of(tree, mesh)
-        leaves = 1 << one.depth
-        base = nodes_of(one, mesh)
-        cell = make_cell(one, slab, mesh, start, 2 * grid.cell)
+        # Read again wherever it is needed, as registers are few.
+        leaves = 1 << tree_of(tree, mesh).depth
+        base = nodes_of(tree_of(tree, mesh), mesh)
+        cell = make_cell(tree, slab, mesh, start, 2 * grid.cell)
         radius = wp.sqrt(cell.half2)
         known = read_witness(cache.witnesses, region)
         chain = Chain()
@@ -97,7 +97,7 @@ def _list_regions(
                         there = there and (i & (fan - 1)) < 2
                     keep = False
                     if there:
-                        keep = node_matters(cell, radius, known, one, cones, base, child)
+                        keep = node_matters(cell, radius, known, tree_of(tree, mesh), cones, base, child)
                     kept = kept + push(stack, waiting + kept, keep and child < leaves, child, lane)
                     mask = ballot(keep and child >= leaves)
                     if keep and child >= leaves:
@@ -113,7 +113,8 @@ def _list_regions(
                 high = wp.vec3()
                 if lane < taken:
                     leaf = stack[STACK - 1 - ripe - lane] - leaves
-                    low, high = node_box(one, base + leaves + leaf)
+                    low, high = node_box(tree, base + leaves + leaf)
+                one = tree_of(tree, mesh)
                 known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 chain = append(pool, chain, leaf >= 0, leaf, lane)
             wait_for_lanes()

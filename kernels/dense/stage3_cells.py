@@ -63,9 +63,9 @@ def _list_cells(
         first = (number / 8) * regions.shares + (item % cells.shares) * chains
         if is_within(slab_of(slab, place.mesh), place.start):
             mesh = place.mesh
-            one = tree_of(tree, mesh)
-            leaves = 1 << one.depth
-            base = nodes_of(one, mesh)
+            # Read again wherever it is needed, as registers are few.
+            leaves = 1 << tree_of(tree, mesh).depth
+            base = nodes_of(tree_of(tree, mesh), mesh)
             cell = place.box
             radius = wp.sqrt(cell.half2)
             known = read_witness(cache.witnesses, grid.count + number)
@@ -86,7 +86,8 @@ def _list_cells(
                 low = wp.vec3()
                 high = wp.vec3()
                 if leaf >= 0:
-                    low, high = node_box(one, base + leaves + leaf)
+                    low, high = node_box(tree, base + leaves + leaf)
+                one = tree_of(tree, mesh)
                 known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
                 keep = False
                 if leaf >= 0:

@@ -160,7 +160,8 @@ def select_for(
     lanes: int,
 ):
     """Add the features that matter to a block of the cell `number` to a chain, which is returned."""
-    leaves = 1 << tree.depth
+    # Read again wherever it is needed, as registers are few.
+    leaves = 1 << tree_of(tree, block.mesh).depth
     reader = start_reading(cells, number * cells.shares, cells.shares)
     # Each batch is read while the one before is tested.
     upcoming = read_entry(pool, reader, lane)
@@ -201,16 +202,18 @@ def select_for(
             upcoming = read_entry(pool, reader, lane)
             keep = leaf >= 0 and batch % block.splits == block.split
             if keep:
-                base = nodes_of(tree, block.mesh)
+                base = nodes_of(tree_of(tree, block.mesh), block.mesh)
                 if (1 << block.bits) < grid.cell:
                     radius = about_root(block.box.half2)
-                    keep = node_matters(block.box, radius, block.known, tree, cones, base, leaves + leaf)
+                    one = tree_of(tree, block.mesh)
+                    keep = node_matters(block.box, radius, block.known, one, cones, base, leaves + leaf)
                 else:
                     # For the cell it has been tested, but with a witness that may not have been the nearest.
                     low, high = node_box(tree, base + leaves + leaf)
                     keep = not box_is_farther(block.box, block.known, low, high)
             waiting = (
-                push_triangles(stack, TRIANGLE_STACK + waiting, tree, block.mesh, keep, leaf, lane) - TRIANGLE_STACK
+                push_triangles(stack, TRIANGLE_STACK + waiting, tree_of(tree, block.mesh), block.mesh, keep, leaf, lane)
+                - TRIANGLE_STACK
             )
             batch = batch + 1
         wait_for_lanes()
@@ -242,7 +245,6 @@ def _select_features(
     item = fetch_add_once(pool.counters, NEXT_LIST, 1, lane)
     while item < total:
         block, number = block_of(tree, slab, grid, cache, schedule, item, bricks, -1)
-        one = tree_of(tree, block.mesh)
         within = is_within(slab_of(slab, block.mesh), block.start)
         head = int(-1)
         chain = Chain()
@@ -252,12 +254,23 @@ def _select_features(
             if not is_coarse(block.box):
                 if item < bricks:
                     block.known = find_brick_witness(
-                        one, frames, features, grid, pool, cells, cache, item, number, block, lane, lanes
+                        tree_of(tree, block.mesh),
+                        frames,
+                        features,
+                        grid,
+                        pool,
+                        cells,
+                        cache,
+                        item,
+                        number,
+                        block,
+                        lane,
+                        lanes,
                     )
                 head = pool.reserved + fetch_add_once(pool.counters, NEXT_CHUNK, 1, lane)
                 chain.chunk = head
                 chain = select_for(
-                    one,
+                    tree,
                     features,
                     cones,
                     grid,
