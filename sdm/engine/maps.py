@@ -18,14 +18,18 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, build, check_count, queue_build, topology_for
+from sdm.engine.capacity.classes import class_of
+from sdm.engine.capacity.closed_maps import class_call, class_key, to_record
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.errors import GridError
 from sdm.kernels.dense.cost_model import THINNEST_SLAB
+from sdm.kernels.dense.plan import memory_of
 from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import Join, beside
+from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
 from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
@@ -82,6 +86,14 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     if is_known(faces, count):
         return _unpacked(graphs.run(_known_call(vertices[None], faces, grid, None)))
     guessed = guesses.guess(faces, count)
+    kind = None
+    if guessed == guesses.CLOSED and not guesses.is_hopeless(faces, count):
+        kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
+    if kind is not None and graphs.is_recorded(faces.device, class_key(kind)):
+        replayed = graphs.attempt(class_call(kind, vertices, faces, grid))
+        if replayed is not None:
+            remember_closed(faces, count, replayed[1][: faces.shape[0]])
+            return replayed[0][0], None
 
     def settle() -> tuple[tuple[Tensor, ...], Call | None]:
         if guesses.is_hopeless(faces, count):
@@ -93,6 +105,9 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
         found = found if topology.boundary.shape[0] else found[:1]
         guesses.remember(faces, count, topology.boundary)
         better = guesses.guess(faces, count)
+        if kind is not None and topology.boundary.shape[0] == 0 and guesses.is_right(better, faces, count):
+            # All its meshes, of whatever counts, share a recording.
+            return found, to_record(kind, class_call(kind, vertices, faces, grid))
         if guesses.is_right(better, faces, count):
             return found, _guessed_call(better, vertices, faces, grid)
         return found, _known_call(vertices[None], faces, grid, topology.boundary)

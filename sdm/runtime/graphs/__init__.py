@@ -16,6 +16,32 @@ For the library: `run` is the one entrance, and `speculate` the one for calls wh
 
 from sdm.runtime.graphs.captured_call import Verify, Work, unverified
 from sdm.runtime.graphs.graph_cache import CALLS
-from sdm.runtime.graphs.replay import Call, clear, enable, paused, run, speculate, supports
+from sdm.runtime.graphs.replay import (
+    Call,
+    attempt,
+    clear,
+    enable,
+    is_recorded,
+    note,
+    paused,
+    run,
+    speculate,
+    supports,
+)
 
-__all__ = ["CALLS", "Call", "Verify", "Work", "clear", "enable", "paused", "run", "speculate", "supports", "unverified"]
+__all__ = [
+    "CALLS",
+    "Call",
+    "Verify",
+    "Work",
+    "attempt",
+    "clear",
+    "enable",
+    "is_recorded",
+    "note",
+    "paused",
+    "run",
+    "speculate",
+    "supports",
+    "unverified",
+]

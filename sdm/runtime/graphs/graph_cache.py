@@ -43,6 +43,9 @@ class GraphCache:
     def __len__(self) -> int:
         return len(self._captured)
 
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._captured
+
     def find(self, key: Hashable) -> CapturedCall | None:
         """The recording of the calls with a key, if there is one."""
         found = self._captured.get(key)

@@ -106,8 +106,12 @@ def speculate(guess: Call, settle: Callable[[], tuple[Tensors, Call | None]]) ->
     return results, False
 
 
-def replay(call: Call) -> Tensors | None:
-    """The results of a call's recording; None if there is none, or if it rests on a guess that was wrong."""
+def replay(call: Call, keep: bool = False) -> Tensors | None:
+    """The results of a call's recording; None if there is none, or if it rests on a guess that was wrong.
+
+    One whose guess was wrong is forgotten, unless it is to be kept. Inputs may have fewer rows than the recording's, if
+    its work is told how many they are.
+    """
     cache = _caches.get(call.inputs[0].device)
     if cache is None:
         return None
@@ -120,9 +124,26 @@ def replay(call: Call) -> Tensors | None:
             results = captured.launch(call.inputs)
         if captured.guessed_right():
             return results
-    with _lock:
-        cache.drop(call.key)
+    if not keep:
+        with _lock:
+            cache.drop(call.key)
     return None
+
+
+def attempt(call: Call) -> Tensors | None:
+    """`replay` of a call that other guesses than the last may be right for: its recording is kept."""
+    return replay(call, keep=True)
+
+
+def note(call: Call) -> None:
+    """Count a call whose work was done without it, to be recorded if such calls come often."""
+    record(call)
+
+
+def is_recorded(device: torch.device, key: Hashable) -> bool:
+    """True if there is a recording of the calls with a key."""
+    cache = _caches.get(device)
+    return cache is not None and key in cache
 
 
 def record(call: Call) -> None:

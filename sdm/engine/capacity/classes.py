@@ -1,0 +1,129 @@
+"""Capacity classes: meshes and grids that one recording serves, whatever the mesh's counts and the grid's place.
+
+A class has room for so many faces and vertices. Its meshes have trees of the same depth, and plans that agree in all
+that decides about the bits of a value; how many faces a mesh has, and where its grid is, the kernels read from memory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+from sdm.core.grid import IDENTITY, Grid
+from sdm.engine.acceleration import MeshKind
+from sdm.engine.plan_override import OPTIONS
+from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
+from sdm.kernels.dense.cost_model import UNEVEN, uneven_room
+from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan
+from sdm.kernels.plan_options import PlanOptions
+
+# Fewer faces are served by the class of so many; of more, kernels take longer than the host.
+SMALLEST, LARGEST = 640, 1 << 20
+# Vertices for each face of the room: of closed surfaces, or of triangles that share none.
+SHARED, LOOSE = 0.75, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class CapacityClass:
+    """Meshes and grids that one recording serves.
+
+    Args:
+        most: Faces of the largest mesh.
+        least: Faces of the smallest.
+        vertices: Room for vertices.
+        shape: Voxels of the grid.
+        turned: True if its axes are not x, y and z.
+        plan: Of the map.
+    """
+
+    most: int
+    least: int
+    vertices: int
+    shape: tuple[int, int, int]
+    turned: bool
+    plan: Plan
+
+    @property
+    def faces(self) -> int:
+        """Room for faces: those behind the mesh's own are of a second mesh, which always has one."""
+        return self.most + 1
+
+    @property
+    def sizes(self) -> PairSizes:
+        """Sizes of the structure of both."""
+        return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + (2 << depth_for(self.faces - self.least)))
+
+
+class PairSizes(NamedTuple):
+    """Sizes that the shapes of all arrays follow from, as `Sizes`: of a mesh, and of the faces behind its own."""
+
+    faces: int  # of the larger one, at most
+    slots: int
+    nodes: int
+    meshes: int = 2
+    edges: int = 0
+    visited_edges: int = 0
+    cap_nodes: int = 0
+    dipole_nodes: int = 0
+    kind: MeshKind = MeshKind.CLOSED
+
+
+def bounds_of(faces: int) -> tuple[int, int]:
+    """Least and most faces of the class of a mesh with so many."""
+    if faces <= SMALLEST:
+        # Trees of other depths are no deeper than that of the largest.
+        return 1, SMALLEST
+    most = TRIANGLES_PER_LEAF << depth_for(faces)
+    # Two for each depth, so that no more than a third of the room is idle.
+    middle = most - most // 4
+    return (middle + 1, most) if faces > middle else (most // 2 + 1, middle)
+
+
+def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> CapacityClass | None:
+    """The class of a mesh and a grid on a device with so much memory (see `make_plan`); None if there is none.
+
+    The same object for all its meshes.
+    """
+    if not 0 < faces <= LARGEST:
+        return None
+    options, turned = OPTIONS.get(), grid.direction != IDENTITY
+    least, most = bounds_of(faces)
+    room = int(SHARED * most)
+    if vertices > room:
+        room = int(LOOSE * most)
+    own = make_plan(Workload(faces, depth_for(faces), 1, grid.shape, grid.spacing, turned), memory, options)
+    if vertices > room or own.method != "cells":
+        return None
+    uneven = uneven_room(grid.spacing, turned) > 1
+    # These decide about bits.
+    alike = own.cell, own.region_shares, own.cell_shares, own.levels_left_out
+    return _class(least, most, room, grid.shape, turned, uneven, alike, memory, options)
+
+
+@lru_cache(maxsize=256)
+def _class(
+    least: int,
+    most: int,
+    room: int,
+    shape: tuple[int, int, int],
+    turned: bool,
+    uneven: bool,
+    alike: tuple[int, int, int, int],
+    memory: int | None,
+    options: PlanOptions,
+) -> CapacityClass | None:
+    work = Workload(most, depth_for(most), 1, shape, (1.0, 1.0, UNEVEN if uneven else 1.0), turned)
+    cell, region_shares, cell_shares, left_out = alike
+    own = make_plan(work, memory, options)
+    own = replace(
+        own,
+        cell=cell,
+        total=math.prod(-(-n // (2 * cell)) for n in shape),
+        region_shares=region_shares,
+        cell_shares=cell_shares,
+        levels_left_out=left_out,
+    )
+    plan = joint_plan([work], [own], memory, options)
+    return CapacityClass(most, least, room, shape, turned, plan) if plan.passes == 1 else None
