@@ -35,6 +35,9 @@ SHORT = 64
 # Triangles of the list of a cell of 16^3 voxels, on average, up to which one is better than eight for cells of 8^3:
 # features that do not matter to a brick are worked out for it all the same.
 SHORT_FOR_WIDE = {"cuda": 100, "cpu": 0}
+# Voxels along the longest axis of the smallest grid that may have them: bricks of 8^3 voxels of a coarser one around a
+# mesh are too wide for float32, and are searched voxel by voxel (`region_grid.is_coarse`).
+FINE_FOR_WIDE = 96
 # Triangles of a list, on average, that one group may make without holding up the others, and up to how many groups
 # share the list of a region, and of a cell, for that.
 LONG_SHARE = 256
@@ -84,7 +87,8 @@ def search_is_faster(triangles: int, shape: Sequence[int], gpu: bool) -> bool:
 
 def cell_for(triangles: int, shape: Sequence[int], gpu: bool) -> int:
     """Voxels along the edge of a cell: 8, or 16 where the lists of such cells are expected to be short."""
-    return 16 if expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"] else 8
+    short = expected_list(triangles, shape, 16) <= SHORT_FOR_WIDE["cuda" if gpu else "cpu"]
+    return 16 if short and max(shape) >= FINE_FOR_WIDE else 8
 
 
 def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int]:

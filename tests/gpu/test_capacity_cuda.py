@@ -8,7 +8,6 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import fresh, split
-from sdm.engine.capacity import closed_maps
 from sdm.errors import MeshError
 from sdm.runtime import graphs
 from sdm.runtime.graphs.captured_call import CapturedCall
@@ -117,7 +116,3 @@ def test_streams(launches):
             found.append(sdm.signed_distance_map(mesh, grid).values)
     torch.cuda.synchronize()
     assert all(torch.equal(ours, theirs) for ours, theirs in zip(found, expected, strict=True))
-
-
-def test_few_tables(launches):
-    assert closed_maps.TABLE * 8 < 1024
