@@ -14,19 +14,33 @@ from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.acceleration import build
+from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.flood import negate_inside, rims_of
 from sdm.engine.map_check import MapCheck, checked
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
-from sdm.engine.maps import LARGEST_SLAB, index_map, is_recordable, put_together, slabs_of, unsigned_index_map
+from sdm.engine.maps import (
+    LARGEST_SLAB,
+    batch_maps,
+    index_map,
+    is_recordable,
+    put_together,
+    slabs_of,
+    unsigned_index_map,
+)
 from sdm.engine.ops import map_slab, points_distance, points_winding, structure_slab
 from sdm.engine.points import as_points, at_points
 from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError
 from sdm.runtime.operators import is_eager
 from sdm.topology.boundary_edges import boundary_edges
+from sdm.topology.face_pairing import pairing_of
+
+
+def moves_without_wait(vertices: Tensor) -> bool:
+    """True if the structure of moved vertices may be built later, by what needs it."""
+    return vertices.is_cuda and not vertices.requires_grad and is_eager(vertices)
 
 
 class MeshIndex:
@@ -74,15 +88,35 @@ class MeshIndex:
         if self._repeated is not None:
             mesh, edges = self._repeated.distinct, None
         self._measured = mesh
-        self._structure = build(mesh.vertices.detach()[None], mesh.faces, edges)
+        self._built: AccelerationStructure | None = build(mesh.vertices.detach()[None], mesh.faces, edges)
+
+    @property
+    def _structure(self) -> AccelerationStructure:
+        """The structure, which after a move is built by the first query that needs one by itself."""
+        if self._built is None:
+            self._built = build(self._measured.vertices[None], self._measured.faces, self._edges)
+        return self._built
 
     @property
     def closed(self) -> bool:
         """True if the mesh has no boundary, so that its winding number is a whole number everywhere."""
         return self._edges.shape[0] == 0
 
-    def update(self, vertices: Any) -> None:
+    @property
+    def _always_closed(self) -> bool:
+        """True if there is no boundary wherever the vertices are."""
+        paired = pairing_of(self.mesh.faces, self.mesh.vertices.shape[0])
+        return self._repeated is None and paired.unmatched.shape[0] == 0
+
+    def update(self, vertices: Any, *, check: bool | None = None) -> None:
         """Move the vertices: `vertices` (V,3), in the order of the mesh's. The faces stay.
+
+        Args:
+            vertices: Anything that can be a tensor; it is copied, or built from at once.
+            check: Look for coordinates that are not finite. By default on a CPU alone: it would wait for a GPU.
+
+        On a GPU nothing waits if the faces leave no edge unmatched, and the structure is built by what needs it: a map
+        of one kind after each move is one recorded call, build and all.
 
         Raises:
             MeshError: Another number of vertices, or a coordinate that is not finite.
@@ -94,7 +128,13 @@ class MeshIndex:
                 f"{tuple(self.mesh.vertices.shape)}; build a new MeshIndex for another mesh"
             )
         refuse_forward_mode(moved)
-        self.mesh = TriangleMesh(moved, self.mesh.faces, self.mesh.name)
+        check = moved.device.type == "cpu" if check is None else check
+        if moves_without_wait(moved) and self._always_closed:
+            # Whoever writes into what was given must not move the mesh.
+            self.mesh = TriangleMesh(moved.clone(), self.mesh.faces, self.mesh.name, check=check)
+            self._measured, self._built, self._rims = self.mesh, None, None
+            return
+        self.mesh = TriangleMesh(moved, self.mesh.faces, self.mesh.name, check=check)
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()
 
@@ -176,6 +216,10 @@ class MeshIndex:
         return checked(self._check, field, self._measured)
 
     def _by_winding(self, grid: Grid) -> SDM:
+        if self._built is None and is_recordable(self.mesh.vertices, grid.nbytes):
+            # Only maps of a mesh that moved are made so: another query builds the structure for all that follow.
+            values = batch_maps(self.mesh.vertices[None], self.mesh.faces, grid, None)[0]
+            return SDM(values, grid, 0, sign="winding")
         if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
             values, ambiguous = index_map(self._structure, grid)
             return SDM(values, grid, 0 if self.closed else int(ambiguous), sign="winding")
