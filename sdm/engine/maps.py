@@ -36,6 +36,8 @@ from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
+# Whether closed meshes never seen before are replayed by capacity class.
+USE_CLASSES = False
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
 LARGEST_RECORDED = 1 << 29
 
@@ -87,7 +89,7 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
         return _unpacked(graphs.run(_known_call(vertices[None], faces, grid, None)))
     guessed = guesses.guess(faces, count)
     kind = None
-    if guessed == guesses.CLOSED and not guesses.is_hopeless(faces, count):
+    if USE_CLASSES and guessed == guesses.CLOSED and not guesses.is_hopeless(faces, count):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None and graphs.is_recorded(faces.device, class_key(kind)):
         replayed = graphs.attempt(class_call(kind, vertices, faces, grid))

@@ -8,6 +8,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import fresh, split
+from sdm.engine import maps
 from sdm.errors import MeshError
 from sdm.runtime import graphs
 from sdm.runtime.graphs.captured_call import CapturedCall
@@ -16,7 +17,8 @@ pytestmark = pytest.mark.gpu
 
 
 @pytest.fixture(autouse=True)
-def afresh():
+def afresh(monkeypatch):
+    monkeypatch.setattr(maps, "USE_CLASSES", True)
     graphs.clear()
     yield
     graphs.clear()

@@ -63,7 +63,7 @@ def _longer(given: Tensor, rows: int) -> Tensor:
 
 
 def table_of(kind: CapacityClass, faces: int, vertices: int, grid: Grid) -> np.ndarray:
-    """What kernels read about a mesh and its grid (TABLE,) float64."""
+    """Table of a mesh and its grid for the kernels (TABLE,) float64."""
     table = np.zeros(TABLE)
     own, none = table[:_ROWS].reshape(2, SLAB_ROW)
     own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape

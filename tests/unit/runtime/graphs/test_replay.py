@@ -233,6 +233,7 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
     noted = []
     monkeypatch.setattr(replay, "record", noted.append)
     monkeypatch.setattr(maps, "is_recordable", lambda vertices, nbytes: True)
+    monkeypatch.setattr(maps, "USE_CLASSES", True)
     # New faces first, then known ones.
     faces = mesh.faces.clone()
     for _ in range(2):

@@ -15,7 +15,7 @@ GRID = sdm.Grid([-1.2] * 3, [0.3] * 3, [9] * 3)
 
 @pytest.fixture
 def builds(monkeypatch):
-    """How often a structure was built by itself; calls go the way of a GPU's, without recordings."""
+    """Builds of a structure by itself, counted; calls go the way of a GPU's, without recordings."""
     counted = []
     plain = mesh_index.build
     monkeypatch.setattr(mesh_index, "build", lambda *args: counted.append(1) or plain(*args))
