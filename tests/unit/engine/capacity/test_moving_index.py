@@ -7,7 +7,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import load_case
-from sdm.engine import maps, mesh_index
+from sdm.engine import api, maps, mesh_index
 from sdm.runtime import graphs
 
 GRID = sdm.Grid([-1.2] * 3, [0.3] * 3, [9] * 3)
@@ -20,7 +20,8 @@ def builds(monkeypatch):
     plain = mesh_index.build
     monkeypatch.setattr(mesh_index, "build", lambda *args: counted.append(1) or plain(*args))
     monkeypatch.setattr(mesh_index, "moves_without_wait", lambda vertices: True)
-    for module in (mesh_index, maps):
+    # `api` too: a module that is first imported meanwhile would keep what is put here.
+    for module in (mesh_index, maps, api):
         monkeypatch.setattr(module, "is_recordable", lambda vertices, nbytes: True)
     monkeypatch.setattr(graphs, "run", lambda call: call.work(graphs.unverified, *call.inputs))
     return counted
