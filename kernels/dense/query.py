@@ -12,6 +12,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
+from sdm.kernels.dense.coarse_bricks import search_bricks
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS_PER_SM, list_regions
@@ -213,4 +214,5 @@ def run_stages(
             lanes,
         )
         end_split(slab, grid, cache, schedule, out, merge_threads)
+        search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(BLOCKS_PER_SM), lanes)
     mend_slab(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)
