@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, cast
 
 import torch
@@ -41,31 +42,19 @@ OF_BOUNDARY = ("boundary", "caps tree", "caps", "winding")
 class JoinedSizes(NamedTuple):
     """Sizes that the shapes of all arrays follow from, as `Sizes` of meshes that differ: without boundaries."""
 
-    counts: tuple[int, ...]  # faces of each mesh
+    meshes: int = 0
+    faces: int = 0  # of the largest mesh
+    slots: int = 0  # triangles of all
+    nodes: int = 0  # of all hierarchies
 
     # Of no mesh the boundary is among the arrays.
     edges = visited_edges = cap_nodes = dipole_nodes = 0
     kind = MeshKind.CLOSED
 
-    @property
-    def meshes(self) -> int:
-        """Number of meshes."""
-        return len(self.counts)
-
-    @property
-    def faces(self) -> int:
-        """Of the largest mesh."""
-        return max(self.counts)
-
-    @property
-    def slots(self) -> int:
-        """Triangles of all meshes."""
-        return sum(self.counts)
-
-    @property
-    def nodes(self) -> int:
-        """Nodes of all hierarchies."""
-        return sum(2 << depth_for(count) for count in self.counts)
+    def with_mesh(self, faces: int) -> JoinedSizes:
+        """The sizes with one more mesh of so many faces."""
+        nodes = self.nodes + (2 << depth_for(faces))
+        return JoinedSizes(self.meshes + 1, max(self.faces, faces), self.slots + faces, nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +63,7 @@ class RaggedStructure:
 
     Args:
         meshes: They themselves, on their device.
-        sizes: Of the arrays.
+        sizes: Of the arrays up to each mesh, and of all.
         memory: The tensor that all arrays are parts of.
         parts: Where each mesh begins, see `sdm.kernels.bvh.tree`.
         view: The arrays for kernels: of the winding numbers, as if all meshes were closed.
@@ -83,7 +72,7 @@ class RaggedStructure:
     """
 
     meshes: list[TriangleMesh]
-    sizes: JoinedSizes
+    sizes: list[JoinedSizes]
     memory: Tensor
     parts: Tensor
     view: KernelView
@@ -92,10 +81,10 @@ class RaggedStructure:
 
     def of_mesh(self, mesh: int) -> AccelerationStructure:
         """The structure of one mesh, over the same memory; what only an open mesh has is made here."""
-        count = self.sizes.counts[mesh]
+        count, begin = len(self.meshes[mesh]), self.sizes[mesh]
         topology = self.topologies.get(mesh)
         edges = 0 if topology is None else topology.boundary.shape[0]
-        sizes, begin, tensors = Sizes(1, count, edges, kind_of(edges, count)), JoinedSizes(self.sizes.counts[:mesh]), []
+        sizes, tensors = Sizes(1, count, edges, kind_of(edges, count)), []
         for array, whole in zip(ARRAYS, self._tensors, strict=True):
             step, length = wp.types.type_size_in_bytes(array.dtype), array.length(sizes)
             if array.struct in OF_BOUNDARY:
@@ -110,9 +99,9 @@ class RaggedStructure:
                 fill_boundary(structure, vertices, topology, as_warp(self.bounds[6 * mesh :][:6], wp.float32))
         return structure
 
-    @property
+    @cached_property
     def _tensors(self) -> list[Tensor]:
-        return AccelerationStructure.in_block(cast(Sizes, self.sizes), self.memory.device, self.memory).tensors
+        return AccelerationStructure.in_block(cast(Sizes, self.sizes[-1]), self.memory.device, self.memory).tensors
 
 
 def build_ragged(meshes: Sequence[TriangleMesh], left_out: Sequence[int], numbers: Sequence[int]) -> RaggedStructure:
@@ -126,18 +115,19 @@ def build_ragged(meshes: Sequence[TriangleMesh], left_out: Sequence[int], number
     Raises:
         MeshError: A face index out of range.
     """
-    device, sizes = meshes[0].device, JoinedSizes(tuple(len(mesh) for mesh in meshes))
-    rows, first_face, first_vertex, root = [], 0, 0, 0
-    for mesh, count, levels in zip(meshes, sizes.counts, left_out, strict=True):
-        depth, vertex_count = depth_for(count), mesh.vertices.shape[0]
-        rows.append((first_face, count, depth, root, levels, first_vertex, vertex_count))
-        first_face, first_vertex, root = first_face + count, first_vertex + vertex_count, root + (2 << depth)
+    device, sizes = meshes[0].device, [JoinedSizes()]
+    rows, first_vertex = [], 0
+    for mesh, levels in zip(meshes, left_out, strict=True):
+        count, vertex_count, begin = len(mesh), mesh.vertices.shape[0], sizes[-1]
+        rows.append((begin.slots, count, depth_for(count), begin.nodes, levels, first_vertex, vertex_count))
+        sizes.append(begin.with_mesh(count))
+        first_vertex += vertex_count
     table = to_device(torch.tensor(rows, dtype=torch.int32), device)
     parts = table[:, :PART_SIZE].contiguous().view(-1)
     vertices = torch.cat([mesh.vertices.detach() for mesh in meshes])
-    faces, out_of_range = _joined_faces(meshes, table, first_face)
+    faces, out_of_range = _joined_faces(meshes, table, sizes[-1].slots)
     # Typed for meshes that share faces, but only these attributes are looked at.
-    empty = AccelerationStructure.in_block(cast(Sizes, sizes), device)
+    empty = AccelerationStructure.in_block(cast(Sizes, sizes[-1]), device)
     tree = coarser(empty.view.tree, 0)
     set_array(tree, "parts", as_warp(parts, wp.int32))
     tree.meshes = len(meshes)
