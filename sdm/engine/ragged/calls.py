@@ -18,6 +18,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.arguments import refuse_forward_mode
 from sdm.engine.map_check import quiet
+from sdm.engine.ragged.boxes import with_known_boxes
 from sdm.engine.ragged.chunks import Load, bytes_for, in_chunks, voxels_of
 from sdm.engine.ragged.joint_maps import MapJob, ragged_maps
 from sdm.engine.ragged.lists import each_grid, each_points, in_pairs, numbered
@@ -52,10 +53,21 @@ def maps_of(
     """
 
     def jobs() -> Iterator[MapJob]:
-        for number, mesh, wanted in in_pairs(meshes, each_grid(meshes, grids), "grids"):
+        def is_around(wanted: Any) -> bool:
+            return not isinstance(wanted, Grid) or resolution is not None or margin is not None
+
+        pairs: Iterable[tuple[int, TriangleMesh, Any]] = in_pairs(meshes, each_grid(meshes, grids), "grids")
+        boxes: Sequence[TriangleMesh] = ()
+        # Files are read as they are needed.
+        if isinstance(meshes, list | tuple) and all(isinstance(mesh, TriangleMesh) for mesh in meshes):
+            pairs = list(pairs)
+            if any(is_around(wanted) for _, _, wanted in pairs):
+                boxes = with_known_boxes([mesh for _, mesh, _ in pairs])
+        for number, mesh, wanted in pairs:
             grid = wanted
-            if not isinstance(wanted, Grid) or resolution is not None or margin is not None:
-                grid = numbered(number, lambda mesh=mesh, wanted=wanted: as_grid(wanted, mesh, resolution, margin))
+            if is_around(wanted):
+                box = boxes[number] if boxes else mesh
+                grid = numbered(number, lambda box=box, wanted=wanted: as_grid(wanted, box, resolution, margin))
             yield MapJob(number, mesh.to(choose_device(device, mesh.vertices)), grid)
 
     def load(job: MapJob) -> Load:

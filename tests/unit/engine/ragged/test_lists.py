@@ -99,3 +99,16 @@ def test_as_many_grids_and_points_as_meshes():
         sdm.signed_distances(MESHES[:1], [[0.0, 1.0]], device="cpu")
     with pytest.raises(sdm.GridError, match="mesh 1: the grid's resolution"):
         list(sdm.signed_distance_maps(iter(MESHES), iter([9, -1, 9]), device="cpu"))
+
+
+def test_files_are_read_as_they_are_needed(tmp_path):
+    for number, mesh in enumerate(MESHES):
+        mesh.save(tmp_path / f"{number}.ply")
+    paths = [tmp_path / f"{number}.ply" for number in range(3)]
+    found = sdm.signed_distance_maps(paths, 7, device="cpu")
+    assert all(
+        torch.equal(f.values, sdm.signed_distance_map(p, 7, device="cpu").values)
+        for f, p in zip(found, paths, strict=True)
+    )
+    with pytest.raises(sdm.SDMError, match=r"^mesh 1: "):
+        sdm.signed_distance_maps([paths[0], tmp_path / "none.ply"], 7, device="cpu")
