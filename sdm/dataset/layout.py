@@ -113,7 +113,7 @@ def _description(array: Path) -> dict[str, Any] | None:
     try:
         # As Zarr understands it, since versions of Zarr write the same in different words.
         found = zarr.open_array(array, mode="r").metadata.to_dict()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, ArithmeticError):
         return None
     # Notes of users are no damage.
     return json.loads(json.dumps({**found, "attributes": {}}, default=str))

@@ -119,7 +119,7 @@ class SDMDataset(Dataset[Batch]):
         damage = f"{self.path} cannot be read: its array {name} is damaged; sdm generate --verify mends it"
         try:
             array = zarr.open_array(self.path / name, mode="r")
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except Exception as error:  # Zarr checks damaged metadata with whatever they lead to, such as divisions by 0.
             raise FormatError(f"{damage} ({one_line(error)})") from error
         # Of other sizes Zarr would read something else, or ask for any amount of memory.
         if (array.shape, array.chunks, array.shards) != layout.sizes_of(self.manifest, name):

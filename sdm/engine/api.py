@@ -15,7 +15,7 @@ from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid, GridLike, as_grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.acceleration import AccelerationStructure
+from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked
@@ -24,7 +24,10 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.mesh_lists import are_meshes, box_of
 from sdm.engine.points import at_points
 from sdm.engine.ragged.calls import distances_of, maps_of
+from sdm.engine.repeated_faces import may_be_crowded
 from sdm.errors import MeshError
+from sdm.runtime.operators import is_eager
+from sdm.topology.boundary_edges import boundary_edges
 
 
 @overload
@@ -191,7 +194,18 @@ def signed_distance(
         mesh = as_mesh(mesh)
     refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
-    return at_points(mesh.to(where), points, return_closest, None, sign=sign)
+    mesh = mesh.to(where)
+    structure = None
+    if where.type == "cpu" and is_eager(mesh.vertices.detach()):
+        edges = boundary_edges(mesh.vertices, mesh.faces)
+        if may_be_crowded(mesh, edges):
+            index = MeshIndex(mesh, where, warn=False)
+            return at_points(
+                index._measured, points, return_closest, index._structure, index._repeated, index.mesh, sign
+            )
+        if sign == "winding":
+            structure = build(mesh.vertices.detach()[None], mesh.faces, edges)
+    return at_points(mesh, points, return_closest, structure, sign=sign)
 
 
 @overload

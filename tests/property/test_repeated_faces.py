@@ -8,7 +8,7 @@ import trimesh
 import sdm
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine import repeated_faces
+from sdm.engine import mesh_index, repeated_faces
 
 BALL = trimesh.creation.icosphere(1)
 GRID = Grid((-1.2, -1.1, -1.3), (0.3, 0.31, 0.29), (9, 9, 9))
@@ -49,6 +49,10 @@ def test_copies_measured_once_change_nothing(name, monkeypatch):
         assert torch.equal(field.values, whole.values)
         assert torch.equal(field.values, slabs)
         assert torch.equal(values, index.signed_distance(points))
+        alone, hit_alone = sdm.signed_distance(mesh, points, return_closest=True, device="cpu")
+        assert torch.equal(values, alone)
+        assert torch.equal(values, sdm.signed_distance(mesh, points, device="cpu"))
+        assert torch.equal(hit.faces, hit_alone.faces)
         assert field.ambiguous_voxels == whole.ambiguous_voxels
         return values, hit, index.winding_number(points), field
 
@@ -92,3 +96,20 @@ def test_a_hundred_thousand_copies_are_one_triangle():
     assert len(index._measured) == 1
     assert index._structure.sizes.faces == 1
     assert index.winding_number([[0.4, 0.3, -5.0]]).abs().item() > 100
+
+
+def test_points_without_an_index_see_one_triangle_too(monkeypatch):
+    built = []
+
+    def build(vertices, faces, edges=None):
+        built.append(len(faces))
+        return structure(vertices, faces, edges)
+
+    structure = mesh_index.build
+    monkeypatch.setattr(mesh_index, "build", build)
+    vertices = torch.tensor(ONE, dtype=torch.float32, requires_grad=True)
+    mesh = TriangleMesh(vertices, np.repeat([[0, 1, 2]], 100_000, 0))
+    value = sdm.signed_distance(mesh, [[0.25, 0.25, 2.0]], device="cpu")
+    assert built == [1]
+    (gradient,) = torch.autograd.grad(value.sum(), vertices)
+    assert gradient.abs().sum() > 0

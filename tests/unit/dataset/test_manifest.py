@@ -160,6 +160,16 @@ def test_flipped_bits_of_parameters(copy, bit):
     assert damaged(copy) == []
 
 
+def test_pieces_of_no_size_are_damage(copy):
+    document = json.loads((copy / "sdm" / "zarr.json").read_text())
+    document["codecs"][0]["configuration"]["chunk_shape"][0] = 0
+    (copy / "sdm" / "zarr.json").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match="its array sdm is damaged; sdm generate --verify mends it"):
+        SDMDataset(copy)[0]
+    assert layout.mend_arrays(copy, read_manifest(copy)) == ["sdm"]
+    assert SDMDataset(copy)[0].sdm.isfinite().all()
+
+
 @pytest.mark.parametrize("name", ["sdm", "theta"])
 @pytest.mark.parametrize("size", [6, 99999999999])
 def test_sizes_of_arrays_that_are_not_the_manifests(copy, name, size):
