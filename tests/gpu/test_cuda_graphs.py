@@ -14,7 +14,7 @@ from sdm.engine.plan_override import plan_override
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
 from sdm.runtime.graphs.captured_call import CapturedCall
-from sdm.runtime.graphs.graph_cache import MOST_RECORDINGS
+from sdm.runtime.graphs.replay import MOST_RECORDINGS
 
 pytestmark = pytest.mark.gpu
 

@@ -19,8 +19,9 @@ from sdm.kernels.dense.cost_model import UNEVEN, uneven_room
 from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
 
-# Fewer faces are served by the class of so many; of more, kernels take longer than the host.
-SMALLEST, LARGEST = 640, 1 << 20
+# Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
+# of more, kernels take longer than the host.
+SMALL, LARGEST = (1280, 5120, 20480), 1 << 20
 # Vertices for each face of the room: of closed surfaces, or of triangles that share none.
 SHARED, LOOSE = 0.75, 3.0
 
@@ -72,9 +73,12 @@ class PairSizes(NamedTuple):
 
 def bounds_of(faces: int) -> tuple[int, int]:
     """Least and most faces of the class of a mesh with so many."""
-    if faces <= SMALLEST:
+    least = 1
+    for most in SMALL:
         # Trees of other depths are no deeper than that of the largest.
-        return 1, SMALLEST
+        if faces <= most:
+            return least, most
+        least = most + 1
     most = TRIANGLES_PER_LEAF << depth_for(faces)
     # Two for each depth, so that no more than a third of the room is idle.
     middle = most - most // 4

@@ -6,6 +6,7 @@ for its counts. The second mesh has faces of no area and a grid without voxels.
 
 from __future__ import annotations
 
+import struct
 from functools import partial
 from typing import Any, cast
 
@@ -19,20 +20,22 @@ from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import CapacityClass
 from sdm.kernels.bvh.tree import PART_SIZE, coarser, depth_for
 from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
-from sdm.kernels.geometry.voxel_grid import AXES, ORIGIN, REGION, SHAPE, SLAB_ROW, SPACING, VOXEL, Slab
+from sdm.kernels.geometry.voxel_grid import SLAB_ROW, Slab
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import COUNTS, fill_up
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import beside, kernels_beside
 from sdm.runtime.graphs.output_slot import current_slot
-from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
+from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
 # The table: both slabs' rows, then the counts and both meshes' parts as whole numbers, two in the room of a row's.
 _ROWS = 2 * SLAB_ROW
 _NUMBERS = COUNTS + 2 * PART_SIZE
 TABLE = _ROWS + _NUMBERS // 2
+_FORMAT = struct.Struct(f"={_ROWS}d{_NUMBERS}i")
+_NO_AXES = (0.0,) * 9
 
 
 def class_key(kind: CapacityClass) -> tuple[str, CapacityClass]:
@@ -43,16 +46,17 @@ def class_key(kind: CapacityClass) -> tuple[str, CapacityClass]:
 def class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> Call:
     """The call that makes the map (1,nx,ny,nz) of a mesh, if it is closed, and the faces' neighbours (F,4).
 
-    Its inputs have as many rows as the mesh; `to_record` has those of a recording.
+    Its inputs have as many rows as the mesh, and the last is on the host; `to_record` has those of a recording.
     """
-    table = to_device(torch.from_numpy(table_of(kind, faces.shape[0], vertices.shape[0], grid)), faces.device)
+    table = torch.empty(TABLE, dtype=torch.float64, pin_memory=faces.is_cuda)
+    write_table(table.numpy(), kind, faces.shape[0], vertices.shape[0], grid)
     return Call(class_key(kind), partial(_queue_class_map, kind), (vertices, faces, table))
 
 
 def to_record(kind: CapacityClass, call: Call) -> Call:
     """The same call, whose inputs fill the room of its class."""
     vertices, faces, table = call.inputs
-    inputs = _longer(vertices, kind.vertices), _longer(faces, kind.faces), table
+    inputs = _longer(vertices, kind.vertices), _longer(faces, kind.faces), table.to(faces.device)
     return Call(call.key, call.work, inputs)
 
 
@@ -62,21 +66,23 @@ def _longer(given: Tensor, rows: int) -> Tensor:
     return found
 
 
-def table_of(kind: CapacityClass, faces: int, vertices: int, grid: Grid) -> np.ndarray:
-    """Table of a mesh and its grid for the kernels (TABLE,) float64."""
-    table = np.zeros(TABLE)
-    own, none = table[:_ROWS].reshape(2, SLAB_ROW)
-    own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape
+def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: int, grid: Grid) -> None:
+    """Write the numbers that kernels read about a mesh and its grid: (TABLE,) float64."""
+    axes: tuple[float, ...] = _NO_AXES
     if kind.turned:
-        own[AXES : AXES + 9] = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
-    none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = 1, grid.size, kind.plan.total
+        axes = tuple(d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True))
     depth, behind = depth_for(faces), kind.faces - faces
-    table[_ROWS:].view(np.int32)[:] = (
+    _FORMAT.pack_into(
+        table,
+        0,
+        # The slab's row, in the order of `sdm.kernels.geometry.voxel_grid`, and one of a grid without voxels.
+        *(*grid.origin, *grid.spacing, *axes, *grid.shape, 0, 0, 0),
+        *(0, 0, 0, 1, 1, 1, *_NO_AXES, 0, 0, 0, 0, grid.size, kind.plan.total),
+        # The counts, and the parts, in the order of `sdm.kernels.bvh.tree`.
         *(faces, vertices),
         *(0, faces, depth, 0, kind.plan.levels_left_out),
         *(faces, behind, depth_for(behind), 2 << depth, 0),
     )
-    return table
 
 
 def _queue_class_map(

@@ -112,8 +112,9 @@ class CapturedCall:
             if given.numel() and not self._held.holds(index, given):
                 own = self._inputs[index]
                 # Of inputs that need not fill their room, the kernels know how many rows there are.
-                (own if own.shape == given.shape else own[: given.shape[0]]).copy_(given)
-                given.record_stream(stream)
+                (own if own.shape == given.shape else own[: given.shape[0]]).copy_(given, non_blocking=True)
+                if given.is_cuda:
+                    given.record_stream(stream)
                 self._held.copied(index, given)
         if self._guesses:
             self._flags[: self._count].fill_(PENDING)

@@ -17,7 +17,8 @@ CALLS = 3
 WORTH = 8
 WELL_WORTH = 4 * WORTH
 MOST_CALLS = 64 * CALLS
-MOST_RECORDINGS = 4
+# Kept of each device, if nobody says otherwise.
+FEW_RECORDINGS = 4
 # Keys whose calls are counted.
 MOST_KEYS = 64
 _REFUSED = -(1 << 62)
@@ -29,10 +30,16 @@ class GraphCache:
     Args:
         most: Bytes that all of them may take.
         capture: Makes a recording of a work and its inputs in some pool.
+        recordings: How many there may be.
     """
 
-    def __init__(self, most: int, capture: Callable[[MemoryPool, Work, Tensors], CapturedCall] = CapturedCall) -> None:
-        self._most = most
+    def __init__(
+        self,
+        most: int,
+        capture: Callable[[MemoryPool, Work, Tensors], CapturedCall] = CapturedCall,
+        recordings: int = FEW_RECORDINGS,
+    ) -> None:
+        self._most, self._recordings = most, recordings
         self._capture = capture
         self._pool = MemoryPool()
         self._captured: OrderedDict[Hashable, CapturedCall] = OrderedDict()
@@ -64,7 +71,7 @@ class GraphCache:
         if self._calls[key] < self.needed or key in self._captured:
             return
         self._calls[key] = 0
-        while len(self._captured) >= MOST_RECORDINGS:
+        while len(self._captured) >= self._recordings:
             oldest = next(iter(self._captured))
             self._raise_threshold(self._used[oldest])
             self.drop(oldest)

@@ -19,6 +19,8 @@ from sdm.runtime.operators import is_eager
 
 # The part of a device's memory that recordings may keep.
 SHARE = 16
+# And how many they are: a folder of meshes has a dozen capacity classes (`sdm.engine.capacity`).
+MOST_RECORDINGS = 16
 
 _switch = SimpleNamespace(on=os.environ.get("SDM_CUDA_GRAPHS", "1") != "0", pauses=0)
 _lock = threading.RLock()
@@ -154,5 +156,6 @@ def record(call: Call) -> None:
             if not _caches:
                 # Before torch and CUDA are taken apart.
                 atexit.register(clear)
-            _caches[device] = GraphCache(torch.cuda.get_device_properties(device).total_memory // SHARE)
+            most = torch.cuda.get_device_properties(device).total_memory // SHARE
+            _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
         _caches[device].count(call.key, call.work, call.inputs)
