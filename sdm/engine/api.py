@@ -194,18 +194,18 @@ def signed_distance(
         mesh = as_mesh(mesh)
     refuse_forward_mode(mesh.vertices)
     where = choose_device(device, points if isinstance(points, Tensor) else None, mesh.vertices)
-    mesh = mesh.to(where)
+    placed = mesh.to(where)
     structure = None
-    if where.type == "cpu" and is_eager(mesh.vertices.detach()):
-        edges = boundary_edges(mesh.vertices, mesh.faces)
-        if may_be_crowded(mesh, edges):
-            index = MeshIndex(mesh, where, warn=False)
+    if where.type == "cpu" and is_eager(placed.vertices.detach()):
+        edges = boundary_edges(placed.vertices, placed.faces)
+        if may_be_crowded(placed, edges):
+            index = MeshIndex(placed, where, warn=False)
             return at_points(
                 index._measured, points, return_closest, index._structure, index._repeated, index.mesh, sign
             )
         if sign == "winding":
-            structure = build(mesh.vertices.detach()[None], mesh.faces, edges)
-    return at_points(mesh, points, return_closest, structure, sign=sign)
+            structure = build(placed.vertices.detach()[None], placed.faces, edges)
+    return at_points(placed, points, return_closest, structure, sign=sign)
 
 
 @overload
