@@ -39,7 +39,9 @@ def main() -> None:
     for name in ("cases", "coverage", "real"):
         each[name].add_argument("--weights", type=Path, default=None, help="a surrogate's; the shipped ones by default")
     each["cases"].add_argument(
-        "--backends", default="exact,libigl", help="of exact,surrogate,hybrid,libigl,libigl-map,warp,warp-map"
+        "--backends",
+        default="exact,libigl",
+        help="of exact,surrogate,surrogate-alone,hybrid,libigl,libigl-map,warp,warp-map",
     )
     each["cases"].add_argument("--count", type=int, default=9)
     each["cases"].add_argument("--quick", action="store_true", help="two cases")

@@ -9,7 +9,9 @@ from sdm.bench.fit.stock_maps import StockMaps
 from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.backends import make_backends
+from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import Cochlea
+from sdm.surrogate import GRID, load_surrogate
 
 # Meshes of simulated truth are four times as fine as those of the fit.
 TRUTH_TRIANGLES = 80_000
@@ -28,10 +30,12 @@ def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -
 
 
 def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
-    """Ours by `make_backends`, or a stock library's."""
+    """Ours by `make_backends`, "surrogate-alone" without its anchors, or a stock library's."""
     if name in STOCK:
         library, *whole = name.split("-")
         return (StockMaps(library) if whole else StockBackend(library)), None
+    if name == "surrogate-alone":
+        return GridBackend(load_surrogate(weights, device=device).eval(), GRID, device=device), None
     return make_backends(name, weights=weights, device=device)
 
 
