@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,13 @@ def duplicates_of(record: dict[str, Any], within_mm: float = 0.05) -> list[str]:
     """Names of shapes that are one before them in the record once more, as 0RZD is CMPX but for the volume's cut."""
     names, matrix = record["names"], record["distances_mm"]
     return [names[j] for j in range(len(names)) if any(matrix[i][j] < within_mm for i in range(j))]
+
+
+def twins_of(record: dict[str, Any], names: Collection[str]) -> set[str]:
+    """Names of the other shapes that are near twins of these, or twins of such twins, or the same."""
+    numbers = near_twins(torch.tensor(record["distances_mm"], dtype=torch.float64), record["limit_mm"])
+    groups = [{record["names"][n] for n in group} for group in numbers]
+    return {name for group in groups if group & set(names) for name in group} - set(names)
 
 
 def table_of(record: dict[str, Any]) -> str:

@@ -79,23 +79,24 @@ def search(
     prior: float | None,
     compiled: bool,
     which: Sequence[str] = SEARCHES,
+    count: int = POINTS,
 ) -> dict[str, Found]:
     """Codes of shapes that the training never saw, by maximum a posteriori estimation, all at once.
 
     `unseen`: from exact samples of the whole shape. `half`: from points of the half of the surface that faces one
-    direction, with normals. `noisy`: from points of all of it with noise and without normals.
+    direction, with normals. `noisy`: from points of all of it with noise and without normals. `count` samples a step.
     """
     device = str(model.device)
     shapes = ShapeSet(test, device)
     truths = [shapes.mesh(n) for n in range(len(shapes))]
-    points, normals = _scans(truths)
-    seen = _seen(points)
+    points, normals = scans(truths)
+    seen = seen_half(points)
     noise = torch.randn(points.shape, generator=torch.Generator().manual_seed(9)).to(points)
-    half = Scan(_chosen(points, seen), _chosen(normals, seen), count=4000)
-    noisy = Scan(points + NOISE * noise, count=8000)
+    half = Scan(_chosen(points, seen), _chosen(normals, seen), count=count // 2)
+    noisy = Scan(points + NOISE * noise, count=count)
     every = torch.arange(len(shapes), device=device)
     draws: dict[str, tuple[Draw, float | None]] = {
-        "unseen": (lambda step: shapes.sample(every, POINTS, step=step), None),
+        "unseen": (lambda step: shapes.sample(every, count, step=step), None),
         "half": (half, prior),
         "noisy": (noisy, prior),
     }
@@ -127,20 +128,21 @@ def completion(model: DeepSDF, test: list[TriangleMesh], found: Found, resolutio
     """Errors on the half of the surface that a scan from one side saw, and on the other one."""
     spheres = [UnitSphere.of(m) for m in test]
     truths = [s.normalised(m).to(model.device) for s, m in zip(spheres, test, strict=True)]
-    points, _ = _scans(truths)
+    points, _ = scans(truths)
     radii = [s.radius for s in spheres]
-    rows = list(_parts(model, found.codes, truths, points, _seen(points), radii, resolution))
+    rows = list(_parts(model, found.codes, truths, points, seen_half(points), radii, resolution))
     about = {"points": SCAN, "noise": NOISE, "steps": found.steps, "seconds_a_shape": found.seconds_a_shape}
     return {**about, "shapes": len(test), **summary(rows), "rows": rows}
 
 
-def _scans(truths: list[TriangleMesh]) -> tuple[Tensor, Tensor]:
+def scans(truths: list[TriangleMesh]) -> tuple[Tensor, Tensor]:
     """Points (B,N,3) and normals of normalised surfaces."""
     points, normals = zip(*(surface_points(truth, SCAN, seed=9) for truth in truths), strict=True)
     return torch.stack(points), torch.stack(normals)
 
 
-def _seen(points: Tensor) -> Tensor:
+def seen_half(points: Tensor) -> Tensor:
+    """Which of the points (B,N,3) of shapes are on the half that faces one direction: (B,N) bool."""
     direction = torch.nn.functional.normalize(torch.tensor([1.0, -0.7, 0.4]), dim=0)
     return torch.stack([half_of(p, direction) for p in points])
 
@@ -167,10 +169,9 @@ def _parts(
             continue
         away = signed_distance(mesh, at).abs()
         found: ShapeScores = score_shape(mesh, truth, sphere=UNIT)
+        names = ("chamfer", "chamfer_paper", "emd", "accuracy", "completion", "normal_cosine", "dice")
         yield {
-            "chamfer": found.chamfer,
-            "chamfer_paper": found.chamfer_paper,
-            "dice": found.dice,
+            **{name: getattr(found, name) for name in names},
             "seen_half_mean_mm": radius * float(away[half].mean()),
             "other_half_mean_mm": radius * float(away[~half].mean()),
             "other_half_95_mm": radius * float(away[~half].quantile(0.95)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -190,18 +191,20 @@ def error_cell(row: dict[str, Any]) -> str:
     return "not finite" if error is None else f"{error:.2f}"
 
 
-def slabs_of(case: Case, grid: sdm.Grid, share: float) -> list[tuple[int, int]]:
+def slabs_of(case: Case, grid: sdm.Grid, share: float, fewest: int = 1) -> list[tuple[int, int]]:
     """Layers (begin, end) along x that hold about `share` of a grid: one random slab in each of `SLABS` equal parts.
 
-    A slab has at least two layers: some peers do not know a grid of one.
+    A slab has at least two layers: some peers do not know a grid of one. It has at least `fewest` points, if need be in
+    place of several slabs.
     """
     if share >= 1:
         return [(0, grid.shape[0])]
-    edges = np.linspace(0, grid.shape[0], max(1, min(SLABS, grid.shape[0] // 2)) + 1).round().astype(int)
+    least = max(2, math.ceil(fewest / (grid.shape[1] * grid.shape[2])))
+    edges = np.linspace(0, grid.shape[0], max(1, min(SLABS, grid.shape[0] // least)) + 1).round().astype(int)
     rng = generator(case, f"slabs {grid.shape}")
     chosen = []
     for low, high in itertools.pairwise(edges):
-        layers = min(high - low, max(2, round(share * (high - low))))
+        layers = min(high - low, max(least, round(share * (high - low))))
         begin = int(rng.integers(low, high - layers + 1))
         chosen.append((begin, begin + layers))
     return chosen
@@ -220,12 +223,12 @@ def time_peer(
 
     Also where it and the map `values` differ on the timed voxels: a peer that answers another question is no rival.
     """
-    trial = [part_of(grid, *slab) for slab in slabs_of(case, grid, 1 / grid.shape[0])]
+    trial = [part_of(grid, *slab) for slab in slabs_of(case, grid, 1 / grid.shape[0], peer.fewest_points)]
     call_part(peer, trial[0])  # compiles
     each = sum(call_part(peer, part)[0] for part in trial) / sum(part.size for part in trial)
     # A warm-up, then at least three timed calls.
     share = 1e3 * budget_s / 4 / (each * grid.size)
-    slabs = slabs_of(case, grid, share)
+    slabs = slabs_of(case, grid, share, peer.fewest_points)
     parts = [part_of(grid, *slab) for slab in slabs]
     differs, worst = 0, 0.0
     for part, (begin, end) in zip(parts, slabs, strict=True):

@@ -24,6 +24,7 @@ class Peer(ABC):
         device: Where its points and results live.
         parts: Which of `"distance"` and `"sign"` it answers alone.
         points_too: Whether it takes scattered points; if not, only grids.
+        fewest_points: Points of a call below which it leaves cores idle, so that it is timed on no fewer.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Peer(ABC):
     device: str = "cpu"
     parts: tuple[str, ...] = ()
     points_too: bool = True
+    fewest_points: int = 1
 
     def missing(self) -> str | None:
         """Why it cannot run here, as a sentence; None if it can."""

@@ -9,6 +9,9 @@ from torch import Tensor
 from sdm.bench.common.meshes import Case
 from sdm.bench.peers.base import Peer
 
+# `igl::parallel_for` in AABB.cpp and fast_winding_number.cpp: below this many queries it stays on one thread.
+THREADS_FROM = 10_000
+
 
 class LibiglWinding(Peer):
     """`igl.AABB` and `igl.FastWindingNumberBVH`, both kept."""
@@ -16,6 +19,7 @@ class LibiglWinding(Peer):
     name, package, module = "libigl winding number", "libigl", "igl"
     note = "AABB + fast winding number"
     parts = ("distance", "sign")
+    fewest_points = THREADS_FROM
 
     def build(self, case: Case) -> None:
         igl = self.library
@@ -41,6 +45,7 @@ class LibiglPseudonormal(Peer):
 
     name, package, module = "libigl pseudonormal", "libigl", "igl"
     note = "tree built in the query"
+    fewest_points = THREADS_FROM
 
     def build(self, case: Case) -> None:
         self._mesh = case.vertices.astype(np.float64), case.faces.astype(np.int64)

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from sdm.bench.common.machine import describe
+from sdm.bench.deepsdf.atria_split import read_record, twins_of
 from sdm.bench.segmentation.log_file import Job, LogFile, groups_of
 from sdm.segmentation import METHODS, Case, Settings, cell, check_cases, load_model, load_settings, read_cases
 from sdm.segmentation import validate_ensemble as validate
@@ -120,9 +121,13 @@ def seeds_of(job: Job) -> str:
 
 
 def cases_of(job: Job, part: str, kept: dict[str, Any]) -> list[Case]:
-    """The cases to train or to validate on, read once in a process."""
+    """The cases to train or to validate on, read once in a process; with `twins` "apart" without those' near twins."""
     if part not in kept:
-        cases = read_cases(Path(job["data"]), part)[: job["cases"]]
+        cases = read_cases(Path(job["data"]), part)
+        if part == "train" and job.get("twins") == "apart":
+            near = twins_of(read_record(), [case.name for case in cases_of(job, "val", kept)])
+            cases = [case for case in cases if case.name not in near]
+        cases = cases[: job["cases"]]
         check_cases(cases)
         kept[part] = cases
     return kept[part]

@@ -25,7 +25,7 @@ Work = Callable[[Job, str, Path, dict[str, Any], float], Log | None]
 Follow = Callable[[Job], Job | None]
 
 # Keys of a job that say where files lie on this machine.
-PATHS = ("data", "networks")
+PATHS = ("data", "networks", "cache")
 # End of the names of files by which a process says that it does a job.
 CLAIM = ".claim"
 # The process that fills the list may be slower than those that empty it.

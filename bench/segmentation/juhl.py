@@ -10,15 +10,18 @@ enlarged probabilities, so that both are enlarged alike; and PWR on the exact ma
 the coarse label, beside that of the fine label.
 
 How the paper's images were made is not known here: an image's voxel is the share of it that is inside, with Gaussian
-noise of 0.1. The paper trains PWC with a cross-entropy loss; PWC here minimises (cross-entropy + Dice) / 2, as in
-trainings as short as these small shapes are lost by cross-entropy alone.
+noise of 0.1. The paper trains PWC with a cross-entropy loss; so does `pwc-ce`, and `pwc` minimises
+(cross-entropy + Dice) / 2. Each network is trained at each of the same rates by the first seed; the rate with the
+highest Dice (linearly enlarged) of shapes that are neither to train on nor to test on is that of all its seeds.
 Distances are in voxels of 512^3. Overlap near the contour: 5^3 band.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +31,22 @@ from torch.nn import functional
 
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.machine import describe
-from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
+from sdm.bench.common.rate_search import best_rate
+from sdm.bench.segmentation.gpu_jobs import PATHS, devices, run_jobs
 from sdm.bench.segmentation.juhl_shapes import TARGETS, Shape, ShapeBatches, shapes
-from sdm.bench.segmentation.log_file import Job, LogFile, log_file
+from sdm.bench.segmentation.log_file import Job, Log, LogFile, log_file
 from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
-from sdm.segmentation import Settings, cell, scores_of, table, train
+from sdm.segmentation import Settings, TrainedModel, Training, cell, load_model, save_model, scores_of, table, train
 
 LOGS = LogFile(results_folder() / "segmentation_juhl.jsonl")
 COLUMNS = ("dice", "contour_dice", "average_surface_distance_mm", "rms_surface_distance_mm")
 # Network -> its target; None: the label.
-NETWORKS: dict[str, str | None] = {"pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
+NETWORKS: dict[str, str | None] = {"pwc-ce": None, "pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
+METHODS = {name: "pwr" if target else {"pwc-ce": "pwc"}.get(name, "baseline") for name, target in NETWORKS.items()}
+RATES = (3e-4, 1e-3, 3e-3)
 ROWS = {
+    "pwc-ce nearest": "PWC (CE), nearest (as published)",
+    "pwc-ce linear": "PWC (CE), linear probabilities",
     "pwc nearest": "PWC (CE + Dice; published: CE), nearest",
     "pwc linear": "PWC, linear probabilities",
     "pwr-voxels nearest": "PWR on the labels' transform, nearest",
@@ -61,7 +69,8 @@ def main() -> None:
         few = list(_few(options, on[0]))
         if options.fit:
             options.steps = known_steps(options.logs) or fit(options, few, on)
-        run_jobs(jobs(options), work, options.logs, options.work, budget_s=options.budget_s, on=on)
+        task = partial(work, logs=options.logs)
+        run_jobs(jobs(options), task, options.logs, options.work, budget_s=options.budget_s, on=on)
     print(table_of(options.logs))
 
 
@@ -78,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--steps", type=int, default=1350, help="default: those of the table that is kept")
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--batch", type=int, default=4)
-    parser.add_argument("--learning-rate", type=float, default=1e-3)
+    parser.add_argument("--rates", type=float, nargs="+", default=list(RATES), help="to choose from, for each network")
     parser.add_argument("--filters", type=int, default=32)
     parser.add_argument("--fine", type=int, default=512)
     parser.add_argument("--coarse", type=int, default=64)
@@ -87,24 +96,30 @@ def parser() -> argparse.ArgumentParser:
 
 
 def jobs(options: argparse.Namespace) -> list[Job]:
-    """All networks with the first seed, then all with the next."""
-    return [
-        {
-            "name": f"{network}-{seed}",
-            "network": network,
-            "settings": Settings(
-                method="baseline" if NETWORKS[network] is None else "pwr",
-                architecture="unet",
-                patch=(options.coarse,) * 3,
-                batch=options.batch,
-                steps=options.steps,
-                learning_rate=options.learning_rate,
-                filters=options.filters,
-                seed=seed,
-            ).record(),
-            "fine": options.fine,
-            "compile": options.compile,
-        }
+    """The search for the rates, then all networks with the first seed, all with the next."""
+
+    def job(network: str, seed: int, rate: float) -> Job:
+        settings = Settings(
+            method=METHODS[network],
+            architecture="unet",
+            patch=(options.coarse,) * 3,
+            batch=options.batch,
+            steps=options.steps,
+            learning_rate=rate,
+            filters=options.filters,
+            seed=seed,
+        )
+        return {"network": network, "settings": settings.record(), "fine": options.fine, "compile": options.compile}
+
+    first = options.seeds[0]
+    found = [
+        {"name": f"{network}-rate-{rate:g}", "kind": "rate", **job(network, first, rate)}
+        for network in options.networks
+        for rate in options.rates
+    ]
+    # Their rate is chosen when they begin.
+    return found + [
+        {"name": f"{network}-{seed}", "kind": "test", "rates": options.rates, **job(network, seed, options.rates[0])}
         for seed in options.seeds
         for network in options.networks
     ]
@@ -132,45 +147,85 @@ def fit(options: argparse.Namespace, few: list[Shape], on: list[str]) -> int:
         )
         return train(batches, settings, compiled=options.compile).seconds
 
-    count = len(options.networks) * len(options.seeds)
+    count = len(options.networks) * (len(options.rates) + len(options.seeds) - 1)
     left = options.budget_s - STARTING_S
     steps = fitted_steps(measure, count, len(on), left, weight=shared(options.per_gpu), overhead_s=OVERHEAD_S)
     options.budget_s -= time.monotonic() - begin
     return steps
 
 
-def work(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> dict[str, Any] | None:
-    """One training and the scores of its volumes, enlarged both ways."""
+def work(
+    job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float, *, logs: LogFile
+) -> Log | None:
+    """One training and the scores of its validation shapes, or, at the rate they chose, of its test shapes."""
+    if job["kind"] == "test":
+        rate = best_rate(partial(rates_of, logs, job["network"]), job["rates"], deadline)
+        if rate is None:
+            return None
+        job = {**job, "settings": {**job["settings"], "learning_rate": rate}}
     settings = Settings.of_record(job["settings"])
-    for part in ("train", "test"):
-        if part not in kept:
-            kept[part] = list(shapes(part, job["fine"], settings.patch[0], device))
-    checkpoint = unfinished / f"{job['name']}.pt"
-    batches = ShapeBatches(kept["train"], NETWORKS[job["network"]])
-    training = train(batches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
-    if training.step < settings.steps:
+    part = "test" if job["kind"] == "test" else "validation"
+    for name in ("train", part):
+        if name not in kept:
+            kept[name] = list(shapes(name, job["fine"], settings.patch[0], device))
+    training = trained(job, settings, kept["train"], unfinished, deadline, logs)
+    if training is None:
         return None
     begin = time.monotonic()
     scores: dict[str, list[dict[str, Any]]] = {"nearest": [], "linear": []}
-    for shape in kept["test"]:
+    for shape in kept[part]:
         with torch.inference_mode():
             values = training.model.field(shape.image[None, None])
         truth = shape.truth
         if truth is None:
-            raise ValueError("a test shape has no truth")
+            raise ValueError("a shape to score has no truth")
         for way, found in scores.items():
             found.append(score(enlarged(values, job["fine"], way), truth))
-    log = {
+    told = f"Dice linear {cell(scores['linear'], 'dice')}, {training.step / max(training.seconds, 1e-9):.1f} steps/s"
+    return {
+        "summary": told,
+        "job": {key: value for key, value in job.items() if key not in PATHS},
         "training_s": training.seconds,
         "scores_s": time.monotonic() - begin,
         "parameters": sum(p.numel() for p in training.model.parameters()),
         "machine": describe(device, ("torch", "warp-lang")),
         "losses": training.losses,
-        **scores,
+        **(scores if part == "test" else {"validation": scores}),
     }
+
+
+def rates_of(logs: LogFile, network: str) -> dict[float, float]:
+    """Rate -> 1 less the mean Dice of the validation shapes, linearly enlarged, of those tried."""
+    own = [log for log in logs.trainings() if "validation" in log and log["job"]["network"] == network]
+    return {
+        log["job"]["settings"]["learning_rate"]: 1
+        - statistics.fmean(row["dice"] for row in log["validation"]["linear"])
+        for log in own
+    }
+
+
+def trained(
+    job: Job, settings: Settings, source: list[Shape], unfinished: Path, deadline: float, logs: LogFile
+) -> Training | None:
+    """The network of a job, trained now, or when its rate was tried; None where the deadline came first."""
+    rate = f"{job['network']}-rate-{settings.learning_rate:g}"
+    kept = unfinished / f"{rate}-{settings.seed}.network.pt"
+    if kept.is_file():
+        found = load_model(kept, source[0].image.device)
+        before = next(
+            (log for log in logs.trainings() if log["job"]["name"] == rate), {"training_s": 0.0, "losses": []}
+        )
+        if found.settings == settings:
+            return Training(found.model.eval(), settings.steps, before["training_s"], before["losses"])
+    checkpoint = unfinished / f"{job['name']}.pt"
+    batches = ShapeBatches(source, NETWORKS[job["network"]])
+    training = train(batches, settings, checkpoint=checkpoint, deadline=deadline, compiled=job["compile"])
+    if training.step < settings.steps:
+        return None
+    if job["kind"] == "rate":
+        save_model(TrainedModel(training.model, settings, batches.spacing), kept)
     checkpoint.unlink(missing_ok=True)
-    rate = training.step / max(training.seconds, 1e-9)
-    return {"summary": f"Dice linear {cell(scores['linear'], 'dice')}, {rate:.1f} steps/s", **log}
+    return training
 
 
 def enlarged(values: Tensor, fine: int, way: str) -> Tensor:
@@ -198,7 +253,7 @@ def table_of(logs: LogFile) -> str:
     rows: dict[str, list[dict[str, Any]]] = {}
     seeds: dict[str, int] = {}
     for log in logs.trainings():
-        for way in ("nearest", "linear"):
+        for way in ("nearest", "linear") if "linear" in log else ():
             name = f"{log['job']['network']} {way}"
             rows.setdefault(name, []).extend(log[way])
             seeds[name] = seeds.get(name, 0) + 1

@@ -17,7 +17,9 @@ from sdm.losses import clipped_sdf
 from sdm.segmentation.data.patches import Patch
 from sdm.shapes import Cuboid, Cylinder, Ellipsoid, Family, Rhomboid
 
-TRAIN, TEST = 19, 6
+TRAIN, TEST, VALIDATION = 19, 6, 3
+# Number of the first shape of a part in each family, and how many it has.
+PARTS = {"train": (0, TRAIN), "test": (TRAIN, TEST), "validation": (TRAIN + TEST, VALIDATION)}
 SHIFT = 0.3
 MARGIN = 1.05
 # Of the image's noise, for a contrast of 1.
@@ -57,15 +59,15 @@ def grid_of(resolution: int) -> Grid:
 
 
 def shapes(part: str, fine: int, coarse: int, device: torch.device | str) -> Iterator[Shape]:
-    """19 shapes of each family to train on, or 6 others to test on: the same on every machine.
+    """19 shapes of each family to train on, 6 others to test on, 3 more to choose by: the same on every machine.
 
     Args:
-        part: "train" or "test".
+        part: "train", "test" or "validation".
         fine: Voxels along an axis of the truth, a multiple of `coarse`: 512.
         coarse: Of images and targets: 64.
         device: Where they are made and stay.
     """
-    first, count = (0, TRAIN) if part == "train" else (TRAIN, TEST)
+    first, count = PARTS[part]
     fine_grid, coarse_grid = grid_of(fine), grid_of(coarse)
     for family in families():
         theta = family.sample(count, seed=SEED, start=first, device="cpu")
@@ -82,7 +84,7 @@ def shapes(part: str, fine: int, coarse: int, device: torch.device | str) -> Ite
                 "coarse": _transform(label),
             }
             noise = NOISE * torch.randn(share.shape, generator=random).to(share)
-            yield Shape(share + noise, label, targets, inside if part == "test" else None)
+            yield Shape(share + noise, label, targets, None if part == "train" else inside)
 
 
 def _transform(label: Tensor) -> Tensor:

@@ -189,6 +189,8 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--mirrors", default="", help="axes, xyz: mirror images to train on and to average over")
     parser.add_argument("--position", action="store_true", help="tell the network where voxels are in their volume")
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
+    told = "near twins of validation cases among those to train on: left out, or kept as in the recorded tables"
+    parser.add_argument("--twins", choices=("apart", "kept"), default="apart", help=told)
     parser.add_argument("--compile", action="store_true")
     parser.add_argument("--bfloat16", action="store_true", help="on a CPU too, where it has it")
     parser.add_argument("--parts", choices=("plain", "largest"), default="largest", help="which scores to print")
@@ -228,6 +230,7 @@ def job_of(options: argparse.Namespace) -> Job:
     return {
         "data": str(options.data),
         "cases": options.cases,
+        "twins": options.twins,
         "window": options.window,
         "stride": options.stride,
         "mirrors": options.mirrors,
@@ -250,7 +253,8 @@ def refuse_others(listed: list[Job], logs: LogFile) -> None:
 
 def protocols(job: Job) -> list[dict[str, Any]]:
     """The settings of a training, or of all networks of an ensemble."""
-    return [settings_of({"job": group}) for group in groups_of(job)]
+    # Logs of before there was a choice have the twins among the training cases.
+    return [settings_of({"job": group}) | {"twins": group.get("twins", "kept")} for group in groups_of(job)]
 
 
 def fit(options: argparse.Namespace, on: list[str]) -> int:

@@ -15,7 +15,7 @@ from sdm.bench.dense import __main__ as dense
 from sdm.bench.dense import job as common
 from sdm.bench.dense import plot_results
 from sdm.bench.dense.parts import closest, signs, table, worst
-from sdm.bench.peers import Peer
+from sdm.bench.peers import LibiglWinding, Peer
 from sdm.engine.plan_override import OPTIONS
 from sdm.kernels.plan_options import PlanOptions
 
@@ -108,6 +108,17 @@ def test_slabs_lie_in_the_grid_and_are_its_voxels(share):
     assert sum(end - begin for begin, end in slabs) == (37 if share == 1 else pytest.approx(37 * share, abs=16))
     begin, end = slabs[-1]
     np.testing.assert_allclose(common.part_of(grid, begin, end).points(), grid.points()[begin:end], atol=1e-6)
+
+
+def test_slabs_are_as_large_as_a_peer_with_threads_needs():
+    """libigl stays on one thread below 10,000 points a call."""
+    grid = sdm.Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (64, 64, 64))
+    for share in (1 / 64, 0.25, 0.9):
+        slabs = common.slabs_of(load_case("cube"), grid, share, LibiglWinding.fewest_points)
+        assert all((end - begin) * 64 * 64 >= 10_000 for begin, end in slabs)
+        assert all(left[1] <= right[0] for left, right in itertools.pairwise(slabs))
+    small = sdm.Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (8, 8, 8))
+    assert common.slabs_of(load_case("cube"), small, 0.1, 10_000) == [(0, 8)]
 
 
 class Backwards(Peer):
