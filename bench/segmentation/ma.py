@@ -7,14 +7,15 @@
     python -m sdm.bench.segmentation.ma ensemble --data DIR/la --keep FINE --beside COARSE --logs M.jsonl  # and others
 
 J. Ma et al., "How distance transform maps boost segmentation CNNs: an empirical study", MIDL 2020. DIR/la has `train`
-and `val` with HDF5 files (data sets image, label). Every row has the same network, patches, optimiser, schedule and
-number of steps; nothing is chosen by the validation cases but what is said in the log's settings. Distances are in
-voxels, as in the paper. A log holds the scores of every case, as predicted and of the largest connected component.
-An ensemble averages what the networks of a row say, over its seeds, and has a log of its own, METHOD-ensemble. Its
-networks bring their settings; --methods, --seeds, --cases, --window and --stride are for the command to say. What is
-not said is as in the table that is kept in bench/results. With --beside the networks of a row in other folders, whose
-settings may be others (voxels four times as large), are averaged with those in --keep; the logs need their own file.
-A trial of the protocol has --logs FILE.jsonl/NAME, one of several in a file.
+and `val` with HDF5 files (data sets image, label); near twins of validation cases are not trained on. Every row has
+the same network, patches, optimiser, schedule and number of steps; nothing is chosen by the validation cases but what
+is said in the log's settings. Distances are in voxels, as in the paper. A log holds the scores of every case, as
+predicted and of the largest connected component. An ensemble averages what the networks of a row say, over its seeds,
+and has a log of its own, METHOD-ensemble. Its networks bring their settings; --methods, --seeds, --cases, --window and
+--stride are for the command to say. What is not said is as in the table that is kept in bench/results. With --beside
+the networks of a row in other folders, whose settings may be others (voxels four times as large), are averaged with
+those in --keep; the logs need their own file. A trial of the protocol has --logs FILE.jsonl/NAME, one of several in a
+file.
 
 What differs from the public code of the paper, because that is wrong or was not needed: distance maps are those of
 whole cases (--targets patch: of each patch, as there); the reconstruction branch is a decoder of its own; the Hausdorff

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from sdm.bench.segmentation import juhl, juhl_shapes, ma, plots, report
+from sdm.bench.segmentation import juhl, ma, plots, report
 from sdm.bench.segmentation.gpu_jobs import claimed, run_jobs
 from sdm.bench.segmentation.juhl_shapes import ShapeBatches, _at_coarse, shapes
 from sdm.bench.segmentation.log_file import LogFile, log_file
@@ -158,15 +158,17 @@ def test_logs_of_another_protocol_do_not_pass_for_done(tmp_path):
     logs = LogFile(tmp_path / "logs.jsonl")
     ma_log(logs, "baseline", 0, {"a": 0.9}, batch=2, optimizer="sgd", learning_rate=0.05, mirrors="")
     parse = ma.parser().parse_args
-    words = ["run", "--steps", "2000", "--methods", "baseline", "--seeds"]
+    words = ["run", "--steps", "2000", "--methods", "baseline", "--twins", "kept", "--seeds"]
     ma.refuse_others(ma.jobs(parse([*words, "0", "1"])), logs)
     ma.refuse_others(ma.jobs(parse([*words, "1", "--position"])), logs)
     with pytest.raises(SystemExit, match=r"baseline-0 in .*logs\.jsonl is of a training with other settings: choose"):
         ma.refuse_others(ma.jobs(parse([*words, "0", "--position"])), logs)
+    with pytest.raises(SystemExit, match="of a training with other settings"):
+        ma.refuse_others(ma.jobs(parse([*words[:4], "baseline", "--seeds", "0"])), logs)
 
 
 def test_the_page_s_command_goes_on_with_its_table():
-    ma.refuse_others(ma.jobs(ma.parser().parse_args(["run"])), ma.LOGS)
+    ma.refuse_others(ma.jobs(ma.parser().parse_args(["run", "--twins", "kept"])), ma.LOGS)
 
 
 def test_coarse_centres_lie_between_fine_voxels():
@@ -397,32 +399,3 @@ def test_logs_of_before_a_choice_have_its_default(tmp_path):
     other = {"job": {"settings": {**settings, "mirrors": "", "average": 0.1}}}
     assert differs(other, log) == "weights averaged over 0.1, not mirrored"
     assert differs({"job": {"settings": {**settings, "position": True}}}, log) == "told positions"
-
-
-def test_rates_are_chosen_by_the_validation_shapes_of_each_network(tmp_path):
-    """Two networks, two rates, two seeds at tiny size; the first seed's test is of the network that was chosen."""
-    logs = LogFile(tmp_path / "logs.jsonl")
-    words = "run --seeds 0 1 --networks pwc-ce --rates 0.01 0.03 --steps 2 --batch 1 --filters 2 --fine 32 --coarse 16"
-    options = juhl.parser().parse_args(words.split())
-    listed = juhl.jobs(options)
-    assert [job["name"] for job in listed] == ["pwc-ce-rate-0.01", "pwc-ce-rate-0.03", "pwc-ce-0", "pwc-ce-1"]
-    few = {part: [s for _, s in zip(range(2), shapes(part, 32, 16, "cpu"), strict=False)] for part in juhl_shapes.PARTS}
-    for job in listed:
-        log = juhl.work(job, "cpu", tmp_path, dict(few), time.monotonic() + 600, logs=logs)
-        assert log is not None
-        logs.put({"seconds": 1.0, **log})
-    errors = juhl.rates_of(logs, "pwc-ce")
-    assert set(errors) == {0.01, 0.03}
-    by_name = {log["job"]["name"]: log for log in logs.trainings()}
-    best = min(errors, key=errors.__getitem__)
-    for seed in (0, 1):
-        assert by_name[f"pwc-ce-{seed}"]["job"]["settings"]["learning_rate"] == best
-        assert "validation" not in by_name[f"pwc-ce-{seed}"]
-    assert by_name["pwc-ce-0"]["losses"] == by_name[f"pwc-ce-rate-{best:g}"]["losses"]
-    assert "linear" not in by_name["pwc-ce-rate-0.01"]
-    assert "PWC (CE), nearest (as published) (2)" in juhl.table_of(logs)
-
-
-def test_the_parts_of_the_shapes_have_no_shape_in_common():
-    taken = [number for first, count in juhl_shapes.PARTS.values() for number in range(first, first + count)]
-    assert len(taken) == len(set(taken)) == 28
