@@ -142,7 +142,7 @@ def scans(truths: list[TriangleMesh]) -> tuple[Tensor, Tensor]:
 
 
 def seen_half(points: Tensor) -> Tensor:
-    """Which of the points (B,N,3) of shapes are on the half that faces one direction: (B,N) bool."""
+    """Mask (B,N) of the points (B,N,3) of shapes on the half that faces one direction."""
     direction = torch.nn.functional.normalize(torch.tensor([1.0, -0.7, 0.4]), dim=0)
     return torch.stack([half_of(p, direction) for p in points])
 

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from sdm.bench.common.machine import describe
-from sdm.bench.deepsdf.atria_split import read_record, twins_of
+from sdm.bench.deepsdf.study.atria_split import read_record, twins_of
 from sdm.bench.segmentation.log_file import Job, LogFile, groups_of
 from sdm.segmentation import METHODS, Case, Settings, cell, check_cases, load_model, load_settings, read_cases
 from sdm.segmentation import validate_ensemble as validate

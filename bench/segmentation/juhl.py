@@ -31,11 +31,11 @@ from torch.nn import functional
 
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.machine import describe
-from sdm.bench.common.rate_search import best_rate
 from sdm.bench.segmentation.gpu_jobs import PATHS, devices, run_jobs
 from sdm.bench.segmentation.juhl_shapes import TARGETS, Shape, ShapeBatches, shapes
 from sdm.bench.segmentation.log_file import Job, Log, LogFile, log_file
 from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
+from sdm.bench.studies.rate_search import best_rate
 from sdm.segmentation import Settings, TrainedModel, Training, cell, load_model, save_model, scores_of, table, train
 
 LOGS = LogFile(results_folder() / "segmentation_juhl.jsonl")

@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from sdm import FormatError, TriangleMesh
-from sdm.bench.deepsdf import atria_split
 from sdm.bench.deepsdf.shapes import Shapes
+from sdm.bench.deepsdf.study import atria_split
 
 
 def test_no_near_twins_are_on_two_sides() -> None:

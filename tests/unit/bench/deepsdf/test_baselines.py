@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from sdm import TriangleMesh
-from sdm.bench.common.near_twins import Surface
-from sdm.bench.deepsdf.baselines import coarse_map, nearest_copy
+from sdm.bench.deepsdf.study.baselines import coarse_map, nearest_copy
+from sdm.bench.studies.near_twins import Surface
 from sdm.deepsdf import score_shape
 
 

@@ -7,8 +7,10 @@ import sys
 
 import pytest
 
-from sdm.bench.deepsdf import study, study_jobs, study_tables
-from sdm.bench.deepsdf.study_jobs import METHODS, rates_of, settings_of
+from sdm.bench.deepsdf.study import __main__ as study
+from sdm.bench.deepsdf.study import jobs as study_jobs
+from sdm.bench.deepsdf.study import study_tables
+from sdm.bench.deepsdf.study.jobs import METHODS, rates_of, settings_of
 from sdm.bench.segmentation.log_file import LogFile
 
 SCORES = ("chamfer_paper", "chamfer_paper_floor", "emd", "emd_floor", "accuracy", "completion", "normal_cosine",

@@ -25,7 +25,7 @@ def test_no_near_twin_of_a_validation_case_is_trained_on(tmp_path, monkeypatch):
 
 
 def test_rates_are_chosen_by_the_validation_shapes_of_each_network(tmp_path):
-    """Two networks, two rates, two seeds at tiny size; the first seed's test is of the network that was chosen."""
+    """Two rates, two seeds at tiny size; the first seed's test is of the network that was chosen."""
     logs = LogFile(tmp_path / "logs.jsonl")
     words = "run --seeds 0 1 --networks pwc-ce --rates 0.01 0.03 --steps 2 --batch 1 --filters 2 --fine 32 --coarse 16"
     options = juhl.parser().parse_args(words.split())

@@ -163,8 +163,6 @@ def test_logs_of_another_protocol_do_not_pass_for_done(tmp_path):
     ma.refuse_others(ma.jobs(parse([*words, "1", "--position"])), logs)
     with pytest.raises(SystemExit, match=r"baseline-0 in .*logs\.jsonl is of a training with other settings: choose"):
         ma.refuse_others(ma.jobs(parse([*words, "0", "--position"])), logs)
-    with pytest.raises(SystemExit, match="of a training with other settings"):
-        ma.refuse_others(ma.jobs(parse([*words[:4], "baseline", "--seeds", "0"])), logs)
 
 
 def test_the_page_s_command_goes_on_with_its_table():

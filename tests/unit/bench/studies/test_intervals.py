@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sdm.bench.common.intervals import difference, estimate
+from sdm.bench.studies.intervals import difference, estimate
 
 THREE = {0: {"a": 1.0, "b": 2.0, "c": 6.0}, 1: {"a": 3.0, "b": 4.0, "c": 8.0}}
 

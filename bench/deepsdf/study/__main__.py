@@ -4,12 +4,12 @@
     python -m sdm.bench.deepsdf.study table                              # the tables from the logs
     python -m sdm.bench.deepsdf.study plot                               # docs/deepsdf-study.png
 
-The shapes are split by `sdm.bench.deepsdf.atria_split`: near twins are on one side. Each method is trained by one seed
-at each of the same three rates; the rate whose codes are nearest to the validation shapes is trained by the other seeds
-too, and only those networks see the test shapes. All trainings have as many steps and samples. Representation: codes
-from exact samples of the whole shape. Completion: codes from points of one half of the surface, with normals.
-Baselines: a copy of the nearest training shape as it is, or laid on what was seen, and maps of as many exact distances
-as a code has numbers, enlarged cubically.
+The shapes are split by `sdm.bench.deepsdf.study.atria_split`: near twins are on one side. Each method is trained by
+one seed at each of the same three rates; the rate whose codes are nearest to the validation shapes is trained by the
+other seeds too, and only those networks see the test shapes. All trainings have as many steps and samples.
+Representation: codes from exact samples of the whole shape. Completion: codes from points of one half of the surface,
+with normals. Baselines: a copy of the nearest training shape as it is, or laid on what was seen, and maps of as many
+exact distances as a code has numbers, enlarged cubically.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pathlib import Path
 
 from sdm.bench.common.checkout import data_folder, docs_folder, results_folder
 from sdm.bench.deepsdf.shapes import atria
-from sdm.bench.deepsdf.study_jobs import METHODS, work
-from sdm.bench.deepsdf.study_tables import picture, tables
+from sdm.bench.deepsdf.study.jobs import METHODS, work
+from sdm.bench.deepsdf.study.study_tables import picture, tables
 from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
 from sdm.bench.segmentation.log_file import Job, LogFile, log_file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sdm.bench.common.rate_search import best_rate
+from sdm.bench.studies.rate_search import best_rate
 
 
 def test_the_least_error_of_the_grid_is_chosen() -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sdm.bench.common.near_twins import Surface, laid_on
+from sdm.bench.studies.near_twins import Surface, laid_on
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM

@@ -1,7 +1,7 @@
 """Near twins among the left atria, and the split of the studies, which keeps them together.
 
-    python -m sdm.bench.deepsdf.atria_split --data ../shared/data      # minutes on a CPU; makes results/near_twins.json
-    python -m sdm.bench.deepsdf.atria_split --show                     # the table of the record
+    python -m sdm.bench.deepsdf.study.atria_split --data ../shared/data     # minutes on a CPU
+    python -m sdm.bench.deepsdf.study.atria_split --show                     # the table of the record
 
 All 80 labels are laid on each other in pairs. Shapes nearer than `LIMIT_MM` are twins, and twins of twins one
 group; a group is dealt whole to training, validation or test, in an order drawn from a seed. The record holds names and
@@ -21,9 +21,9 @@ import torch
 from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.json_file import put
 from sdm.bench.common.machine import describe
-from sdm.bench.common.near_twins import distances_between, near_twins, split_groups
 from sdm.bench.deepsdf.shapes import Shapes, atria
 from sdm.bench.deepsdf.tables import rows_table
+from sdm.bench.studies.near_twins import distances_between, near_twins, split_groups
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 
@@ -52,7 +52,7 @@ def read_record(path: Path = RECORD) -> dict[str, Any]:
         FormatError: There is none.
     """
     if not path.is_file():
-        raise FormatError(f"{path} is not there: make it by python -m sdm.bench.deepsdf.atria_split")
+        raise FormatError(f"{path} is not there: make it by python -m sdm.bench.deepsdf.study.atria_split")
     return json.loads(path.read_text())
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import torch
 
 from sdm.bench.common.machine import describe
-from sdm.bench.common.near_twins import Surface
-from sdm.bench.common.rate_search import best_rate
 from sdm.bench.deepsdf import evaluate as evaluation
-from sdm.bench.deepsdf.atria_split import read_record, split_atria
-from sdm.bench.deepsdf.baselines import coarse_map, nearest_copy
 from sdm.bench.deepsdf.shapes import atria
-from sdm.bench.deepsdf.study_scores import half_scores, halves, scores, whole_scores
+from sdm.bench.deepsdf.study.atria_split import read_record, split_atria
+from sdm.bench.deepsdf.study.baselines import coarse_map, nearest_copy
+from sdm.bench.deepsdf.study.scores import half_scores, halves, scores, whole_scores
 from sdm.bench.segmentation.log_file import Job, Log, LogFile
+from sdm.bench.studies.near_twins import Surface
+from sdm.bench.studies.rate_search import best_rate
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import DeepSDF, Settings, local, published, train
 from sdm.deepsdf.samples import ShapeSet, UnitSphere
@@ -103,7 +103,7 @@ def trained(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadl
 
 
 def rate_job(job: Job, device: str, unfinished: Path, kept: dict[str, Any], deadline: float) -> Log | None:
-    """How far a network trained at some rate is from the validation shapes."""
+    """Distance of a network trained at some rate from the validation shapes."""
     model = trained(job, device, unfinished, kept, deadline)
     if model is None:
         return None

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from sdm.bench.common.figure import COLOURS, OURS, drawing
-from sdm.bench.common.intervals import Values, difference, estimate
 from sdm.bench.deepsdf.tables import rows_table
 from sdm.bench.segmentation.log_file import Log, LogFile
+from sdm.bench.studies.intervals import Values, difference, estimate
 
 NAMES = {
     "published": "published network, 256 numbers",
