@@ -11,11 +11,14 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.launches import recorded
+from sdm.kernels.launches.compiling import noticed
 from sdm.kernels.launches.recorded import run
 
 # Small launches cost less than waking the threads.
 SMALLEST_SHARE = 256
 SHARES_PER_THREAD = 8
+# Modules that a CPU has run.
+_loaded: set[wp.Module] = set()
 
 
 def threads() -> int:
@@ -57,7 +60,12 @@ def launch(
     # Compiled and loaded before any thread wants it. A share of a kernel whose threads fetch their work may take all of
     # it, so none runs alone.
     with recorded.loading:
-        kernel.module.load(device, 1)
+        if kernel.module in _loaded:
+            kernel.module.load(device, 1)
+        else:
+            with noticed(device.alias):
+                kernel.module.load(device, 1)
+            _loaded.add(kernel.module)
 
     def part(begin: int) -> None:
         run(kernel, min(share, count - begin), [begin, *inputs], device, 1)

@@ -31,11 +31,11 @@ import sdm
 from sdm.bench.common.meshes import torus
 from sdm.engine import map_check, ops
 from sdm.kernels import launch
-from sdm.kernels.launches import recorded
+from sdm.kernels.launches import compiling, recorded
 
 PACKAGE = Path(sdm.__file__).resolve().parent
 # The launch itself is none of the functions before it, nor are those here.
-LAUNCH = frozenset((launch.__file__, recorded.__file__))
+LAUNCH = frozenset((launch.__file__, recorded.__file__, compiling.__file__))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from typing import Any
 import warp as wp
 from warp._src import context as warp_context
 
+from sdm.kernels.launches.compiling import noticed
+
 # Warp loads a module twice if two threads want it at once, and takes back the one while it runs.
 loading = threading.RLock()
 # `wp.Launch.launch` of these versions is the call below, and looks for recordings and gradients that are not here.
@@ -139,7 +141,7 @@ def run(kernel: wp.Kernel, count: int, values: list[Any], device: wp.Device, blo
     if known is not None:
         known.launch(count, values)
         return
-    with loading:
+    with loading, noticed(device.alias):
         command: Any = wp.launch(kernel, count, values, device=device, block_dim=block_dim, record_cmd=True)
     # Warp's deterministic mode records something else, which is left alone.
     if type(command) is wp.Launch:
