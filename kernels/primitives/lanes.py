@@ -96,6 +96,34 @@ def members(mask: wp.uint32) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    for (int step = 16; step > 0; step >>= 1)
+        bits |= __shfl_xor_sync(0xffffffffu, bits, step);
+#endif
+    return bits;
+"""
+)
+def bits_of_lanes(bits: int) -> int:
+    """The bits that any lane has, the same for each."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __popc(bits);
+#else
+    return __builtin_popcount(bits);
+#endif
+"""
+)
+def members_of(bits: int) -> int:
+    """Number of bits of a whole number."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return __ffs(mask) - 1;
 #else
     return 0;

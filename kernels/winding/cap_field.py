@@ -27,6 +27,7 @@ from sdm.kernels.bvh.tree import first_triangle, nodes_of
 from sdm.kernels.primitives.lanes import ballot, members, rank, sum_of_lanes, sum_of_lanes_in_double, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.primitives.vector_loads import load4
+from sdm.kernels.winding.cap_taylor import taylor_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, Moments, load_rest
 
 wp.set_module_options({"enable_backward": False})
@@ -130,6 +131,73 @@ def cap_angle(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
 
 
 @wp.func
+def most_of(caps: Caps, mesh: int, leaf: int, centre: wp.vec3, radius: float):
+    """A bound of the solid angle of a cap, wherever in the box."""
+    at = _ROWS * (nodes_of(caps.tree, mesh) + (1 << caps.tree.depth) + leaf)
+    r0 = load4(caps.moments, at)
+    left = wp.length(wp.vec3(r0[0], r0[1], r0[2]) - centre) - (radius + r0[3]) * WIDER
+    most = float(2.0 * wp.PI)
+    if left > NEAREST:
+        most = wp.min(most, WIDER * load4(caps.moments, at + 1)[0] / (left * left))
+    return most
+
+
+@wp.func
+def expand_near(
+    field: Field,
+    caps: Caps,
+    mesh: int,
+    centre: wp.vec3,
+    radius: float,
+    tolerance: float,
+    stack: wp.array(dtype=wp.int32),
+    lane: int,
+    lanes: int,
+):
+    """Add those of the listed caps whose Taylor polynomial will do, and take them off the list.
+
+    Returns also how many this lane has added.
+    """
+    kept = int(0)
+    steps = float(0.0)
+    first = int(0)
+    total = field.near
+    field.left_out = float(0.0)
+    while first < total:
+        leaf = int(0)
+        near = first + lane < total
+        if near:
+            leaf = stack[STACK - 1 - first - lane]
+            slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
+            a = caps.tree.corners[slot] - centre
+            b = caps.tree.corners[slot + 1] - centre
+            c = caps.tree.corners[slot + 2] - centre
+            angle, wrong = near_cap(a, b, c)
+            t = taylor_of_cap(a, b, c, radius * WIDER, angle, wrong)
+            if t.bound <= tolerance:
+                near = bool(False)
+                field.value = field.value + wp.float64(angle)
+                field.slope = field.slope + t.slope
+                field.squares = field.squares + t.squares
+                field.products = field.products + t.products
+                field.error = field.error + wrong + WIDER * t.bound + t.rounding
+                field.drift = field.drift + radius * (wp.length(t.slope) + radius * wp.length(t.squares))
+                field.drift = field.drift + radius * radius * wp.length(t.products)
+                steps = steps + 1.0
+            else:
+                field.left_out = field.left_out + most_of(caps, mesh, leaf, centre, radius)
+        mask = ballot(near)
+        wait_for_lanes()
+        if near:
+            stack[STACK - 1 - kept - rank(mask, lane)] = leaf
+        kept = kept + members(mask)
+        first = first + lanes
+        wait_for_lanes()
+    field.near = kept
+    return field, steps
+
+
+@wp.func
 def see_caps(
     caps: Caps,
     mesh: int,
@@ -210,11 +278,13 @@ def see_caps(
             field.error = float(wp.inf)
             waiting = int(0)
         wait_for_lanes()
-    field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
-    field.left_out = sum_of_lanes(field.left_out)
     if near <= room:
         field.near = near
-    else:
+        field, more = expand_near(field, caps, mesh, centre, radius, tolerance, stack, lane, lanes)
+        steps = steps + more
+    field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
+    field.left_out = sum_of_lanes(field.left_out)
+    if near > room:
         field.error = field.error + field.left_out
     field.value = sum_of_lanes_in_double(field.value)
     for axis in range(3):

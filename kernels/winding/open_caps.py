@@ -23,8 +23,12 @@ from sdm.kernels.primitives.lanes import (
     BLOCKS_PER_SM,
     GPU_LANES,
     ballot,
+    bits_of_lanes,
     gpu_workers,
+    members_of,
+    sum_of_four,
     sum_of_lanes_in_double,
+    unknown,
     wait_for_lanes,
 )
 from sdm.kernels.primitives.shared_stacks import STACK, stack_of
@@ -32,11 +36,11 @@ from sdm.kernels.winding.boundary_term import Boundary, boundary_part
 from sdm.kernels.winding.cap_field import (
     FULL,
     MOST_NEAR,
+    UNIT,
     Field,
     doubt,
     largest_share,
     near_angle,
-    near_share,
     see_caps,
     share_at,
 )
@@ -49,13 +53,15 @@ wp.set_module_options({"enable_backward": False})
 # error of the winding number there.
 SIZES = (32, 16, 8, 4)
 TOLERANCES = (4e-3, 2e-3, 1e-3, 5e-4)
-# How many near caps are added voxel by voxel there: with more the eighths are tried first, which have fewer.
-ROOMS = (0, 0, 12, 24)
-# The same for boxes of 2^3, for single voxels, and for those that are still in doubt.
-PIECE, PIECE_TOLERANCE = 2, 2e-4
+# How many near caps there may be to look at one by one, and how many to add voxel by voxel: a GPU has a lane for each
+# voxel, a CPU tries the eighths first, which have fewer.
+LISTED = {"cuda": (0, 0, 64, MOST_NEAR), "cpu": (0, 0, 64, MOST_NEAR)}
+SETTLED = {"cuda": (0, 0, 2, MOST_NEAR), "cpu": (0, 0, 12, 24)}
+# With a larger error the voxels are not looked at: too many would be in doubt.
+MOST_DOUBT = 0.06
+# The same for boxes of 2^3, if so many voxels are in doubt; for single voxels, and for those that are still in doubt.
+PIECE, PIECE_TOLERANCE, FEWEST = 2, 2e-4, 3
 POINT_TOLERANCE, FINER, LAST_TOLERANCE = 5e-5, 0.2, 1e-6
-# Larger boxes are too many voxels for one group of lanes: the others would wait for it.
-LARGEST_SETTLED = 8
 # Less than a quarter, by more than the rounding of the sums.
 LARGEST_SHARE = 0.249
 # What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
@@ -75,6 +81,18 @@ def is_sure(winding: float, whole: float, error: float):
 
 
 @wp.func
+def is_whole(winding: float):
+    """True if a voxel still has the winding number of surface and caps."""
+    return winding == wp.floor(winding)
+
+
+@wp.func
+def opened(winding: float):
+    """A winding number as it is written: never a whole one, which would tell that the voxel is not open yet."""
+    return wp.where(is_whole(winding), winding + 0.0625, winding)
+
+
+@wp.func
 def settle_box(
     field: Field,
     caps: Caps,
@@ -83,37 +101,41 @@ def settle_box(
     mesh: int,
     start: wp.vec3i,
     size: int,
+    most_near: int,
     box: VoxelBox,
     scale: float,
     lane: int,
     lanes: int,
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open all voxels of a box, if the field leaves none of them in doubt; whether it did."""
+    """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each."""
     if largest_share(field, box.half) < LARGEST_SHARE:
-        return True
-    if size > LARGEST_SETTLED or doubt(field) > 0.125:
-        return False
+        return 0
+    if field.near > most_near or doubt(field) > MOST_DOUBT:
+        return 255
     last = wp.min(wp.vec3i(size, size, size), slab.shape - start)
     count = last[0] * last[1] * last[2]
-    sure = bool(True)
-    for write in range(2):
-        number = int(0)
-        while number < count and sure:
-            mine = number + lane
-            if mine < count:
-                v = start + wp.vec3i(mine / (last[1] * last[2]), mine / last[2] % last[1], mine % last[2])
-                whole = values[mesh, v[0], v[1], v[2]]
-                p = scale * voxel(slab, v[0], v[1], v[2])
-                angle, wrong = near_angle(caps, mesh, field.near, p, stack, 0, 1)
-                winding = whole - angle / FULL - share_at(field, p - box.centre)
-                if write == 1:
-                    values[mesh, v[0], v[1], v[2]] = winding
-                else:
-                    sure = is_sure(winding, whole, doubt(field) + wrong / FULL)
-            sure = ballot(not sure) == wp.uint32(0)
-            number = number + lanes
-    return sure
+    half = size / 2
+    left = int(0)
+    number = lane
+    while number < count:
+        at = wp.vec3i(number / (last[1] * last[2]), number / last[2] % last[1], number % last[2])
+        v = start + at
+        whole = values[mesh, v[0], v[1], v[2]]
+        if is_whole(whole):
+            p = scale * voxel(slab, v[0], v[1], v[2])
+            angle, wrong = near_angle(caps, mesh, field.near, p, stack, 0, 1)
+            winding = whole - angle / FULL - share_at(field, p - box.centre)
+            if is_sure(winding, whole, doubt(field) + wrong / FULL):
+                values[mesh, v[0], v[1], v[2]] = opened(winding)
+            else:
+                left = left | (1 << (4 * (at[0] / half) + 2 * (at[1] / half) + at[2] / half))
+        number = number + lanes
+    octants = int(0)
+    for octant in range(8):
+        if ballot(((left >> octant) & 1) != 0) != wp.uint32(0):
+            octants = octants | (1 << octant)
+    return octants
 
 
 @wp.kernel
@@ -123,7 +145,8 @@ def _open_boxes(
     slab: Slab,
     size: int,
     tolerance: float,
-    room: int,
+    listed: int,
+    settled: int,
     cells: wp.vec3i,
     eighths: wp.vec3i,
     level: int,
@@ -150,16 +173,17 @@ def _open_boxes(
         start = size * at
         scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
         box = box_of_voxels(slab, start, size, scale)
-        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, room, stack, lane, lanes)
-        if not settle_box(field, caps, stack, slab, mesh, start, size, box, scale, lane, lanes, values):
-            octant = lane
-            while octant < 8:
+        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, listed, stack, lane, lanes)
+        octants = settle_box(field, caps, stack, slab, mesh, start, size, settled, box, scale, lane, lanes, values)
+        octant = lane
+        while octant < 8:
+            if ((octants >> octant) & 1) != 0:
                 child = 2 * at + octant_at(octant)
                 if is_within(slab, (size / 2) * child):
                     place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
                     index = ((mesh * eighths[0] + child[0]) * eighths[1] + child[1]) * eighths[2] + child[2]
                     left[place] = index
-                octant = octant + lanes
+            octant = octant + lanes
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
@@ -204,23 +228,53 @@ def _open_pieces(
         mesh, at = unravel(pieces[item], cells)
         start = PIECE * at
         scale = tree.frame[mesh * FRAME_SIZE + SCALE]
-        box = box_of_voxels(slab, start, PIECE, float(scale))
-        tolerance = PIECE_TOLERANCE * FULL
-        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
-        number = int(8)
-        if field.near > 0:
-            if largest_share(field, box.half) >= LARGEST_SHARE:
-                number = int(0)
-        elif not settle_box(field, caps, stack, slab, mesh, start, PIECE, box, float(scale), lane, lanes, values):
-            number = int(0)
-        while number < 8:
-            v = start + octant_at(number)
+        mask = int(0)
+        octant = lane
+        while octant < 8:
+            v = start + octant_at(octant)
             if is_within(slab, v):
+                if is_whole(values[mesh, v[0], v[1], v[2]]):
+                    mask = mask | (1 << octant)
+            octant = octant + lanes
+        mask = bits_of_lanes(mask)
+        if members_of(mask) >= FEWEST:
+            box = box_of_voxels(slab, start, PIECE, float(scale))
+            tolerance = PIECE_TOLERANCE * FULL
+            field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
+            if largest_share(field, box.half) < LARGEST_SHARE:
+                mask = int(0)
+            elif doubt(field) <= MOST_DOUBT:
+                octant = lane * 8 / lanes
+                share = wp.max(lanes / 8, 1)
+                left = int(0)
+                while octant < 8:
+                    angle = float(0.0)
+                    wrong = float(0.0)
+                    v = start + octant_at(octant)
+                    p = float(scale) * voxel(slab, v[0], v[1], v[2])
+                    if ((mask >> octant) & 1) != 0:
+                        angle, wrong = near_angle(caps, mesh, field.near, p, stack, lane % share, share)
+                    angle = sum_of_four(angle)
+                    wrong = sum_of_four(wrong) + 2.0 * UNIT * FULL
+                    if ((mask >> octant) & 1) != 0:
+                        whole = values[mesh, v[0], v[1], v[2]]
+                        winding = whole - angle / FULL - share_at(field, p - box.centre)
+                        if is_sure(winding, whole, doubt(field) + wrong / FULL):
+                            # All lanes have read the whole number before it goes: they sum up first.
+                            if lane % share == 0:
+                                values[mesh, v[0], v[1], v[2]] = opened(winding)
+                        else:
+                            left = left | (1 << octant)
+                    octant = octant + wp.max(1, lanes / share)
+                mask = bits_of_lanes(left)
+            wait_for_lanes()
+        for number in range(unknown(8)):
+            if ((mask >> number) & 1) != 0:
+                v = start + octant_at(number)
                 point = float(scale) * voxel(slab, v[0], v[1], v[2])
                 whole = values[mesh, v[0], v[1], v[2]]
-                share, error = near_share(caps, mesh, field.near, point, stack, lane, lanes)
-                winding = whole - share - share_at(field, point - box.centre)
-                error = error + doubt(field)
+                winding = whole
+                error = float(wp.inf)
                 tolerance = POINT_TOLERANCE * FULL
                 while not is_sure(winding, whole, error) and tolerance > LAST_TOLERANCE * FULL:
                     here = see_caps(caps, mesh, point, 0.0, tolerance, 0, stack, lane, lanes)
@@ -230,15 +284,14 @@ def _open_pieces(
                         fetch_add(counts, POINTS, 1)
                     tolerance = FINER * tolerance
                 if not is_sure(winding, whole, error):
-                    p = scale * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
-                    winding = open_voxel(tree, boundary, caps, mesh, p, whole, lane, lanes)
+                    exactly = scale * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+                    winding = open_voxel(tree, boundary, caps, mesh, exactly, whole, lane, lanes)
                     if lane == 0:
                         fetch_add(counts, EXACT, 1)
                 # All lanes have read the whole number before it goes.
                 wait_for_lanes()
                 if lane == 0:
                     values[mesh, v[0], v[1], v[2]] = winding
-            number = number + 1
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
@@ -259,11 +312,14 @@ def open_caps(
     counts.zero_()
     stacks = empty(1 if device.is_cuda else workers * STACK, wp.int32)
     boxes = empty(1, wp.int32)
-    for level, (size, tolerance, room) in enumerate(zip(SIZES, TOLERANCES, ROOMS, strict=True)):
+    kind = "cuda" if device.is_cuda else "cpu"
+    levels = zip(SIZES, TOLERANCES, LISTED[kind], SETTLED[kind], strict=True)
+    for level, (size, tolerance, listed, settled) in enumerate(levels):
         cells, eighths = ([-(-n // edge) for n in shape] for edge in (size, size // 2))
         left = empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
         grids = [wp.vec3i(*cells), wp.vec3i(*eighths)]
-        inputs = [caps, slab, size, tolerance * FULL, room, *grids, level, boxes, left, counts, stacks, lanes, values]
+        inputs = [caps, slab, size, tolerance * FULL, listed, settled, *grids]
+        inputs += [level, boxes, left, counts, stacks, lanes, values]
         launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
         boxes = left
     inputs = [tree, boundary, caps, slab, grids[1], len(SIZES), boxes, counts, stacks, lanes, values]

@@ -1,0 +1,102 @@
+"""Taylor polynomial of the solid angle of one cap, by its edges: for caps that are large, and near for their size.
+
+A cap's solid angle changes with the place by its edges alone (the law of Biot and Savart). With a and b the ways to an
+edge's ends, its part of the gradient is
+
+    a x b S,   S = (1/|a| + 1/|b|) / k,   k = |a||b| + a.b,
+
+and half its part of the second derivative, s the gradient of S,
+
+    sym(a x b s)/2,   s = (a/|a|^3 + b/|b|^3) / k + (|a| + |b|)^2 / (|a||b| k^2) (a/|a| + b/|b|).
+
+The rest is bounded as that of a multipole is (`cap_field`): a derivative of order m of the solid angle is an integral
+along the edges of derivatives of order m of 1/|r|, each at most m!/|r|^(m+1). With R the radius of the box and d the
+distance of an edge of length l from its centre, the terms from the third order on add up to
+
+    min(l/d, pi/2) rho^3 / (1 - rho),   rho = R/d.
+
+All that holds if the cap itself does not pass through the ball around the box, where its solid angle jumps. Where the
+cap does, the centre is less than R above the plane, and d or more from the rim, so that the solid angle there is at
+least that of a disc, 2 pi (1 - R/d).
+
+Rounding: in units of u = 2^-24 the product a x b is wrong by 6 |a||b|, and S by a share of 6 K + 10 with
+K = |a||b|/k, where |a x b| is at most sqrt(2/K) |a||b|. Places on the lattice are up to 0.1 u away.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.geometry.triangle_distance import segment_distance2
+
+wp.set_module_options({"enable_backward": False})
+
+UNIT = 2.0**-24
+# The nearest edge, in radii of the box, and the largest K: beyond that float32 tells too little.
+NEAREST_EDGE = 2.0
+LARGEST_RATIO = 1.0e4
+
+
+@wp.struct
+class Taylor:
+    """Gradient and half the second derivative of a solid angle, as far as edges are added."""
+
+    slope: wp.vec3
+    squares: wp.vec3
+    products: wp.vec3
+    bound: float  # of what the polynomial leaves out
+    rounding: float  # the largest error by rounding, and by places on the lattice
+    nearest: float  # the least distance of an edge
+
+
+@wp.func
+def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, la: float, lb: float, radius: float):
+    """Add an edge from a to b, seen from the box's centre, la and lb away."""
+    along = b - a
+    # Less than it is, by more than the rounding.
+    d = 0.999 * wp.sqrt(segment_distance2(-a, along)) - 1.0e-6 * (la + lb)
+    t.nearest = wp.min(t.nearest, d)
+    size = la * lb
+    k = size + wp.dot(a, b)
+    if d <= NEAREST_EDGE * radius or k * LARGEST_RATIO <= size:
+        t.bound = float(wp.inf)
+        return t
+    rho = radius / d
+    reach = wp.min(wp.length(along) / d, 0.5 * wp.PI)
+    t.bound = t.bound + reach * rho * rho * rho / (1.0 - rho)
+    normal = wp.cross(a, b)
+    ia = 1.0 / la
+    ib = 1.0 / lb
+    ik = 1.0 / k
+    s1 = (ia + ib) * ik
+    both = s1 * (la + lb) * ik
+    s = a * (ia * (ia * ia * ik + both)) + b * (ib * (ib * ib * ik + both))
+    t.slope = t.slope + s1 * normal
+    t.squares = t.squares + 0.5 * wp.cw_mul(normal, s)
+    other = wp.vec3(
+        normal[0] * s[1] + normal[1] * s[0],
+        normal[0] * s[2] + normal[2] * s[0],
+        normal[1] * s[2] + normal[2] * s[1],
+    )
+    t.products = t.products + 0.5 * other
+    ratio = size * ik
+    wrong = s1 * radius * (20.0 * size + wp.length(normal) * (20.0 * ratio + 40.0))
+    wrong = wrong + wp.length(s) * radius * radius * (10.0 * size + wp.length(normal) * (20.0 * ratio + 40.0))
+    t.rounding = t.rounding + UNIT * (wrong + 2.0 * reach / d)
+    return t
+
+
+@wp.func
+def taylor_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: float, wrong: float):
+    """The polynomial of a cap with corners at a, b and c from the box's centre, where it is seen as that angle."""
+    t = Taylor()
+    t.nearest = float(wp.inf)
+    la = wp.length(a)
+    lb = wp.length(b)
+    lc = wp.length(c)
+    t = add_edge(t, a, b, la, lb, radius)
+    t = add_edge(t, b, c, lb, lc, radius)
+    t = add_edge(t, c, a, lc, la, radius)
+    if not wp.abs(angle) + wrong < 2.0 * wp.PI * (1.0 - radius / t.nearest):
+        t.bound = float(wp.inf)
+    return t
