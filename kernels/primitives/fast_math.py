@@ -49,3 +49,17 @@ def inverse_root(x: wp.float64) -> wp.float64:
 def about_inverse_root(x: float) -> float:
     """1 / sqrt(x) to within two roundings, for x > 0."""
     ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __fdividef(x, y);
+#else
+    return x / y;
+#endif
+"""
+)
+def about_quotient(x: float, y: float) -> float:
+    """x / y to within two roundings, for |y| from 2^-126 to 2^126."""
+    ...

@@ -54,6 +54,19 @@ def unknown(count: int) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    unsigned lanes;
+    asm volatile("activemask.b32 %0;" : "=r"(lanes) :: "memory");
+#endif
+"""
+)
+def one_turn():
+    """Stands in a loop whose body a GPU's compiler must not write out several times: see `unknown`."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     return __ballot_sync(0xffffffffu, keep);
 #else
     return keep ? 1u : 0u;
@@ -104,20 +117,6 @@ def members(mask: wp.uint32) -> int:
 )
 def bits_of_lanes(bits: int) -> int:
     """The bits that any lane has, the same for each."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
-    return __popc(bits);
-#else
-    return __builtin_popcount(bits);
-#endif
-"""
-)
-def members_of(bits: int) -> int:
-    """Number of bits of a whole number."""
     ...
 
 

@@ -14,6 +14,9 @@ up to (m + 1) rho^m / D^2, and those from the third order on to
 
     area / D^2 * rho^3 (4 - 3 rho) / (1 - rho)^2.
 
+Where |y| is not as large as r, that is better: with the mean over the area of (R + |y|)^3 in the place of (R + r)^3,
+of which sigma^2, the mean of |y|^2, is enough to know: at most R^3 + 3 R^2 sigma + 3 R sigma^2 + r sigma^2.
+
 The tree is descended from the root. A node whose own bound is at most a tolerance is taken as it is, others are opened.
 A single cap that is too near even so is added exactly if the box is a point, else it is left out, for others to add:
 seen from a distance d its solid angle is at most area/d^2, and never more than half of all.
@@ -24,10 +27,11 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import first_triangle, nodes_of
-from sdm.kernels.primitives.lanes import ballot, members, rank, sum_of_lanes, sum_of_lanes_in_double, wait_for_lanes
+from sdm.kernels.primitives.fast_math import about_root
+from sdm.kernels.primitives.lanes import ballot, members, one_turn, rank, sum_of_lanes, sum_of_lanes_in_double, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.primitives.vector_loads import load4
-from sdm.kernels.winding.cap_taylor import taylor_of_cap
+from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, Moments, load_rest
 
 wp.set_module_options({"enable_backward": False})
@@ -36,8 +40,10 @@ _ROWS = MOMENTS_SIZE // 4
 # An error of so much, a quarter of the winding number, leaves every side open.
 HOPELESS = wp.PI
 FULL = 4.0 * wp.PI
-# Near caps that a stack has room for, besides the nodes of a descent: at most 32 for each level below the fifth.
-MOST_NEAR = 384
+# Near caps that a stack has room for, and single caps that wait, besides the nodes of a descent: at most 32 for each
+# level below the fifth, of 22 levels at most.
+MOST_NEAR, MOST_SINGLE = 320, 64
+_SINGLE = STACK - MOST_NEAR - MOST_SINGLE
 # Nothing nearer is taken for far: its powers would leave the range of float32.
 NEAREST = 1.0e-8
 # Room for the rounding of rho, and of a bound.
@@ -99,14 +105,14 @@ def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
     Half of it is the argument of f + iv, where v = a.(b x c) and f = |a||b||c| + a.b|c| + b.c|a| + c.a|b| (van
     Oosterom and Strackee 1983). In units of s = |a||b||c| and u = 2^-24: a, b and c are differences of float32 numbers,
-    each rounded once; v then has an error of at most 14u, f of at most 55u. The places on the lattice, which are those
-    that count, are up to 0.1u away: that moves f + iv by 1.3u over the least of the lengths. So the argument is right
-    within (100u + 2u/least) s/|f + iv|, if that is small and the negative real axis, where it jumps by a turn, is
-    further away; else nothing is known.
+    each rounded once, and lengths have errors of at most 3u; v then has an error of at most 14u, f of at most 75u. The
+    places on the lattice, which are those that count, are up to 0.1u away: that moves f + iv by 1.3u over the least of
+    the lengths. So the argument is right within (100u + 2u/least) s/|f + iv|, if that is small and the negative real
+    axis, where it jumps by a turn, is further away; else nothing is known.
     """
-    la = wp.length(a)
-    lb = wp.length(b)
-    lc = wp.length(c)
+    la = about_root(wp.dot(a, a))
+    lb = about_root(wp.dot(b, b))
+    lc = about_root(wp.dot(c, c))
     size = la * lb * lc
     v = wp.dot(a, wp.cross(b, c))
     f = size + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
@@ -124,77 +130,21 @@ def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 
 @wp.func
-def cap_angle(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
-    """`near_cap` of the cap in a leaf of a mesh's tree, seen from p (scaled)."""
+def corners_from(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
+    """The ways from p (scaled) to the corners of the cap in a leaf of a mesh's tree."""
     slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
-    return near_cap(caps.tree.corners[slot] - p, caps.tree.corners[slot + 1] - p, caps.tree.corners[slot + 2] - p)
+    return caps.tree.corners[slot] - p, caps.tree.corners[slot + 1] - p, caps.tree.corners[slot + 2] - p
 
 
 @wp.func
-def most_of(caps: Caps, mesh: int, leaf: int, centre: wp.vec3, radius: float):
-    """A bound of the solid angle of a cap, wherever in the box."""
-    at = _ROWS * (nodes_of(caps.tree, mesh) + (1 << caps.tree.depth) + leaf)
-    r0 = load4(caps.moments, at)
+def most_of(caps: Caps, node: int, centre: wp.vec3, radius: float):
+    """A bound of the solid angle of what is under a node, for all points within `radius` of the centre."""
+    r0 = load4(caps.moments, _ROWS * node)
     left = wp.length(wp.vec3(r0[0], r0[1], r0[2]) - centre) - (radius + r0[3]) * WIDER
     most = float(2.0 * wp.PI)
     if left > NEAREST:
-        most = wp.min(most, WIDER * load4(caps.moments, at + 1)[0] / (left * left))
+        most = wp.min(most, WIDER * load4(caps.moments, _ROWS * node + 1)[0] / (left * left))
     return most
-
-
-@wp.func
-def expand_near(
-    field: Field,
-    caps: Caps,
-    mesh: int,
-    centre: wp.vec3,
-    radius: float,
-    tolerance: float,
-    stack: wp.array(dtype=wp.int32),
-    lane: int,
-    lanes: int,
-):
-    """Add those of the listed caps whose Taylor polynomial will do, and take them off the list.
-
-    Returns also how many this lane has added.
-    """
-    kept = int(0)
-    steps = float(0.0)
-    first = int(0)
-    total = field.near
-    field.left_out = float(0.0)
-    while first < total:
-        leaf = int(0)
-        near = first + lane < total
-        if near:
-            leaf = stack[STACK - 1 - first - lane]
-            slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
-            a = caps.tree.corners[slot] - centre
-            b = caps.tree.corners[slot + 1] - centre
-            c = caps.tree.corners[slot + 2] - centre
-            angle, wrong = near_cap(a, b, c)
-            t = taylor_of_cap(a, b, c, radius * WIDER, angle, wrong)
-            if t.bound <= tolerance:
-                near = bool(False)
-                field.value = field.value + wp.float64(angle)
-                field.slope = field.slope + t.slope
-                field.squares = field.squares + t.squares
-                field.products = field.products + t.products
-                field.error = field.error + wrong + WIDER * t.bound + t.rounding
-                field.drift = field.drift + radius * (wp.length(t.slope) + radius * wp.length(t.squares))
-                field.drift = field.drift + radius * radius * wp.length(t.products)
-                steps = steps + 1.0
-            else:
-                field.left_out = field.left_out + most_of(caps, mesh, leaf, centre, radius)
-        mask = ballot(near)
-        wait_for_lanes()
-        if near:
-            stack[STACK - 1 - kept - rank(mask, lane)] = leaf
-        kept = kept + members(mask)
-        first = first + lanes
-        wait_for_lanes()
-    field.near = kept
-    return field, steps
 
 
 @wp.func
@@ -211,80 +161,103 @@ def see_caps(
 ):
     """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes.
 
-    Caps that are too near for it are added exactly if the radius is zero. Else up to `room` of them, at most MOST_NEAR,
-    are listed on the stack; if there are more, none is, and they count as errors.
+    Single caps that no multipole tells wait on the stack until there is one for each lane. If the radius is zero, they
+    are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others, at most
+    MOST_NEAR, are listed from the stack's end; if there are more, none is, and they count as errors.
     """
     base = nodes_of(caps.tree, mesh)
     leaves = 1 << caps.tree.depth
     field = Field()
     steps = float(0.0)
     near = int(0)
+    single = int(0)
     waiting = wp.min(lanes, leaves)
     if lane < waiting:
         stack[lane] = waiting + lane
     wait_for_lanes()
-    while waiting > 0:
-        taken = wp.min(lanes, waiting)
-        waiting = waiting - taken
+    while waiting + single > 0:
         node = int(0)
-        if lane < taken:
-            node = stack[waiting + lane]
-        wait_for_lanes()
         opened = bool(False)
+        alone = bool(False)
         listed = bool(False)
-        if node > 0:
-            at = _ROWS * (base + node)
-            r0 = load4(caps.moments, at)
-            r1 = load4(caps.moments, at + 1)
-            if r1[1] > 0.0:
-                u = wp.vec3(r0[0], r0[1], r0[2]) - centre
-                distance = wp.length(u)
-                reach = (radius + r0[3]) * WIDER
-                bound = float(wp.inf)
-                left = distance - reach
-                if reach < 0.9 * distance and distance > NEAREST:
-                    rho = reach / distance
-                    bound = r1[0] / (left * left) * rho * rho * rho * (4.0 - 3.0 * rho)
-                if bound <= tolerance:
-                    field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance)
-                    field.error = field.error + WIDER * bound + r1[1] / (left * left)
-                    field.drift = field.drift + radius / distance * r1[0] / (left * left)
-                    steps = steps + 1.0
-                elif node < leaves:
-                    opened = bool(True)
-                elif radius == 0.0:
-                    angle, error = cap_angle(caps, mesh, node - leaves, centre)
+        if waiting > 0 and single <= MOST_SINGLE - 32:
+            taken = wp.min(lanes, waiting)
+            waiting = waiting - taken
+            if lane < taken:
+                node = stack[waiting + lane]
+            wait_for_lanes()
+            if node > 0:
+                at = _ROWS * (base + node)
+                r0 = load4(caps.moments, at)
+                r1 = load4(caps.moments, at + 1)
+                if r1[1] > 0.0:
+                    u = wp.vec3(r0[0], r0[1], r0[2]) - centre
+                    distance = wp.length(u)
+                    reach = (radius + r0[3]) * WIDER
+                    bound = float(wp.inf)
+                    left = distance - reach
+                    if reach < 0.9 * distance and distance > NEAREST:
+                        rho = reach / distance
+                        cube = r1[2] * r1[2] * (3.0 * radius + r0[3]) + radius * radius * (radius + 3.0 * r1[2])
+                        bound = r1[0] / (left * left) * (4.0 - 3.0 * rho) * cube / (distance * distance * distance)
+                    if bound <= tolerance:
+                        field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance)
+                        field.error = field.error + WIDER * bound + r1[1] / (left * left)
+                        field.drift = field.drift + radius / distance * r1[0] / (left * left)
+                        steps = steps + 1.0
+                    elif node < leaves:
+                        opened = bool(True)
+                    elif radius > 0.0 and room == 0:
+                        field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
+                        near = 1
+                    else:
+                        alone = bool(True)
+            mask = ballot(opened)
+            if opened:
+                place = waiting + 2 * rank(mask, lane)
+                stack[place] = 2 * node
+                stack[place + 1] = 2 * node + 1
+            waiting = waiting + 2 * members(mask)
+            mask = ballot(alone)
+            if alone:
+                stack[_SINGLE + single + rank(mask, lane)] = node
+            single = single + members(mask)
+        else:
+            taken = wp.min(lanes, single)
+            single = single - taken
+            if lane < taken:
+                node = stack[_SINGLE + single + lane]
+                a, b, c = corners_from(caps, mesh, node - leaves, centre)
+                angle, wrong = near_cap(a, b, c)
+                t = Taylor()
+                if radius > 0.0:
+                    t = taylor_of_cap(a, b, c, radius * WIDER, angle, wrong)
+                if t.bound <= tolerance:
                     field.value = field.value + wp.float64(angle)
-                    field.error = field.error + error
+                    field.slope = field.slope + t.slope
+                    field.squares = field.squares + t.squares
+                    field.products = field.products + t.products
+                    field.error = field.error + wrong + WIDER * t.bound + t.rounding
+                    field.drift = field.drift + t.drift
+                    steps = steps + 1.0
                 else:
-                    most = float(2.0 * wp.PI)
-                    if left > NEAREST:
-                        most = wp.min(most, WIDER * r1[0] / (left * left))
-                    field.left_out = field.left_out + most
+                    field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
                     listed = bool(True)
-        mask = ballot(opened)
-        if opened:
-            place = waiting + 2 * rank(mask, lane)
-            stack[place] = 2 * node
-            stack[place + 1] = 2 * node + 1
-        waiting = waiting + 2 * members(mask)
-        mask = ballot(listed)
-        if room > 0 and near + members(mask) <= room:
-            if listed:
+            mask = ballot(listed)
+            if listed and near + members(mask) <= room:
                 stack[STACK - 1 - near - rank(mask, lane)] = node - leaves
-        near = near + members(mask)
+            near = near + members(mask)
         if ballot(field.error + wp.where(near > room, field.left_out, 0.0) >= HOPELESS) != wp.uint32(0):
             # Nothing will be known, as not all is added up.
             field.error = float(wp.inf)
             waiting = int(0)
+            single = int(0)
         wait_for_lanes()
-    if near <= room:
-        field.near = near
-        field, more = expand_near(field, caps, mesh, centre, radius, tolerance, stack, lane, lanes)
-        steps = steps + more
     field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
     field.left_out = sum_of_lanes(field.left_out)
-    if near > room:
+    if near <= room:
+        field.near = near
+    else:
         field.error = field.error + field.left_out
     field.value = sum_of_lanes_in_double(field.value)
     for axis in range(3):
@@ -301,7 +274,9 @@ def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dty
     error = float(0.0)
     i = lane
     while i < near:
-        one, wrong = cap_angle(caps, mesh, stack[STACK - 1 - i], p)
+        one_turn()
+        a, b, c = corners_from(caps, mesh, stack[STACK - 1 - i], p)
+        one, wrong = near_cap(a, b, c)
         angle = angle + one
         # Rounded with every one that is added.
         error = error + wrong + UNIT * wp.abs(angle)

@@ -27,7 +27,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.geometry.triangle_distance import segment_distance2
+from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient, about_root
+from sdm.kernels.primitives.lanes import unknown
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,43 +47,53 @@ class Taylor:
     products: wp.vec3
     bound: float  # of what the polynomial leaves out
     rounding: float  # the largest error by rounding, and by places on the lattice
+    drift: float  # what the rounding of sums is in proportion to
     nearest: float  # the least distance of an edge
 
 
 @wp.func
-def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, la: float, lb: float, radius: float):
-    """Add an edge from a to b, seen from the box's centre, la and lb away."""
+def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, radius: float):
+    """Add an edge from a to b, seen from the box's centre."""
+    ia = about_inverse_root(wp.dot(a, a))
+    ib = about_inverse_root(wp.dot(b, b))
+    la = ia * wp.dot(a, a)
+    lb = ib * wp.dot(b, b)
     along = b - a
+    length2 = wp.dot(along, along)
+    part = float(0.0)
+    if length2 > 0.0:
+        part = wp.clamp(-about_quotient(wp.dot(a, along), length2), 0.0, 1.0)
+    way = a + part * along
     # Less than it is, by more than the rounding.
-    d = 0.999 * wp.sqrt(segment_distance2(-a, along)) - 1.0e-6 * (la + lb)
+    d = 0.999 * about_root(wp.dot(way, way)) - 1.0e-6 * (la + lb)
     t.nearest = wp.min(t.nearest, d)
     size = la * lb
     k = size + wp.dot(a, b)
-    if d <= NEAREST_EDGE * radius or k * LARGEST_RATIO <= size:
+    if d > NEAREST_EDGE * radius and k * LARGEST_RATIO > size:
+        ik = about_quotient(1.0, k)
+        reach = wp.min(about_quotient(about_root(length2), d), 0.5 * wp.PI)
+        rho = about_quotient(radius, d)
+        t.bound = t.bound + reach * about_quotient(rho * rho * rho, 1.0 - rho)
+        normal = wp.cross(a, b)
+        s1 = (ia + ib) * ik
+        both = s1 * (la + lb) * ik
+        s = a * (ia * (ia * ia * ik + both)) + b * (ib * (ib * ib * ik + both))
+        t.slope = t.slope + s1 * normal
+        t.squares = t.squares + 0.5 * wp.cw_mul(normal, s)
+        other = wp.vec3(
+            normal[0] * s[1] + normal[1] * s[0],
+            normal[0] * s[2] + normal[2] * s[0],
+            normal[1] * s[2] + normal[2] * s[1],
+        )
+        t.products = t.products + 0.5 * other
+        flat = about_root(wp.dot(normal, normal))
+        linear = s1 * radius
+        square = about_root(wp.dot(s, s)) * radius * radius
+        t.drift = t.drift + (linear + square) * flat
+        wrong = (linear + square) * (20.0 * size + flat * (20.0 * size * ik + 40.0))
+        t.rounding = t.rounding + UNIT * (wrong + 2.0 * about_quotient(reach, d))
+    else:
         t.bound = float(wp.inf)
-        return t
-    rho = radius / d
-    reach = wp.min(wp.length(along) / d, 0.5 * wp.PI)
-    t.bound = t.bound + reach * rho * rho * rho / (1.0 - rho)
-    normal = wp.cross(a, b)
-    ia = 1.0 / la
-    ib = 1.0 / lb
-    ik = 1.0 / k
-    s1 = (ia + ib) * ik
-    both = s1 * (la + lb) * ik
-    s = a * (ia * (ia * ia * ik + both)) + b * (ib * (ib * ib * ik + both))
-    t.slope = t.slope + s1 * normal
-    t.squares = t.squares + 0.5 * wp.cw_mul(normal, s)
-    other = wp.vec3(
-        normal[0] * s[1] + normal[1] * s[0],
-        normal[0] * s[2] + normal[2] * s[0],
-        normal[1] * s[2] + normal[2] * s[1],
-    )
-    t.products = t.products + 0.5 * other
-    ratio = size * ik
-    wrong = s1 * radius * (20.0 * size + wp.length(normal) * (20.0 * ratio + 40.0))
-    wrong = wrong + wp.length(s) * radius * radius * (10.0 * size + wp.length(normal) * (20.0 * ratio + 40.0))
-    t.rounding = t.rounding + UNIT * (wrong + 2.0 * reach / d)
     return t
 
 
@@ -91,12 +102,15 @@ def taylor_of_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3, radius: float, angle: floa
     """The polynomial of a cap with corners at a, b and c from the box's centre, where it is seen as that angle."""
     t = Taylor()
     t.nearest = float(wp.inf)
-    la = wp.length(a)
-    lb = wp.length(b)
-    lc = wp.length(c)
-    t = add_edge(t, a, b, la, lb, radius)
-    t = add_edge(t, b, c, lb, lc, radius)
-    t = add_edge(t, c, a, lc, la, radius)
-    if not wp.abs(angle) + wrong < 2.0 * wp.PI * (1.0 - radius / t.nearest):
+    p = a
+    q = b
+    r = c
+    for _edge in range(unknown(3)):
+        t = add_edge(t, p, q, radius)
+        first = p
+        p = q
+        q = r
+        r = first
+    if not wp.abs(angle) + wrong < 2.0 * wp.PI * (1.0 - about_quotient(radius, t.nearest)):
         t.bound = float(wp.inf)
     return t

@@ -22,16 +22,17 @@ from sdm.kernels.primitives.vector_loads import load4, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
-# A node's moments: centre (3), radius; area, roughness, M1 (3), M2 (5: xx, xy, xz, yy, yz), M3 (7: xxx, xxy, xxz, xyy,
-# xyz, yyy, yyz), and three unused: the rest of M2 and M3 follows from their zero traces.
+# A node's moments: centre (3), radius; area, roughness, spread, M1 (3), M2 (5: xx, xy, xz, yy, yz), M3 (7: xxx, xxy,
+# xxz, xyy, xyz, yyy, yyz), and two unused: the rest of M2 and M3 follows from their zero traces.
 MOMENTS_SIZE = 24
 _ROWS = MOMENTS_SIZE // 4
 # The rounding of a node's part of the solid angle, times its squared distance: of all float32 numbers on the way, by
 # area, and of the places on the lattice, which are those that count, by the length of the caps' edges.
 AREA_ROUNDING = wp.float64(160.0 * 2.0**-24)
 EDGE_ROUNDING = wp.float64(0.25 * 2.0**-24)
-# No radius is too small by rounding.
+# No radius or spread is too small by rounding. A node's centre is its area's middle but for so much, scaled.
 WIDER = wp.float64(1.00001)
+OFF_MIDDLE = wp.float64(2.0**-22)
 
 # The entries xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz and zzz of a symmetric tensor.
 Cubic = wp.types.vector(length=10, dtype=wp.float32)
@@ -54,6 +55,7 @@ class Moments:
     radius: float
     area: float
     rough: float  # of the rounding of its solid angle, times the squared distance
+    spread: float  # the root of the mean squared distance of its area from the centre
     m1: wp.vec3
     m2: wp.mat33
     m3: Cubic
@@ -67,6 +69,7 @@ class Sums:
     radius: wp.float64
     area: wp.float64
     rough: wp.float64
+    square: wp.float64  # the area times the squared spread
     m1: wp.vec3d
     m2: wp.mat33d
     m3: CubicInDouble
@@ -84,18 +87,19 @@ def unpacked(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, r3: wp.vec4, r4: wp.vec4, r5
     m.radius = r0[3]
     m.area = r1[0]
     m.rough = r1[1]
-    m.m1 = wp.vec3(r1[2], r1[3], r2[0])
-    m.m2 = wp.mat33(r2[1], r2[2], r2[3], r2[2], r3[0], r3[1], r2[3], r3[1], -r2[1] - r3[0])
-    m.m3[0] = r3[2]
-    m.m3[1] = r3[3]
-    m.m3[2] = r4[0]
-    m.m3[3] = r4[1]
-    m.m3[4] = r4[2]
-    m.m3[5] = -r3[2] - r4[1]
-    m.m3[6] = r4[3]
-    m.m3[7] = r5[0]
-    m.m3[8] = -r3[3] - r4[3]
-    m.m3[9] = -r4[0] - r5[0]
+    m.spread = r1[2]
+    m.m1 = wp.vec3(r1[3], r2[0], r2[1])
+    m.m2 = wp.mat33(r2[2], r2[3], r3[0], r2[3], r3[1], r3[2], r3[0], r3[2], -r2[2] - r3[1])
+    m.m3[0] = r3[3]
+    m.m3[1] = r4[0]
+    m.m3[2] = r4[1]
+    m.m3[3] = r4[2]
+    m.m3[4] = r4[3]
+    m.m3[5] = -r3[3] - r4[2]
+    m.m3[6] = r5[0]
+    m.m3[7] = r5[1]
+    m.m3[8] = -r4[0] - r5[0]
+    m.m3[9] = -r4[1] - r5[1]
     return m
 
 
@@ -133,13 +137,16 @@ def write_sums(moments: wp.array(dtype=wp.float32), node: int, s: Sums):
     tz = fifth * (s.m3[2] + s.m3[7] + s.m3[9])
     at = _ROWS * node
     write4(moments, at, s.centre[0], s.centre[1], s.centre[2], float(s.radius * WIDER))
-    write4(moments, at + 1, float(s.area), float(s.rough), float(s.m1[0]), float(s.m1[1]))
-    write4(moments, at + 2, float(s.m1[2]), float(s.m2[0, 0] - trace), float(s.m2[0, 1]), float(s.m2[0, 2]))
+    spread = wp.float64(0.0)
+    if s.area > wp.float64(0.0):
+        spread = wp.sqrt(s.square / s.area)
+    write4(moments, at + 1, float(s.area), float(s.rough), float(spread * WIDER), float(s.m1[0]))
+    xx = float(s.m2[0, 0] - trace)
+    write4(moments, at + 2, float(s.m1[1]), float(s.m1[2]), xx, float(s.m2[0, 1]))
     xxx = float(s.m3[0] - three * tx)
-    write4(moments, at + 3, float(s.m2[1, 1] - trace), float(s.m2[1, 2]), xxx, float(s.m3[1] - ty))
-    yyy = float(s.m3[6] - three * ty)
-    write4(moments, at + 4, float(s.m3[2] - tz), float(s.m3[3] - tx), float(s.m3[4]), yyy)
-    write4(moments, at + 5, float(s.m3[7] - tz), 0.0, 0.0, 0.0)
+    write4(moments, at + 3, float(s.m2[0, 2]), float(s.m2[1, 1] - trace), float(s.m2[1, 2]), xxx)
+    write4(moments, at + 4, float(s.m3[1] - ty), float(s.m3[2] - tz), float(s.m3[3] - tx), float(s.m3[4]))
+    write4(moments, at + 5, float(s.m3[6] - three * ty), float(s.m3[7] - tz), 0.0, 0.0)
 
 
 @wp.func
@@ -194,6 +201,7 @@ def _leaf_moments(begin: int, caps: Caps):
         total = a + b + c
         s.m2 = symmetric(s.m1, part * total)
         yy = wp.outer(a, a) + wp.outer(b, b) + wp.outer(c, c) + wp.outer(total, total)
+        s.square = s.area * wp.trace(yy) / wp.float64(12.0)
         s.m3 = symmetric_cubic(yy / wp.float64(12.0), s.m1)
     write_sums(caps.moments, nodes_of(tree, mesh) + leaves + leaf, s)
 
@@ -207,6 +215,8 @@ def moved(s: Sums, m: Moments):
     if m.rough > 0.0:
         s.radius = wp.max(s.radius, wp.float64(m.radius) + wp.length(t))
     s.area = s.area + wp.float64(m.area)
+    spread = wp.float64(m.spread)
+    s.square = s.square + wp.float64(m.area) * (spread * spread + wp.dot(t, t) + OFF_MIDDLE * wp.length(t))
     s.rough = s.rough + wp.float64(m.rough)
     s.m1 = s.m1 + m1
     s.m2 = s.m2 + m2 + symmetric(m1, t)
@@ -223,11 +233,14 @@ def join_children(caps: Caps, base: int, node: int):
     left = read_moments(caps.moments, base + 2 * node)
     right = read_moments(caps.moments, base + 2 * node + 1)
     s = Sums()
-    # Not by area, which the caps of a node may lack, and their edges still be somewhere.
-    weight = wp.float64(left.rough) + wp.float64(right.rough)
-    if weight > wp.float64(0.0):
-        middle = wp.float64(left.rough) * wp.vec3d(left.centre) + wp.float64(right.rough) * wp.vec3d(right.centre)
-        s.centre = wp.vec3(middle / weight)
+    first = wp.float64(left.area)
+    second = wp.float64(right.area)
+    if first + second == wp.float64(0.0):
+        # Caps without an area have their edges somewhere.
+        first = wp.float64(left.rough)
+        second = wp.float64(right.rough)
+    if first + second > wp.float64(0.0):
+        s.centre = wp.vec3((first * wp.vec3d(left.centre) + second * wp.vec3d(right.centre)) / (first + second))
     s = moved(moved(s, left), right)
     low, high = node_box(tree, base + node)
     reach = wp.max(wp.vec3d(s.centre) - wp.vec3d(low), wp.vec3d(high) - wp.vec3d(s.centre))

@@ -9,6 +9,7 @@ the sum over all boundary edges in float64, as `boundary_term` has it: so every 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,6 @@ from sdm.kernels.primitives.lanes import (
     ballot,
     bits_of_lanes,
     gpu_workers,
-    members_of,
     sum_of_four,
     sum_of_lanes_in_double,
     unknown,
@@ -49,27 +49,27 @@ from sdm.kernels.winding.ray_crossings import count_crossings
 
 wp.set_module_options({"enable_backward": False})
 
-# Voxels along the edges of the boxes that are looked at one after the other, and what a node of the tree may add to the
-# error of the winding number there.
-SIZES = (32, 16, 8, 4)
-TOLERANCES = (4e-3, 2e-3, 1e-3, 5e-4)
-# How many near caps there may be to look at one by one, and how many to add voxel by voxel: a GPU has a lane for each
-# voxel, a CPU tries the eighths first, which have fewer.
-LISTED = {"cuda": (0, 0, 64, MOST_NEAR), "cpu": (0, 0, 64, MOST_NEAR)}
-SETTLED = {"cuda": (0, 0, 2, MOST_NEAR), "cpu": (0, 0, 12, 24)}
+# Boxes of 2^5 voxels along each edge, and so on; single voxels twice.
+BITS = (5, 4, 3, 2, 1, 0, 0)
+# The first boxes are the smallest ones of which there are no more than this; those of 2^3 are listed for what follows.
+MOST_FIRST, LISTED_BITS = 2048, 1
+LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
+# What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
+# to look at one by one, and how many to add voxel by voxel: a GPU has a lane for each voxel, a CPU tries the eighths
+# first, which have fewer.
+TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 1e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 1e-5, 2e-6)}
+LISTED = {"cuda": (0, 0, 64, *4 * [MOST_NEAR]), "cpu": (0, 0, 64, *4 * [MOST_NEAR])}
+SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR]), "cpu": (0, 0, 12, 24, *3 * [MOST_NEAR])}
 # With a larger error the voxels are not looked at: too many would be in doubt.
 MOST_DOUBT = 0.06
-# The same for boxes of 2^3, if so many voxels are in doubt; for single voxels, and for those that are still in doubt.
-PIECE, PIECE_TOLERANCE, FEWEST = 2, 2e-4, 3
-POINT_TOLERANCE, FINER, LAST_TOLERANCE = 5e-5, 0.2, 1e-6
 # Less than a quarter, by more than the rounding of the sums.
 LARGEST_SHARE = 0.249
 # What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
 LAST_ROUNDINGS, LAST_ROUNDING = 2.0e-6, 3.0e-7
-# Places of the counts: for each size, and at last for 2^3, which box is next, and how many there are; then how many
-# voxels got the field of a point, and the sum over all edges.
+# Places of the counts: for each size, and for the sums over all edges, which box is next, and how many there are; how
+# many voxels were looked at by themselves, and got the sum over all edges.
 NEXT, LENGTH, STRIDE = 0, 1, 2
-POINTS, EXACT = STRIDE * (len(SIZES) + 1), STRIDE * (len(SIZES) + 1) + 1
+POINTS, EXACT = STRIDE * (len(BITS) + 1), STRIDE * (len(BITS) + 1) + 1
 COUNTS = EXACT + 1
 
 
@@ -100,7 +100,7 @@ def settle_box(
     slab: Slab,
     mesh: int,
     start: wp.vec3i,
-    size: int,
+    bits: int,
     most_near: int,
     box: VoxelBox,
     scale: float,
@@ -109,33 +109,58 @@ def settle_box(
     values: wp.array4d(dtype=wp.float32),
 ):
     """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each."""
-    if largest_share(field, box.half) < LARGEST_SHARE:
+    far = largest_share(field, box.half) < LARGEST_SHARE
+    if far and bits > 0:
         return 0
     if field.near > most_near or doubt(field) > MOST_DOUBT:
         return 255
-    last = wp.min(wp.vec3i(size, size, size), slab.shape - start)
-    count = last[0] * last[1] * last[2]
-    half = size / 2
+    # Lanes for each voxel: four of 2^3, all of a single one.
+    share = wp.max(1, lanes >> (3 * bits))
     left = int(0)
-    number = lane
-    while number < count:
-        at = wp.vec3i(number / (last[1] * last[2]), number / last[2] % last[1], number % last[2])
+    number = lane / share
+    while number < 1 << (3 * bits):
+        at = wp.vec3i(number >> (2 * bits), (number >> bits) & ((1 << bits) - 1), number & ((1 << bits) - 1))
         v = start + at
-        whole = values[mesh, v[0], v[1], v[2]]
+        whole = float(0.5)
+        if is_within(slab, v):
+            whole = values[mesh, v[0], v[1], v[2]]
+        p = scale * voxel(slab, v[0], v[1], v[2])
+        angle = float(0.0)
+        wrong = float(0.0)
         if is_whole(whole):
-            p = scale * voxel(slab, v[0], v[1], v[2])
-            angle, wrong = near_angle(caps, mesh, field.near, p, stack, 0, 1)
+            angle, wrong = near_angle(caps, mesh, field.near, p, stack, lane % share, share)
+        if share == 4:
+            # Also, all have read the whole number before it goes.
+            angle = sum_of_four(angle)
+            wrong = sum_of_four(wrong) + 2.0 * UNIT * FULL
+        winding = whole
+        if not far:
             winding = whole - angle / FULL - share_at(field, p - box.centre)
-            if is_sure(winding, whole, doubt(field) + wrong / FULL):
-                values[mesh, v[0], v[1], v[2]] = opened(winding)
+        if is_whole(whole):
+            if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
+                if lane % share == 0:
+                    values[mesh, v[0], v[1], v[2]] = opened(winding)
             else:
-                left = left | (1 << (4 * (at[0] / half) + 2 * (at[1] / half) + at[2] / half))
-        number = number + lanes
-    octants = int(0)
-    for octant in range(8):
-        if ballot(((left >> octant) & 1) != 0) != wp.uint32(0):
-            octants = octants | (1 << octant)
+                half = bits - 1
+                left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
+        number = number + lanes / share
+    octants = bits_of_lanes(left)
     return octants
+
+
+@wp.func
+def voxel_of_piece(piece: int, octant: int, cells: wp.vec3i):
+    """The mesh and the indices of a voxel of a box of 2^3, of which there are so many along each axis."""
+    mesh, at = unravel(piece, cells)
+    return mesh, 2 * at + octant_at(octant)
+
+
+@wp.func
+def is_left(slab: Slab, values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i):
+    """True if a voxel is there, and not open yet."""
+    if not is_within(slab, v):
+        return False
+    return is_whole(values[mesh, v[0], v[1], v[2]])
 
 
 @wp.kernel
@@ -143,13 +168,14 @@ def _open_boxes(
     begin: int,
     caps: Caps,
     slab: Slab,
-    size: int,
+    bits: int,
     tolerance: float,
     listed: int,
     settled: int,
     cells: wp.vec3i,
     eighths: wp.vec3i,
     level: int,
+    first: int,
     boxes: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
@@ -157,33 +183,51 @@ def _open_boxes(
     lanes: int,
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open boxes of size^3 voxels; those that are left in doubt are listed by their eighths."""
+    """Open boxes of 2^bits voxels along each edge; those that are left in doubt are listed by their eighths.
+
+    Boxes of 2^3 are listed as they are, and what is looked at after them are their voxels that are left.
+    """
     thread = begin + wp.tid()
     lane = thread % lanes
     stack = stack_of(stacks, thread / lanes)
     total = values.shape[0] * cells[0] * cells[1] * cells[2]
-    if level > 0:
+    if first == 0:
         total = counts[STRIDE * level + LENGTH]
+        if bits == 0:
+            total = 8 * counts[STRIDE * LISTED_LEVEL + LENGTH]
     item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
     while item < total:
         number = item
-        if level > 0:
+        if bits == 0:
+            number = boxes[item / 8]
+        elif first == 0:
             number = boxes[item]
         mesh, at = unravel(number, cells)
-        start = size * at
-        scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
-        box = box_of_voxels(slab, start, size, scale)
-        field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, listed, stack, lane, lanes)
-        octants = settle_box(field, caps, stack, slab, mesh, start, size, settled, box, scale, lane, lanes, values)
-        octant = lane
-        while octant < 8:
-            if ((octants >> octant) & 1) != 0:
-                child = 2 * at + octant_at(octant)
-                if is_within(slab, (size / 2) * child):
-                    place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
-                    index = ((mesh * eighths[0] + child[0]) * eighths[1] + child[1]) * eighths[2] + child[2]
-                    left[place] = index
-            octant = octant + lanes
+        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+        here = bool(True)
+        if bits == 0:
+            start = 2 * at + octant_at(item)
+            here = is_left(slab, values, mesh, start)
+        if here:
+            scale = float(caps.tree.frame[mesh * FRAME_SIZE + SCALE])
+            box = box_of_voxels(slab, start, 1 << bits, scale)
+            field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, listed, stack, lane, lanes)
+            octants = settle_box(field, caps, stack, slab, mesh, start, bits, settled, box, scale, lane, lanes, values)
+            if bits > LISTED_BITS:
+                octant = lane
+                while octant < 8:
+                    child = 2 * at + octant_at(octant)
+                    half = bits - 1
+                    corner = wp.vec3i(child[0] << half, child[1] << half, child[2] << half)
+                    if ((octants >> octant) & 1) != 0 and is_within(slab, corner):
+                        place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
+                        left[place] = ((mesh * eighths[0] + child[0]) * eighths[1] + child[1]) * eighths[2] + child[2]
+                    octant = octant + lanes
+            elif lane == 0:
+                if bits == 0:
+                    fetch_add(counts, POINTS, 1)
+                elif octants != 0:
+                    left[fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)] = number
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
@@ -204,7 +248,7 @@ def open_voxel(
 
 
 @wp.kernel
-def _open_pieces(
+def _open_exactly(
     begin: int,
     tree: Tree,
     boundary: Boundary,
@@ -214,85 +258,34 @@ def _open_pieces(
     level: int,
     pieces: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
-    stacks: wp.array(dtype=wp.int32),
     lanes: int,
     values: wp.array4d(dtype=wp.float32),
 ):
-    """Open boxes of 2^3 voxels, those that are left in doubt voxel by voxel."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    stack = stack_of(stacks, thread / lanes)
-    total = counts[STRIDE * level + LENGTH]
+    """Open what is still left of boxes of 2^3 in float64."""
+    lane = (begin + wp.tid()) % lanes
+    total = 8 * counts[STRIDE * LISTED_LEVEL + LENGTH]
     item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
     while item < total:
-        mesh, at = unravel(pieces[item], cells)
-        start = PIECE * at
-        scale = tree.frame[mesh * FRAME_SIZE + SCALE]
-        mask = int(0)
-        octant = lane
-        while octant < 8:
-            v = start + octant_at(octant)
-            if is_within(slab, v):
-                if is_whole(values[mesh, v[0], v[1], v[2]]):
-                    mask = mask | (1 << octant)
-            octant = octant + lanes
-        mask = bits_of_lanes(mask)
-        if members_of(mask) >= FEWEST:
-            box = box_of_voxels(slab, start, PIECE, float(scale))
-            tolerance = PIECE_TOLERANCE * FULL
-            field = see_caps(caps, mesh, box.centre, wp.sqrt(box.half2), tolerance, MOST_NEAR, stack, lane, lanes)
-            if largest_share(field, box.half) < LARGEST_SHARE:
-                mask = int(0)
-            elif doubt(field) <= MOST_DOUBT:
-                octant = lane * 8 / lanes
-                share = wp.max(lanes / 8, 1)
-                left = int(0)
-                while octant < 8:
-                    angle = float(0.0)
-                    wrong = float(0.0)
-                    v = start + octant_at(octant)
-                    p = float(scale) * voxel(slab, v[0], v[1], v[2])
-                    if ((mask >> octant) & 1) != 0:
-                        angle, wrong = near_angle(caps, mesh, field.near, p, stack, lane % share, share)
-                    angle = sum_of_four(angle)
-                    wrong = sum_of_four(wrong) + 2.0 * UNIT * FULL
-                    if ((mask >> octant) & 1) != 0:
-                        whole = values[mesh, v[0], v[1], v[2]]
-                        winding = whole - angle / FULL - share_at(field, p - box.centre)
-                        if is_sure(winding, whole, doubt(field) + wrong / FULL):
-                            # All lanes have read the whole number before it goes: they sum up first.
-                            if lane % share == 0:
-                                values[mesh, v[0], v[1], v[2]] = opened(winding)
-                        else:
-                            left = left | (1 << octant)
-                    octant = octant + wp.max(1, lanes / share)
-                mask = bits_of_lanes(left)
+        mesh, v = voxel_of_piece(pieces[item / 8], item, cells)
+        if is_left(slab, values, mesh, v):
+            p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+            winding = open_voxel(tree, boundary, caps, mesh, p, values[mesh, v[0], v[1], v[2]], lane, lanes)
+            # All lanes have read the whole number before it goes.
             wait_for_lanes()
-        for number in range(unknown(8)):
-            if ((mask >> number) & 1) != 0:
-                v = start + octant_at(number)
-                point = float(scale) * voxel(slab, v[0], v[1], v[2])
-                whole = values[mesh, v[0], v[1], v[2]]
-                winding = whole
-                error = float(wp.inf)
-                tolerance = POINT_TOLERANCE * FULL
-                while not is_sure(winding, whole, error) and tolerance > LAST_TOLERANCE * FULL:
-                    here = see_caps(caps, mesh, point, 0.0, tolerance, 0, stack, lane, lanes)
-                    winding = whole - share_at(here, wp.vec3())
-                    error = doubt(here)
-                    if lane == 0:
-                        fetch_add(counts, POINTS, 1)
-                    tolerance = FINER * tolerance
-                if not is_sure(winding, whole, error):
-                    exactly = scale * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
-                    winding = open_voxel(tree, boundary, caps, mesh, exactly, whole, lane, lanes)
-                    if lane == 0:
-                        fetch_add(counts, EXACT, 1)
-                # All lanes have read the whole number before it goes.
-                wait_for_lanes()
-                if lane == 0:
-                    values[mesh, v[0], v[1], v[2]] = winding
+            if lane == 0:
+                values[mesh, v[0], v[1], v[2]] = winding
+                fetch_add(counts, EXACT, 1)
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
+
+
+def first_level(meshes: int, shape: list[int]) -> int:
+    """The level that a batch of maps of this shape begins with, at the latest that of 4^3."""
+    level = 0
+    while BITS[level] > LISTED_BITS + 1:
+        if meshes * math.prod(-(-n >> BITS[level + 1]) for n in shape) > MOST_FIRST:
+            break
+        level += 1
+    return level
 
 
 def open_caps(
@@ -311,17 +304,22 @@ def open_caps(
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
     stacks = empty(1 if device.is_cuda else workers * STACK, wp.int32)
-    boxes = empty(1, wp.int32)
     kind = "cuda" if device.is_cuda else "cpu"
-    levels = zip(SIZES, TOLERANCES, LISTED[kind], SETTLED[kind], strict=True)
-    for level, (size, tolerance, listed, settled) in enumerate(levels):
-        cells, eighths = ([-(-n // edge) for n in shape] for edge in (size, size // 2))
-        left = empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
-        grids = [wp.vec3i(*cells), wp.vec3i(*eighths)]
-        inputs = [caps, slab, size, tolerance * FULL, listed, settled, *grids]
-        inputs += [level, boxes, left, counts, stacks, lanes, values]
-        launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
-        boxes = left
-    inputs = [tree, boundary, caps, slab, grids[1], len(SIZES), boxes, counts, stacks, lanes, values]
-    launch(_open_pieces, workers * lanes, inputs, device, smallest=1)
+    boxes = left = empty(1, wp.int32)
+    first = first_level(meshes, shape)
+    pieces = wp.vec3i(*(-(-n // 2) for n in shape))
+    for level in range(first, len(BITS)):
+        bits = BITS[level]
+        cells = pieces if bits == 0 else wp.vec3i(*(-(-n >> bits) for n in shape))
+        eighths = cells
+        if bits > LISTED_BITS:
+            eighths = wp.vec3i(*(-(-n >> (bits - 1)) for n in shape))
+        if bits > 0:
+            boxes, left = left, empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
+        limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
+        listed = left if bits == 0 else boxes
+        inputs = [caps, slab, bits, *limits, cells, eighths, level, int(level == first), listed, left]
+        launch(_open_boxes, workers * lanes, [*inputs, counts, stacks, lanes, values], device, smallest=1)
+    inputs = [tree, boundary, caps, slab, pieces, len(BITS), left, counts, lanes, values]
+    launch(_open_exactly, workers * lanes, inputs, device, smallest=1)
     return counts
