@@ -28,7 +28,15 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import first_triangle, nodes_of
 from sdm.kernels.primitives.fast_math import about_root
-from sdm.kernels.primitives.lanes import ballot, members, one_turn, rank, sum_of_lanes, sum_of_lanes_in_double, wait_for_lanes
+from sdm.kernels.primitives.lanes import (
+    ballot,
+    members,
+    one_turn,
+    rank,
+    sum_of_lanes,
+    sum_of_lanes_in_double,
+    wait_for_lanes,
+)
 from sdm.kernels.primitives.shared_stacks import STACK
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap

@@ -45,6 +45,7 @@ class Caps:
 
     tree: Tree  # with the meshes' own frame, and at most one cap in a leaf
     moments: wp.array(dtype=wp.float32)  # (nodes * MOMENTS_SIZE)
+    are_faces: wp.int32  # 1 if they are the mesh's own faces, inside out: together nothing is left
 
 
 @wp.struct

@@ -113,7 +113,7 @@ def slab_winding(
     flat = values.flatten()
     # Caps close the holes, and are opened again.
     with_caps = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
-    if winding.kind == SOUP:
+    if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()
     elif slab.turned != 0:
         launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)

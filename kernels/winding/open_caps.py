@@ -244,6 +244,8 @@ def open_voxel(
 ):
     """The winding number at p (scaled) by the sum over all boundary edges, from that of surface and caps."""
     share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
+    if caps.are_faces != 0:
+        return float(count_crossings(tree, mesh, p)) + float(share)
     return whole - float(count_crossings(caps.tree, mesh, p)) + float(share)
 
 

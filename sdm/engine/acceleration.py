@@ -23,7 +23,7 @@ from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, repeated_row, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges
-from sdm.topology.cap_triangles import cap_triangles
+from sdm.topology.cap_triangles import cap_triangles, turned_faces
 from sdm.topology.face_pairing import pairing_of
 
 # Above this many boundary edges the tree of dipoles costs less than visiting every edge for one point; above the second
@@ -62,6 +62,11 @@ def kind_of(edges: int, faces: int) -> MeshKind:
     return MeshKind.DIRTY if edges <= MOST_FOR_VOXELS else MeshKind.SOUP
 
 
+def closed_by_faces(edges: int, faces: int) -> bool:
+    """True if a mesh's faces, turned inside out, are fewer caps of its holes than triangles between their edges."""
+    return kind_of(edges, faces) is MeshKind.DIRTY and edges > faces
+
+
 class Sizes(NamedTuple):
     """Sizes that all arrays' shapes follow from."""
 
@@ -86,9 +91,21 @@ class Sizes(NamedTuple):
         return self.meshes * self.edges if self.kind in VISITING else 0
 
     @property
+    def caps(self) -> int:
+        """Triangles of each mesh that close its holes."""
+        if self.kind not in VISITING:
+            return 0
+        return self.faces if closed_by_faces(self.edges, self.faces) else self.edges
+
+    @property
+    def all_caps(self) -> int:
+        """Those of all meshes."""
+        return self.meshes * self.caps
+
+    @property
     def cap_nodes(self) -> int:
         """Nodes of all trees of caps."""
-        return self.meshes << (cap_tree.depth_of_caps(self.edges) + 1) if self.visited_edges else 0
+        return self.meshes << (cap_tree.depth_of_caps(self.caps) + 1) if self.caps else 0
 
     @property
     def dipole_nodes(self) -> int:
@@ -119,9 +136,9 @@ ARRAYS = (
     Array("cones", "nodes", wp.float32, lambda n: 4 * n.nodes),
     Array("boundary", "ends", wp.vec3, lambda n: 2 * n.visited_edges),
     Array("boundary", "lattice", wp.vec2i, lambda n: 2 * n.visited_edges),
-    Array("caps tree", "corners", wp.vec3, lambda n: 4 * n.visited_edges),
-    Array("caps tree", "lattice", wp.vec2i, lambda n: 3 * n.visited_edges),
-    Array("caps tree", "face", wp.int32, lambda n: n.visited_edges),
+    Array("caps tree", "corners", wp.vec3, lambda n: 4 * n.all_caps),
+    Array("caps tree", "lattice", wp.vec2i, lambda n: 3 * n.all_caps),
+    Array("caps tree", "face", wp.int32, lambda n: n.all_caps),
     Array("caps tree", "boxes", wp.float32, lambda n: n.cap_nodes * tree.BOX_FLOATS),
     Array("caps", "moments", wp.float32, lambda n: n.cap_nodes * cap_tree.MOMENTS_SIZE),
     Array("winding", "moments", wp.float32, lambda n: n.dipole_nodes * dipole_tree.MOMENTS_SIZE),
@@ -177,7 +194,7 @@ class AccelerationStructure:
             length = tensor.shape[0] // wp.types.type_size_in_bytes(array.dtype)
             spans.append((tensor.data_ptr(), length))
             count[array.struct, array.name] = length
-        faces, edges = count["tree", "face"] // meshes, count["caps tree", "face"] // meshes
+        faces, edges = count["tree", "face"] // meshes, count["boundary", "lattice"] // (2 * meshes)
         sizes = Sizes(meshes, faces, edges, MeshKind(kind))
         return cls(sizes, tuple(tensors), _view(sizes, spans, tensors[0].device))
 
@@ -256,9 +273,10 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
             set_array(winding.caps.tree, array.name, made)
     structs["tree"].count = sizes.faces
     structs["tree"].depth = tree.depth_for(sizes.faces)
-    visited = sizes.edges if sizes.kind in VISITING else 0
-    winding.boundary.count = winding.caps.tree.count = visited
-    winding.caps.tree.depth = cap_tree.depth_of_caps(visited)
+    winding.boundary.count = sizes.edges if sizes.kind in VISITING else 0
+    winding.caps.tree.count = sizes.caps
+    winding.caps.tree.depth = cap_tree.depth_of_caps(sizes.caps)
+    winding.caps.are_faces = int(sizes.caps > 0 and closed_by_faces(sizes.edges, sizes.faces))
     winding.kind = int(sizes.kind)
     return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
 
@@ -298,7 +316,12 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
     if edges is None:
         closed = pairing.unmatched.shape[0] == 0
         edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
-    caps = cap_triangles(edges) if kind_of(edges.shape[0], faces.shape[0]) in VISITING else edges
+    count, triangles = edges.shape[0], faces.shape[0]
+    caps = edges
+    if closed_by_faces(count, triangles):
+        caps = turned_faces(faces)
+    elif kind_of(count, triangles) in VISITING:
+        caps = cap_triangles(edges)
     return MeshTopology(pairing.neighbours, edges, caps)
 
 
@@ -349,11 +372,11 @@ def fill_surface(
 
 def fill_boundary(structure: AccelerationStructure, vertices: Tensor, topology: MeshTopology, bounds: wp.array) -> None:
     """Queue the kernels that depend on a boundary, after those of `fill_surface`."""
-    view, (meshes, _, edges, kind) = structure.view, structure.sizes
+    view, meshes, kind = structure.view, structure.sizes.meshes, structure.kind
     if kind in VISITING:
         empty, corners = workspace(vertices.device), as_warp(vertices, wp.vec3)
         gather_boundary(view.winding.boundary, view.tree, corners, as_warp(topology.boundary, wp.int32))
-        room = 2 * meshes * edges
+        room = 2 * structure.sizes.all_caps
         caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
         cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
     if kind in WITH_DIPOLES:

@@ -20,6 +20,7 @@ from sdm.topology.boundary_edges import on_host
 from sdm.topology.face_pairing import cached
 
 _known: WeakIdKeyDictionary = WeakIdKeyDictionary()
+_known_turned: WeakIdKeyDictionary = WeakIdKeyDictionary()
 
 
 def cap_triangles(edges: Tensor) -> Tensor:
@@ -29,6 +30,11 @@ def cap_triangles(edges: Tensor) -> Tensor:
     area: as many triangles as edges are a simpler thing to count.
     """
     return cached(_known, edges, lambda: torch.from_numpy(caps_on_host(on_host(edges))).to(edges.device))
+
+
+def turned_faces(faces: Tensor) -> Tensor:
+    """Faces (F,3) int32 inside out: they close any mesh, of which nothing is left then."""
+    return cached(_known_turned, faces, lambda: faces[:, [0, 2, 1]].contiguous())
 
 
 def caps_on_host(edges: np.ndarray) -> np.ndarray:
