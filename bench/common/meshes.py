@@ -10,9 +10,10 @@ import numpy as np
 
 from sdm.bench.common import degenerate_meshes as nasty
 from sdm.bench.common.checkout import data_folder
+from sdm.bench.common.dirty_meshes import DIRTY
 from sdm.bench.common.mesh_formulas import Arrays, cube, hemisphere, inverted, joined, moebius, moved, sphere, torus
 
-__all__ = ["Case", "cube", "generated_names", "load_case", "missing_note", "names", "sphere", "torus"]
+__all__ = ["Case", "cube", "dirty_names", "generated_names", "load_case", "missing_note", "names", "sphere", "torus"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,11 @@ def generated_names() -> list[str]:
     return list(_MAKERS)
 
 
+def dirty_names() -> list[str]:
+    """Dirty meshes that need no files; `names` leaves them out."""
+    return list(DIRTY)
+
+
 def names(tags: Iterable[str] = (), *, without: Iterable[str] = ()) -> list[str]:
     """All known meshes with every one of `tags` and none of `without`, whether their files are here or not."""
     wanted, unwanted = set(tags), set(without)
@@ -126,6 +132,9 @@ def load_case(name: str) -> Case:
         return Case(name, *_read(path), tags)
     if name in _MAKERS:
         return Case(name, *_MAKERS[name][0](), tags)
+    if name in DIRTY:
+        make, kinds = DIRTY[name]
+        return Case(name, *make(), frozenset(kinds.split()) | {"generated"})
     if name.startswith("torus-") and name[6:].isdigit():
         return Case(name, *torus(int(name[6:])), frozenset(("closed", "smooth", "generated")))
     if Path(name).is_file():

@@ -28,7 +28,7 @@ from sdm.bench.common.grids import cube_around, turned_around
 from sdm.bench.common.json_file import put, write
 from sdm.bench.common.machine import describe
 from sdm.bench.common.markdown import accuracy_markdown
-from sdm.bench.common.meshes import Case, load_case, missing_note, names
+from sdm.bench.common.meshes import Case, dirty_names, load_case, missing_note, names
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.engine.plan_override import plan_override
 
@@ -165,7 +165,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     gpu = options.device.startswith("cuda")
     options.points = options.points or (1_000_000 if gpu else 20_000)
     options.resolution = options.resolution or (128 if gpu else 64)
-    options.meshes = options.meshes or [*names(), *([MILLION] if gpu else [])]
+    options.meshes = options.meshes or [*names(), *dirty_names(), *([MILLION] if gpu else [])]
     options.out = options.out or results_folder() / f"accuracy-{options.device.split(':')[0]}.json"
     return options
 

@@ -48,7 +48,7 @@ class JoinedSizes(NamedTuple):
     nodes: int = 0  # of all hierarchies
 
     # Of no mesh the boundary is among the arrays.
-    edges = visited_edges = cap_nodes = dipole_nodes = 0
+    edges = visited_edges = caps = all_caps = cap_nodes = dipole_nodes = 0
     kind = MeshKind.CLOSED
 
     def with_mesh(self, faces: int) -> JoinedSizes:
