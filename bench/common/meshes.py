@@ -10,7 +10,7 @@ import numpy as np
 
 from sdm.bench.common import degenerate_meshes as nasty
 from sdm.bench.common.checkout import data_folder
-from sdm.bench.common.dirty_meshes import DIRTY
+from sdm.bench.common.dirty_meshes.by_code import DIRTY
 from sdm.bench.common.mesh_formulas import Arrays, cube, hemisphere, inverted, joined, moebius, moved, sphere, torus
 
 __all__ = ["Case", "cube", "dirty_names", "generated_names", "load_case", "missing_note", "names", "sphere", "torus"]

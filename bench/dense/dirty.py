@@ -2,16 +2,18 @@
 
     python -m sdm.bench.dense.dirty --device cuda --resolution 256 --out dirty-cuda.json
 
-Meshes are torn, opened, turned inside out here, or are files (`--meshes`). A row tells the boundary edges, milliseconds
-of the signed map, of the distances alone and, on a GPU, of stock Warp; how many boxes of voxels were looked at by each
-size, how many voxels in float64; and the wrong signs among random voxels whose winding number, summed up over all
+Meshes are torn, opened, turned inside out here, or are files (`--meshes`, `--zoo`). A row tells the boundary edges,
+milliseconds of the signed map, of the distances alone and, on a GPU, of stock Warp; how many boxes of voxels of each
+size were looked at, how many voxels by themselves and in float64, and which share of all voxels each of these decided;
+and the wrong signs among random voxels whose winding number, summed up over all
 triangles in float64, is further than 1e-3 from one half.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,61 +21,24 @@ import numpy as np
 import torch
 
 from sdm.bench.common import json_file
-from sdm.bench.common.figure import drawing, log_axes
+from sdm.bench.common.figure import drawing
 from sdm.bench.common.grids import cube_around
 from sdm.bench.common.machine import describe
-from sdm.bench.common.meshes import Case, load_case, sphere
+from sdm.bench.common.meshes import Case, load_case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import by_turns, once
 from sdm.bench.dense.job import Ours, recorded
+from sdm.bench.dense.parts.dirty_cases import generated, of_files
 from sdm.bench.dense.parts.signs import unsigned
 from sdm.bench.peers.warp import StockWarp, StockWarpSah
 from sdm.engine.ops import map_slab
 from sdm.kernels.winding import column_sums, open_caps
 
-TORUS = "torus-20000"
-TORN, SPHERES = (0.01, 0.03, 0.1, 0.3), (10, 100)
 # Random voxels whose signs are checked.
 CHECKED = 2000
-OPEN = frozenset(("open",))
-
-
-def torn(case: Case, share: float) -> Case:
-    """The mesh without a share of its faces, anywhere."""
-    kept = np.random.default_rng(0).random(len(case)) >= share
-    return Case(f"{case.name} less {100 * share:.0f} %", case.vertices, case.faces[kept], OPEN)
-
-
-def half_turned(case: Case) -> Case:
-    """The mesh with half of its faces inside out."""
-    faces = case.faces.copy()
-    turned = np.random.default_rng(0).random(len(faces)) < 0.5
-    faces[turned] = faces[turned][:, ::-1]
-    return Case(f"{case.name}, half its faces turned", case.vertices, faces, OPEN)
-
-
-def half_spheres(count: int) -> Case:
-    """Open bowls of one size, here and there."""
-    vertices, faces = sphere(15)
-    faces = faces[(vertices[faces][:, :, 2] > -1e-6).all(1)]
-    rng = np.random.default_rng(0)
-    places = [0.1 * vertices @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + rng.uniform(-1, 1, 3) for _ in range(count)]
-    index = [faces + len(vertices) * number for number in range(count)]
-    vertices, faces = np.concatenate(places).astype(np.float32), np.concatenate(index).astype(np.int32)
-    return Case(f"{count} half spheres", vertices, faces, OPEN)
-
-
-def cases(files: list[str]) -> Iterator[Case]:
-    """Dirty meshes, after the clean one that they are made of."""
-    clean = load_case(TORUS)
-    yield clean
-    for share in TORN:
-        yield torn(clean, share)
-    yield half_turned(clean)
-    for count in SPHERES:
-        yield half_spheres(count)
-    for file in files:
-        yield load_case(file)
+# What decided a voxel: caps being too far for any box to ask; boxes of so many voxels along each edge; its own field;
+# the sum over all edges.
+DECIDED = ("32^3", "16^3", "8^3", "4^3", "2^3", "voxel", "exact")
 
 
 def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
@@ -85,7 +50,7 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
         return map_slab(ours.vertices[None], ours.faces, ours.index._structure, grid, 0, resolution)[0]
 
     values = query()[0].cpu().numpy()
-    looked = _looked_at(query)
+    looked = _looked_at(query, values.size)
     gpu = device.startswith("cuda")
     calls: dict[str, Callable[[], Any]] = {"signed": recorded(query)[0] if gpu else query}
     with unsigned():
@@ -119,8 +84,11 @@ def _without_signs(query: Callable[[], Any]) -> Callable[[], Any]:
     return call
 
 
-def _looked_at(query: Callable[[], Any]) -> dict[str, int]:
-    """Boxes of each size and voxels that a map of one mesh looks at: none of a closed one."""
+def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
+    """Boxes of each size and voxels that a map of one mesh looks at, and the share of voxels that each decides.
+
+    None of a closed one. A voxel in a box of 2^3 is counted to it, if it is not looked at by itself.
+    """
     counts: list[np.ndarray] = []
     plain = column_sums.open_caps
 
@@ -136,11 +104,17 @@ def _looked_at(query: Callable[[], Any]) -> dict[str, int]:
     if not counts:
         return {}
     total = np.sum(counts, 0)
-    boxes = {f"{size}^3": level for level, size in enumerate((*open_caps.SIZES, open_caps.PIECE)) if level}
+    levels = list(enumerate(open_caps.BITS))
+    looked = {1 << bits: int(total[open_caps.STRIDE * n + open_caps.LENGTH]) for n, bits in levels if bits}
+    # Voxels that are still open before boxes of each size; before the first ones, all.
+    before = [min(voxels, count * size**3) if count else voxels for size, count in looked.items()]
+    before += [int(total[open_caps.ALONE]), int(total[open_caps.EXACT]), 0]
+    shares = [max(0, one - other) / voxels for one, other in itertools.pairwise(before)]
     return {
-        **{name: int(total[open_caps.STRIDE * level + open_caps.LENGTH]) for name, level in boxes.items()},
-        "points": int(total[open_caps.POINTS]),
-        "exact": int(total[open_caps.EXACT]),
+        **{f"{size}^3": count for size, count in looked.items() if count},
+        "voxels": before[-3],
+        "exact": before[-2],
+        "shares": dict(zip(DECIDED, shares, strict=True)),
     }
 
 
@@ -159,15 +133,26 @@ def _stock(peer: type[StockWarp], case: Case, grid: Any, device: str) -> float:
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
-    """Ratio of signed to unsigned against boundary edges."""
-    with drawing(path, f"{report['machine']['device']}, {report['resolution']}^3") as (_, axes):
-        rows = [found for found in report["rows"] if found["boundary_edges"]]
-        axes.plot([r["boundary_edges"] for r in rows], [r["ratio"] for r in rows], "o")
-        for found in rows:
-            axes.annotate(found["mesh"], (found["boundary_edges"], found["ratio"]), fontsize=8)
-        axes.set_xlabel("boundary edges")
-        axes.set_ylabel("signed map / distances alone")
-        log_axes(axes)
+    """Signed over unsigned, mesh by mesh, and the share of voxels that each size of box decides."""
+    rows = [found for found in report["rows"] if found["boundary_edges"]]
+    with drawing(path, f"{report['machine']['device']}, {report['resolution']}^3") as (figure, left):
+        left.set_position((0.24, 0.145, 0.34, 0.8))
+        right = figure.add_axes((0.6, 0.145, 0.38, 0.8))
+        places = np.arange(len(rows))[::-1]
+        left.barh(places, [found["ratio"] for found in rows])
+        left.set_yticks(places, [found["mesh"] for found in rows], fontsize=7)
+        left.set_xscale("log")
+        left.set_xlabel("signed map / distances alone")
+        start = np.zeros(len(rows))
+        for name in DECIDED:
+            share = np.array(
+                [found["looked_at"]["shares"].get(name, 0.0) if found["looked_at"] else 0 for found in rows]
+            )
+            right.barh(places, share, left=start, label=name)
+            start += share
+        right.set_yticks([])
+        right.set_xlabel("share of voxels decided by boxes of")
+        right.legend(fontsize=7)
 
 
 def main() -> None:
@@ -175,18 +160,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--resolution", type=int, default=64, help="voxels along each axis")
-    parser.add_argument("--meshes", nargs="*", default=[], help="files of dirty meshes")
+    parser.add_argument("--meshes", nargs="*", help="names or files instead of all that are known here")
+    parser.add_argument("--zoo", type=Path, help="folder of foreign meshes, some of which are taken too")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     rows = []
-    for case in cases(given.meshes):
+    chosen = map(load_case, given.meshes) if given.meshes else itertools.chain(generated(), of_files(given.zoo))
+    for case in chosen:
         found = row(case, given.device, given.resolution, given.runs)
         stock = f", stock Warp {found['stock_warp_ms']:.0f}" if "stock_warp_ms" in found else ""
         print(
             f"{case.name}: {found['boundary_edges']} edges, {found['signed_ms']:.3g} ms, without signs "
             f"{found['unsigned_ms']:.3g} ({found['ratio']:.2f} times){stock}, wrong signs {found['wrong_signs']}, "
-            f"{found['looked_at']}",
+            f"{ {k: v for k, v in found['looked_at'].items() if k != 'shares'} }",
             flush=True,
         )
         rows.append(found)

@@ -52,7 +52,7 @@ wp.set_module_options({"enable_backward": False})
 # Boxes of 2^5 voxels along each edge, and so on; single voxels twice.
 BITS = (5, 4, 3, 2, 1, 0, 0)
 # The first boxes are the smallest ones of which there are no more than this; those of 2^3 are listed for what follows.
-MOST_FIRST, LISTED_BITS = 2048, 1
+MOST_FIRST, LISTED_BITS = 8192, 1
 LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
 # to look at one by one, and how many to add voxel by voxel: a GPU has a lane for each voxel, a CPU tries the eighths
@@ -66,11 +66,11 @@ MOST_DOUBT = 0.06
 LARGEST_SHARE = 0.249
 # What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
 LAST_ROUNDINGS, LAST_ROUNDING = 2.0e-6, 3.0e-7
-# Places of the counts: for each size, and for the sums over all edges, which box is next, and how many there are; how
-# many voxels were looked at by themselves, and got the sum over all edges.
+# Places of the counts: for each level, and for the sums over all edges, which box is next, and how many there are; how
+# many single voxels were looked at the first time and the second, and how many got the sum over all edges.
 NEXT, LENGTH, STRIDE = 0, 1, 2
-POINTS, EXACT = STRIDE * (len(BITS) + 1), STRIDE * (len(BITS) + 1) + 1
-COUNTS = EXACT + 1
+ALONE = STRIDE * (len(BITS) + 1)
+EXACT, COUNTS = ALONE + 2, ALONE + 3
 
 
 @wp.func
@@ -225,7 +225,7 @@ def _open_boxes(
                     octant = octant + lanes
             elif lane == 0:
                 if bits == 0:
-                    fetch_add(counts, POINTS, 1)
+                    fetch_add(counts, ALONE + level - LISTED_LEVEL, 1)
                 elif octants != 0:
                     left[fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)] = number
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)

@@ -62,9 +62,9 @@ def kind_of(edges: int, faces: int) -> MeshKind:
     return MeshKind.DIRTY if edges <= MOST_FOR_VOXELS else MeshKind.SOUP
 
 
-def closed_by_faces(edges: int, faces: int) -> bool:
+def closed_by_faces(kind: MeshKind, edges: int, faces: int) -> bool:
     """True if a mesh's faces, turned inside out, are fewer caps of its holes than triangles between their edges."""
-    return kind_of(edges, faces) is MeshKind.DIRTY and edges > faces
+    return kind is MeshKind.DIRTY and edges > faces
 
 
 class Sizes(NamedTuple):
@@ -95,7 +95,7 @@ class Sizes(NamedTuple):
         """Triangles of each mesh that close its holes."""
         if self.kind not in VISITING:
             return 0
-        return self.faces if closed_by_faces(self.edges, self.faces) else self.edges
+        return self.faces if closed_by_faces(self.kind, self.edges, self.faces) else self.edges
 
     @property
     def all_caps(self) -> int:
@@ -276,7 +276,7 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
     winding.boundary.count = sizes.edges if sizes.kind in VISITING else 0
     winding.caps.tree.count = sizes.caps
     winding.caps.tree.depth = cap_tree.depth_of_caps(sizes.caps)
-    winding.caps.are_faces = int(sizes.caps > 0 and closed_by_faces(sizes.edges, sizes.faces))
+    winding.caps.are_faces = int(closed_by_faces(sizes.kind, sizes.edges, sizes.faces))
     winding.kind = int(sizes.kind)
     return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
 
@@ -316,11 +316,10 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
     if edges is None:
         closed = pairing.unmatched.shape[0] == 0
         edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
-    count, triangles = edges.shape[0], faces.shape[0]
-    caps = edges
-    if closed_by_faces(count, triangles):
+    kind, caps = kind_of(edges.shape[0], faces.shape[0]), edges
+    if closed_by_faces(kind, edges.shape[0], faces.shape[0]):
         caps = turned_faces(faces)
-    elif kind_of(count, triangles) in VISITING:
+    elif kind in VISITING:
         caps = cap_triangles(edges)
     return MeshTopology(pairing.neighbours, edges, caps)
 

@@ -34,7 +34,7 @@ def cap_triangles(edges: Tensor) -> Tensor:
 
 def turned_faces(faces: Tensor) -> Tensor:
     """Faces (F,3) int32 inside out: they close any mesh, of which nothing is left then."""
-    return cached(_known_turned, faces, lambda: faces[:, [0, 2, 1]].contiguous())
+    return cached(_known_turned, faces, faces[:, [0, 2, 1]].contiguous)
 
 
 def caps_on_host(edges: np.ndarray) -> np.ndarray:

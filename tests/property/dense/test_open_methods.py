@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import sphere
+from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums
 from tests.helpers import strategies
 
@@ -91,6 +92,38 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, seed):
     fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
+
+
+@settings(max_examples=60)
+@given(mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), seed=strategies.seeds)
+def test_the_faces_themselves_for_caps(mesh, shape, turned, seed):
+    """As meshes with many boundary edges have them, if those are more than the faces."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+        patch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
+        index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
+        fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
+    sizes = index._structure.sizes
+    assert sizes.caps == min(sizes.edges, sizes.faces)
+    assert torch.equal(fast.values, slow.values)
+    assert fast.ambiguous_voxels == slow.ambiguous_voxels
+
+
+@settings(max_examples=40)
+@given(mesh=dirt, shape=st.tuples(*[st.integers(1, 20)] * 3), seed=strategies.seeds)
+def test_signs_are_those_of_the_sum_over_all_faces(mesh, shape, seed):
+    """In float64, where that is further than 1e-3 from what decides."""
+    grid = grid_about(mesh.vertices, shape, False, seed)
+    found = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu").signed_distance_map(grid)
+    winding = Brute(mesh.vertices, mesh.faces).winding_number(grid.points().reshape(-1, 3).numpy())
+    values, off = found.values.numpy().reshape(-1), np.abs(winding - 0.5)
+    # On the surface there is no sign.
+    size = np.abs(grid.points().numpy()).max() + np.abs(mesh.vertices).max()
+    away = np.abs(values) > 1e-5 * size
+    assert ((values < 0) == (winding > 0.5))[away & (off > 1e-3)].all()
+    near = np.count_nonzero(~away)
+    assert np.count_nonzero(off[away] < 0.25 - 1e-3) <= found.ambiguous_voxels
+    assert found.ambiguous_voxels <= np.count_nonzero(off[away] < 0.25 + 1e-3) + near
 
 
 @pytest.mark.parametrize("share", [0.03, 0.3])

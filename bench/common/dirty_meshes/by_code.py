@@ -60,7 +60,9 @@ def sheet(size: np.ndarray, steps: int = 4) -> Arrays:
     at = np.arange(steps * steps).reshape(steps, steps)
     a, b, c, d = at[:-1, :-1].ravel(), at[1:, :-1].ravel(), at[1:, 1:].ravel(), at[:-1, 1:].ravel()
     vertices = np.stack([size[0] * x, size[1] * y, 0 * x], -1).reshape(-1, 3)
-    return vertices.astype(np.float32), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    return vertices.astype(np.float32), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(
+        np.int32
+    )
 
 
 def sheets(count: int, seed: int = 0) -> Arrays:

@@ -1,0 +1,1 @@
+"""Dirty meshes that need no files."""
