@@ -23,12 +23,10 @@ from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
     BLOCKS_PER_SM,
     GPU_LANES,
-    ballot,
     bits_of_lanes,
     gpu_workers,
     sum_of_four,
     sum_of_lanes_in_double,
-    unknown,
     wait_for_lanes,
 )
 from sdm.kernels.primitives.shared_stacks import STACK, stack_of
