@@ -6,7 +6,8 @@ Two lists of closed shapes, no two alike: `alike`, 64 of about 20,000 triangles,
 evenly over the logarithm. Each is made into maps of `--resolution` voxels an axis around each mesh: by one call of
 `signed_distance_maps`, by a loop over `signed_distance_map`, and by a loop over stock Warp's query with either of its
 builders. Vertices and faces are on the device and were never seen before by the call that is timed. Ours counts
-everything; of stock the queries are timed alone, and with builds. The loops take `--some` of the meshes, evenly chosen.
+everything: `joint` is `--runs` calls in a row, `joint_one_call` one from an idle device on. Of stock the queries are
+timed alone, and with builds. The loops take `--some` of the meshes, evenly chosen.
 Before that all maps are compared: bit for bit with single calls, and at random voxels with a float64 brute force.
 """
 
@@ -24,7 +25,6 @@ import sdm
 from sdm.bench.common import json_file
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.figure import drawing
-from sdm.bench.common.grids import cube_around
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import Case, sphere, torus
 from sdm.bench.common.oracles.brute_force import Brute
@@ -54,6 +54,12 @@ def list_of(name: str, count: int, fewest: int, most: int) -> list[Case]:
     sizes = np.exp(np.linspace(np.log(fewest), np.log(most), count)).astype(int)
     order = np.random.default_rng(len(name)).permutation(count)
     return [warped(int(number), int(sizes[number])) for number in order]
+
+
+def around(case: Case, resolution: int) -> sdm.Grid:
+    """The cube of voxels around a shape, all of whose vertices count."""
+    corners = np.stack([case.vertices.min(0), case.vertices.max(0), case.vertices.min(0)])
+    return sdm.Grid.around((corners, [[0, 1, 2]]), resolution)
 
 
 def fresh(cases: Sequence[Case], device: str) -> list[sdm.TriangleMesh]:
@@ -99,14 +105,22 @@ def stock_rates(peer: StockWarp, cases: Sequence[Case], grids: Sequence[sdm.Grid
 
 def row(name: str, cases: list[Case], resolution: int, device: str, some: int, runs: int) -> dict[str, Any]:
     """The figures of one list."""
-    grids = [cube_around(case, resolution) for case in cases]
+    grids = [around(case, resolution) for case in cases]
     maps = sdm.signed_distance_maps(fresh(cases, device), grids, device=device)
     checked = check(cases, maps, device)
     del maps
-    joint = []
-    for _ in range(runs):
-        meshes = fresh(cases, device)
-        joint.append(seconds(lambda meshes=meshes: sdm.signed_distance_maps(meshes, grids, device=device), device))
+
+    def joint(calls: int) -> float:
+        """Maps a second of so many calls in a row, the device idle before the first and waited for after the last."""
+        lists = [fresh(cases, device) for _ in range(calls)]
+
+        def call() -> None:
+            for meshes in lists:
+                sdm.signed_distance_maps(meshes, grids, device=device)
+
+        return calls * len(cases) / seconds(call, device)
+
+    in_a_row, alone = joint(runs), max(joint(1) for _ in range(2))
     chosen = range(0, len(cases), max(1, len(cases) // some))
     few, few_grids = [cases[i] for i in chosen], [grids[i] for i in chosen]
     graphs.clear()
@@ -120,8 +134,8 @@ def row(name: str, cases: list[Case], resolution: int, device: str, some: int, r
         "meshes": len(cases),
         "triangles": int(sum(map(len, cases))),
         "resolution": resolution,
-        "joint": len(cases) / min(joint),
-        "joint_slowest": len(cases) / max(joint),
+        "joint": in_a_row,
+        "joint_one_call": alone,
         "single": len(few) / single,
         **checked,
     }
@@ -164,7 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--lists", nargs="*", default=list(LISTS), choices=list(LISTS))
     parser.add_argument("--scale", type=float, default=1.0, help="share of the meshes, and of their triangles")
     parser.add_argument("--some", type=int, default=100, help="meshes that the loops take")
-    parser.add_argument("--runs", type=int, default=3, help="calls of the whole list")
+    parser.add_argument("--runs", type=int, default=5, help="calls of the whole list in a row")
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args(arguments)
     rows = []

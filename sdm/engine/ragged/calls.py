@@ -18,12 +18,14 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.arguments import refuse_forward_mode
 from sdm.engine.map_check import quiet
+from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.boxes import with_known_boxes
 from sdm.engine.ragged.chunks import Load, bytes_for, in_chunks, voxels_of
 from sdm.engine.ragged.joint_maps import MapJob, ragged_maps
 from sdm.engine.ragged.lists import each_grid, each_points, in_pairs, numbered
-from sdm.engine.ragged.structure import build_ragged
+from sdm.engine.ragged.structure import RaggedBuild
 from sdm.engine.repeated_faces import CROWDED
+from sdm.kernels.dense.cost_model import search_is_faster
 from sdm.runtime.operators import is_eager
 
 # A map of more voxels fills a device by itself.
@@ -112,7 +114,7 @@ def distances_of(
         for some in alike.values():
             if len(some) > 1:
                 numbers, together = zip(*some, strict=True)
-                structure = build_ragged(together, [0] * len(together), numbers)
+                structure = RaggedBuild(together).finish(numbers)
                 built.update((number, partial(structure.of_mesh, place)) for place, number in enumerate(numbers))
         for number, mesh, at in chunk:
             own = built.get(number)
@@ -143,10 +145,16 @@ def _can_join(job: MapJob) -> bool:
     return (
         _is_plain(job.mesh)
         and math.prod(job.grid.shape) <= LARGEST_JOINED
-        and job.plan.method == "cells"
+        and not _is_searched(job)
         # A mesh of copies of few triangles.
         and (job.mesh.device.type == "cuda" or len(job.mesh) < CROWDED * job.mesh.vertices.shape[0])
     )
+
+
+def _is_searched(job: MapJob) -> bool:
+    """True for the plain path. Without a plan, as the device waits until there are jobs."""
+    gpu, method = job.mesh.device.type == "cuda", OPTIONS.get().method
+    return method == "search" or (method == "auto" and search_is_faster(len(job.mesh), job.grid.shape, gpu))
 
 
 def _is_plain(mesh: TriangleMesh) -> bool:

@@ -19,10 +19,11 @@ from torch import Tensor
 
 from sdm.core.grid import IDENTITY, Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import AccelerationStructure, KernelView
 from sdm.engine.ops import slab_view, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.chunks import voxels_of
-from sdm.engine.ragged.structure import RaggedStructure, build_ragged
+from sdm.engine.ragged.structure import RaggedBuild
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
 from sdm.kernels.bvh.tree import depth_for
@@ -71,25 +72,39 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
     Raises:
         MeshError: A face index out of range.
     """
+    # The device is at work on the build while the host plans what comes after.
+    build, options = RaggedBuild([job.mesh for job in jobs]), OPTIONS.get()
     plans = [job.plan for job in jobs]
-    numbers = [job.number for job in jobs]
-    structure = build_ragged([job.mesh for job in jobs], [plan.levels_left_out for plan in plans], numbers)
-    crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
-    thick = _with_thick_slices(jobs, structure) - crowded
-    together = [i for i in range(len(jobs)) if i not in thick | crowded]
-    device = structure.memory.device
-    sizes = [voxels_of(job.grid.shape) for job in jobs]
-    starts = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+    build.leave_out([plan.levels_left_out for plan in plans])
+    device = build.memory[0].device
+    starts = np.concatenate([[0], np.cumsum([voxels_of(job.grid.shape) for job in jobs])]).tolist()
     values = torch.empty(starts[-1], dtype=torch.float32, device=device)
     ambiguous = torch.zeros(len(jobs), dtype=torch.int32, device=device)
+    thick = _with_thick_slices(jobs, build.view)
+    groups = _groups(jobs, plans, set(range(len(jobs))) - thick)
+    rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
+    empty, surface = workspace(device), build.view
+    with on_current_stream(values, values, rows, *build.memory):
+        whole = as_warp(values, wp.float32)
+        # Whole numbers, which are those of closed meshes.
+        slab_winding(surface.tree, surface.winding, _slab(jobs, rows[0]), whole, empty, options.most_columns)
+    structure = build.finish([job.number for job in jobs])
     maps = [
         values[start : start + math.prod(job.grid.shape)].view(job.grid.shape)
         for start, job in zip(starts, jobs, strict=False)
     ]
-    if together:
-        groups = _groups(jobs, plans, together)
+    crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
+    if crowded:
+        thick -= crowded
+        groups = _groups(jobs, plans, set(range(len(jobs))) - thick - crowded)
         rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
-        _fill(jobs, structure, groups, rows, values, maps, ambiguous)
+    with on_current_stream(values, values, rows, *build.memory):
+        for i in structure.topologies.keys() - thick - crowded:
+            _fill_open(structure.of_mesh(i), jobs[i].grid, maps[i])
+        target = Target(whole, as_warp(ambiguous, wp.int32), None)
+        parts = [(_slab(jobs, table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
+        tree, _, frames, features, cones = surface
+        query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, values))
     for i in thick:
         own, unclear = structure_slab(structure.of_mesh(i), jobs[i].grid, 0, maps[i].shape[0])
         maps[i], ambiguous[i] = own[0], unclear[0]
@@ -99,12 +114,12 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
     return [None if i in crowded else pair for i, pair in enumerate(found)]
 
 
-def _with_thick_slices(jobs: Sequence[MapJob], structure: RaggedStructure) -> set[int]:
+def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:
     """The maps that are measured on finer grids, each by itself (`sdm.engine.thick_slices`)."""
-    if structure.memory.device.type != "cpu":
+    if jobs[0].mesh.device.type != "cpu":
         return set()
     factors = OPTIONS.get().slice_factors
-    scales = scales_of(structure.view.tree, len(jobs))
+    scales = scales_of(view.tree, len(jobs))
     return {
         i
         for i, (job, scale) in enumerate(zip(jobs, scales, strict=True))
@@ -112,10 +127,10 @@ def _with_thick_slices(jobs: Sequence[MapJob], structure: RaggedStructure) -> se
     }
 
 
-def _groups(jobs: Sequence[MapJob], plans: Sequence[Plan], together: Sequence[int]) -> list[tuple[list[int], Plan]]:
+def _groups(jobs: Sequence[MapJob], plans: Sequence[Plan], together: set[int]) -> list[tuple[list[int], Plan]]:
     """The maps whose plans agree where that decides about bits, and one plan for each such group."""
     alike: dict[tuple[int, ...], list[int]] = {}
-    for i in together:
+    for i in sorted(together):
         alike.setdefault((plans[i].cell, plans[i].region_shares, plans[i].cell_shares), []).append(i)
     memory = memory_of(wp.device_from_torch(jobs[0].mesh.device).alias)
     return [
@@ -128,7 +143,8 @@ def _slab_rows(
     jobs: Sequence[MapJob], plans: Sequence[Plan], starts: Sequence[int], groups: Sequence[tuple[list[int], Plan]]
 ) -> np.ndarray:
     """Rows of the slabs (groups, meshes, SLAB_ROW) float64: in each group's the other meshes have no regions."""
-    rows = np.zeros((len(groups), len(jobs), SLAB_ROW))
+    # One at least: all slabs in the count of voxels.
+    rows = np.zeros((max(1, len(groups)), len(jobs), SLAB_ROW))
     for i, job in enumerate(jobs):
         grid, row = job.grid, rows[:, i]
         row[:, ORIGIN : ORIGIN + 3] = grid.origin
@@ -139,7 +155,7 @@ def _slab_rows(
             row[:, AXES : AXES + 9] = [
                 d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)
             ]
-    for (group, _plan), table in zip(groups, rows, strict=True):
+    for (group, _plan), table in zip(groups, rows, strict=False):
         regions = np.zeros(len(jobs))
         regions[group] = [plans[i].total for i in group]
         table[1:, REGION] = np.cumsum(regions)[:-1]
@@ -156,27 +172,8 @@ def _slab(jobs: Sequence[MapJob], rows: Tensor) -> Any:
     return slab
 
 
-def _fill(
-    jobs: Sequence[MapJob],
-    structure: RaggedStructure,
-    groups: Sequence[tuple[list[int], Plan]],
-    rows: Tensor,
-    values: Tensor,
-    maps: Sequence[Tensor],
-    ambiguous: Tensor,
-) -> None:
-    """Queue the kernels of all groups' maps."""
-    empty, options, (tree, closed, frames, features, cones) = workspace(values.device), OPTIONS.get(), structure.view
-    target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), None)
-    with on_current_stream(values, structure.memory, structure.parts, rows):
-        slabs = [_slab(jobs, table) for table in rows]
-        slab_winding(tree, closed, slabs[0], target.values, empty, options.most_columns)
-        regions = {i for group, _ in groups for i in group}
-        for i in regions & structure.topologies.keys():
-            # Its whole numbers are not its winding numbers, which come in their place.
-            alone, grid = structure.of_mesh(i), jobs[i].grid
-            slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, tuple(x for row in grid.direction for x in row))
-            whole = as_warp(maps[i][None], wp.float32)
-            slab_winding(alone.view.tree, alone.view.winding, slab, whole, empty, options.most_columns)
-        parts = [(slab, plan) for slab, (_, plan) in zip(slabs, groups, strict=True)]
-        query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, values))
+def _fill_open(structure: AccelerationStructure, grid: Grid, values: Tensor) -> None:
+    """Queue the kernels that put the winding numbers of an open mesh in the place of whole ones."""
+    view, empty = structure.view, workspace(values.device)
+    slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, tuple(x for row in grid.direction for x in row))
+    slab_winding(view.tree, view.winding, slab, as_warp(values[None], wp.float32), empty, OPTIONS.get().most_columns)

@@ -29,7 +29,7 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.errors import MeshError
-from sdm.kernels.bvh.tree import PART_SIZE, coarser, depth_for
+from sdm.kernels.bvh.tree import LEFT_OUT, PART_SIZE, coarser, depth_for
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device
 from sdm.topology.boundary_edges import MeshTopology
@@ -104,46 +104,65 @@ class RaggedStructure:
         return AccelerationStructure.in_block(cast(Sizes, self.sizes[-1]), self.memory.device, self.memory).tensors
 
 
-def build_ragged(meshes: Sequence[TriangleMesh], left_out: Sequence[int], numbers: Sequence[int]) -> RaggedStructure:
-    """Build the structures of meshes on one device.
+class RaggedBuild:
+    """A build whose kernels are queued, while what the faces say about boundaries is on its way to the host.
 
     Args:
-        meshes: Any triangles.
-        left_out: Last levels of each tree that candidate lists do without.
-        numbers: The meshes' numbers, as errors call them.
+        meshes: Any triangles, on one device.
 
-    Raises:
-        MeshError: A face index out of range.
+    Attributes:
+        view: The arrays for kernels, as if all meshes were closed.
+        memory: The tensors that they are parts of.
     """
-    device, sizes = meshes[0].device, [JoinedSizes()]
-    rows, first_vertex = [], 0
-    for mesh, levels in zip(meshes, left_out, strict=True):
-        count, vertex_count, begin = len(mesh), mesh.vertices.shape[0], sizes[-1]
-        rows.append((begin.slots, count, depth_for(count), begin.nodes, levels, first_vertex, vertex_count))
-        sizes.append(begin.with_mesh(count))
-        first_vertex += vertex_count
-    table = to_device(torch.tensor(rows, dtype=torch.int32), device)
-    parts = table[:, :PART_SIZE].contiguous().view(-1)
-    vertices = torch.cat([mesh.vertices.detach() for mesh in meshes])
-    faces, out_of_range = _joined_faces(meshes, table, sizes[-1].slots)
-    # Typed for meshes that share faces, but only these attributes are looked at.
-    empty = AccelerationStructure.in_block(cast(Sizes, sizes[-1]), device)
-    tree = coarser(empty.view.tree, 0)
-    set_array(tree, "parts", as_warp(parts, wp.int32))
-    tree.meshes = len(meshes)
-    view = empty.view._replace(tree=tree)
-    bounds = torch.empty(6 * len(meshes), dtype=torch.float32, device=device)
-    under_way = PairingUnderWay(faces, first_vertex)
-    with on_current_stream(vertices, vertices, faces, parts):
-        # The kernels do not wait for what the faces say about the boundary.
-        fill_surface(view, vertices[None], faces, under_way.neighbours, as_warp(bounds, wp.float32))
-    pairing = under_way.finish()
-    # This was queued before the pairing was.
-    if bool(out_of_range):
-        _refuse_out_of_range(meshes, numbers)
-    return RaggedStructure(
-        list(meshes), sizes, empty.memory[0], parts, view, bounds, _open_topologies(meshes, rows, pairing)
-    )
+
+    def __init__(self, meshes: Sequence[TriangleMesh]) -> None:
+        device, self._meshes, self._sizes = meshes[0].device, list(meshes), [JoinedSizes()]
+        self._rows: list[tuple[int, ...]] = []
+        first_vertex = 0
+        for mesh in meshes:
+            count, vertex_count, begin = len(mesh), mesh.vertices.shape[0], self._sizes[-1]
+            self._rows.append((begin.slots, count, depth_for(count), begin.nodes, 0, first_vertex, vertex_count))
+            self._sizes.append(begin.with_mesh(count))
+            first_vertex += vertex_count
+        sizes = self._sizes[-1]
+        table = to_device(torch.tensor(self._rows, dtype=torch.int32), device)
+        vertices = torch.cat([mesh.vertices.detach() for mesh in meshes])
+        faces, self._out_of_range = _joined_faces(meshes, table, sizes.slots)
+        self._parts = table[:, :PART_SIZE].contiguous()
+        # Typed for meshes that share faces, but only these attributes are looked at.
+        empty = AccelerationStructure.in_block(cast(Sizes, sizes), device)
+        tree = coarser(empty.view.tree, 0)
+        set_array(tree, "parts", as_warp(self._parts.view(-1), wp.int32))
+        tree.meshes = len(meshes)
+        self.view = empty.view._replace(tree=tree)
+        self.memory = empty.memory[0], self._parts
+        self._bounds = torch.empty(6 * len(meshes), dtype=torch.float32, device=device)
+        self._pairing = PairingUnderWay(faces, first_vertex)
+        with on_current_stream(vertices, vertices, faces, self._parts):
+            # The kernels do not wait for what the faces say about the boundary.
+            bounds = as_warp(self._bounds, wp.float32)
+            fill_surface(self.view, vertices[None], faces, self._pairing.neighbours, bounds)
+
+    def leave_out(self, levels: Sequence[int]) -> None:
+        """Have candidate lists do without so many last levels of each tree."""
+        if any(levels):
+            self._parts[:, LEFT_OUT] = to_device(torch.tensor(levels, dtype=torch.int32), self._parts.device)
+
+    def finish(self, numbers: Sequence[int]) -> RaggedStructure:
+        """The structures, once the device has found the boundaries.
+
+        Args:
+            numbers: The meshes' numbers, as errors call them.
+
+        Raises:
+            MeshError: A face index out of range.
+        """
+        pairing = self._pairing.finish()
+        # This was queued before the pairing was.
+        if bool(self._out_of_range):
+            _refuse_out_of_range(self._meshes, numbers)
+        topologies = _open_topologies(self._meshes, self._rows, pairing)
+        return RaggedStructure(self._meshes, self._sizes, *self.memory, self.view, self._bounds, topologies)
 
 
 def _joined_faces(meshes: Sequence[TriangleMesh], table: Tensor, count: int) -> tuple[Tensor, Tensor]:
