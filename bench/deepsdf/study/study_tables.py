@@ -7,7 +7,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from sdm.bench.common.figure import COLOURS, OURS, drawing
+from sdm.bench.common.figure import COLOURS, OURS, drawing, log_axes, plain_ticks
 from sdm.bench.deepsdf.tables import rows_table
 from sdm.bench.segmentation.log_file import Log, LogFile
 from sdm.bench.studies.intervals import Values, difference, estimate
@@ -136,7 +136,7 @@ def picture(logs: LogFile, target: Path) -> None:
             ("half", "other_mm", "completion: the half not seen"),
         )
         for place, (task, measure, title) in enumerate(tasks):
-            own: Any = figure.add_axes((0.27 + 0.375 * place, 0.17, 0.34, 0.66))
+            own: Any = figure.add_axes((0.32 + 0.345 * place, 0.17, 0.315, 0.68))
             values = values_of(found, task)
             names = [n for n in NAMES if n in values_of(found, "unseen")][::-1]
             for at, name in enumerate(names):
@@ -146,11 +146,12 @@ def picture(logs: LogFile, target: Path) -> None:
                 cases = estimate_cases(of_measure(values[name], measure))
                 own.plot(cases, [at] * len(cases), "o", color=hue, alpha=0.4)
                 own.plot(statistics.fmean(cases), at, "|", color=hue, markersize=24, markeredgewidth=3)
-            own.set_xscale("log")
+            log_axes(own, y=False)
+            plain_ticks(own.xaxis)
             own.set_yticks(range(len(names)), [NAMES[n] for n in names] if place == 0 else [""] * len(names))
             own.set_ylim(-0.6, len(names) - 0.4)
             own.grid(visible=True, axis="x")
-            own.set_xlabel(f"mean distance [mm], {title}")
+            own.set_xlabel(title)
         figure.text(0.01, 0.93, "Left atria: a dot for each test shape, near twins apart", fontsize=16, weight="bold")
 
 
