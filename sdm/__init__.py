@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps, signed_distances
     from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.engine.mesh_index import MeshIndex
+    from sdm.engine.orient import orient_faces
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save, save_mesh
@@ -69,6 +70,7 @@ _HOMES = {
     "inspect_mesh": "inspect",
     "load": "io",
     "load_mesh": "io",
+    "orient_faces": "engine.orient",
     "save": "io",
     "save_mesh": "io",
     "signed_distance": "engine.api",
@@ -95,6 +97,7 @@ __all__ = [
     "inspect_mesh",
     "load",
     "load_mesh",
+    "orient_faces",
     "save",
     "save_mesh",
     "signed_distance",

@@ -44,21 +44,23 @@ class Walls:
 
 
 @wp.func
-def _closest(tree: Tree, p: wp.vec3d):
-    """The closest point of a tree's triangles, in the mesh's unit."""
+def _closest(tree: Tree, p: wp.vec3d, guess: int):
+    """The closest point of a tree's triangles, in the mesh's unit, and the slot that it is in."""
     scaled = tree.frame[SCALE] * p
-    near = wp.vec3(float(scaled[0]), float(scaled[1]), float(scaled[2]))
-    return tree.frame[UNSCALE] * exact_hit(tree, nearest_slot(tree, 0, near, 0), scaled).point
+    slot = nearest_slot(tree, 0, wp.vec3(float(scaled[0]), float(scaled[1]), float(scaled[2])), guess)
+    return tree.frame[UNSCALE] * exact_hit(tree, slot, scaled).point, slot
 
 
 @wp.func
-def _closest_of_both(walls: Walls, p: wp.vec3d):
-    found = _closest(walls.tree, p)
+def _closest_of_both(walls: Walls, p: wp.vec3d, guesses: wp.vec2i):
+    """The closest point of mesh and caps, and the slots of both, which are good guesses for a point nearby."""
+    found, slot = _closest(walls.tree, p, guesses[0])
+    cap = int(0)
     if walls.with_caps != 0:
-        other = _closest(walls.caps, p)
+        other, cap = _closest(walls.caps, p, guesses[1])
         if wp.length_sq(p - other) < wp.length_sq(p - found):
             found = other
-    return found
+    return found, wp.vec2i(slot, cap)
 
 
 @wp.func
@@ -106,7 +108,8 @@ def _climb(
     k = at % grid.shape[2]
     row = at / grid.shape[2]
     p = _centre(grid, row / grid.shape[1], row % grid.shape[1], k)
-    away = p - _closest_of_both(walls, p)
+    closest, slots = _closest_of_both(walls, p, wp.vec2i(0, 0))
+    away = p - closest
     distance = wp.length(away)
     scale = walls.tree.frame[SCALE]
     size = wp.max(wp.float64(1.0), scale * wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
@@ -123,7 +126,7 @@ def _climb(
         if rise < FLATTEST or step < SHORTEST * least:
             return at
         there = _rounded(p + (step / rise) * direction)
-        closest = _closest_of_both(walls, there)
+        closest, slots = _closest_of_both(walls, there, slots)
         found = wp.length(there - closest)
         if distance + found <= wp.length(there - p) + ROUNDING * size / scale:
             step = wp.float64(0.5) * step

@@ -81,7 +81,8 @@ def signed_distance_map(
         margin: Room around the mesh in that cube, as a share of the longest edge of the mesh's box; 0.05 by default.
         device: Where to compute; by default a GPU if there is one. The values stay there.
         orient: `"auto"` makes faces agree and turns parts that are inside out, see `sdm.inspect.orient_outward`;
-            `"keep"` takes every mesh as it is.
+            `"parts"` turns every patch of faces outward by what sees it from outside, see `sdm.orient_faces`; `"keep"`
+            takes every mesh as it is.
         sign: `"winding"`, the generalised winding number, which needs faces that agree; `"flood"`, inside is what a
             ball from outside cannot reach, whatever the faces say: for sheets and soups of triangles; `"none"`, no
             sign: distances of at least 0. `MeshReport.recommended_sign` recommends one.
@@ -125,7 +126,7 @@ def signed_distance_map(
         grid = as_grid(grid, mesh, resolution, margin)
     where = choose_device(device, mesh.vertices)
     method = SignMethod(sign, hole_size, compare_signs)
-    measured = oriented(mesh, orient)
+    measured = oriented(mesh, orient, where)
     mesh = measured.to(where)
     if return_closest:
         index = MeshIndex(mesh, where, warn=False)

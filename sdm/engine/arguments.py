@@ -12,10 +12,11 @@ from torch.autograd.forward_ad import unpack_dual
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.engine.orient import orient_faces
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
 
-Orient = Literal["keep", "auto"]
+Orient = Literal["keep", "auto", "parts"]
 Sign = Literal["winding", "flood", "none"]
 
 # Voxels that a gap is wide which a flood just passes, if nobody says otherwise.
@@ -67,10 +68,12 @@ class SignMethod:
 UNSIGNED = SignMethod("none")
 
 
-def oriented(mesh: TriangleMesh, orient: Orient) -> TriangleMesh:
-    """The mesh, turned outward if that is wanted."""
-    if orient not in ("keep", "auto"):
-        raise MeshError(f"orient is {orient!r}; use 'keep' or 'auto'")
+def oriented(mesh: TriangleMesh, orient: Orient, device: torch.device) -> TriangleMesh:
+    """The mesh, turned outward if that is wanted; what that takes is done on a device."""
+    if orient not in get_args(Orient):
+        raise MeshError(f"orient is {orient!r}; use 'keep', 'auto' or 'parts'")
+    if orient == "parts":
+        return orient_faces(mesh, device)
     return orient_outward(mesh) if orient == "auto" else mesh
 
 

@@ -18,9 +18,11 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import SDMWarning
-from sdm.inspect.placement import placement_problems
-from sdm.inspect.problems import NOTHING_INSIDE
+from sdm.inspect.placement import placement_problems, resolves
+from sdm.inspect.problems import FLOOD, NOTHING_INSIDE, PARTS
 from sdm.inspect.quick_look import look_at
+from sdm.inspect.recommendation import NEARLY_CLOSED
+from sdm.inspect.report import inspect_mesh
 from sdm.runtime.operators import is_eager
 
 NOTHING_SHUT_OFF = (
@@ -47,7 +49,21 @@ def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str |
     found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
     if found or inside_voxels:
         return found
-    return placement_problems(*mesh.bounds, grid)
+    return placement_problems(*mesh.bounds, grid) or _though_closed(mesh, grid)
+
+
+def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
+    """Said of a mesh of which nothing is inside although it has hardly a gap."""
+    if not resolves(*mesh.bounds, grid):
+        return []
+    shut = inspect_mesh(mesh).shut_area
+    if shut < NEARLY_CLOSED:
+        return []
+    text = (
+        f"nothing is inside although components that are closed, or open by little, make up {100 * shut:.3g} % of the "
+        f"area: they are thinner than the voxels, or faces face all ways; use a finer grid, {PARTS} or {FLOOD}"
+    )
+    return [text]
 
 
 class _Quiet(threading.local):

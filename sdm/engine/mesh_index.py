@@ -52,7 +52,8 @@ class MeshIndex:
         device: `"cuda"`, `"cuda:1"`, `"cpu"`; by default the mesh's own if that is a GPU, else a GPU if there is
             one, else the CPU.
         orient: `"auto"` makes faces agree and turns parts that are inside out, see `sdm.inspect.orient_outward`;
-            `"keep"` takes every mesh as it is.
+            `"parts"` turns every patch of faces outward by what sees it from outside, see `sdm.orient_faces`; `"keep"`
+            takes every mesh as it is.
         warn: Raise an `SDMWarning`, one at most, if a whole map is probably not what was meant.
 
     Raises:
@@ -74,7 +75,7 @@ class MeshIndex:
             mesh = as_mesh(mesh)
         refuse_forward_mode(mesh.vertices)
         self.device = choose_device(device, mesh.vertices)
-        self.mesh = oriented(mesh, orient).to(self.device)
+        self.mesh = oriented(mesh, orient, self.device).to(self.device)
         self._check = MapCheck() if warn else None
         self._edges = boundary_edges(self.mesh.vertices, self.mesh.faces)
         self._build()

@@ -56,6 +56,13 @@ def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray,
     return []
 
 
+def resolves(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> bool:
+    """True if a box of coordinates lies within a grid's outermost voxels, and is some voxels wide along every axis."""
+    begin, end = _in_voxels(low, high, grid)
+    within = (begin >= -0.5) & (end <= np.asarray(grid.shape) - 0.5) & (end - begin >= FEWEST_VOXELS)
+    return bool(within.all())
+
+
 def _where(meets: bool, grid: Grid) -> str:
     if meets:
         return "is a few voxels large at most"

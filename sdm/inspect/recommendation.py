@@ -9,13 +9,13 @@ from typing import Any
 NEARLY_CLOSED = 0.9
 
 
-def recommended_sign(facts: Mapping[str, Any], shut: float) -> tuple[str, str]:
+def recommended_sign(facts: Mapping[str, Any]) -> tuple[str, str]:
     """The `sign` of `sdm.signed_distance_map` that suits a mesh, and a sentence that says why.
 
     Args:
         facts: The fields of a `MeshReport`.
-        shut: The share of its area that belongs to components that are closed, or open by little.
     """
+    shut = facts["shut_area"]
     if facts["disagreeing_pairs"]:
         return "flood", (
             "faces disagree which side is out, so winding numbers mean little; a flood does not ask them "

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.inspect.agreement import agreeing_turns
 from sdm.inspect.components import components_of
 from sdm.inspect.degenerate import zero_area
 from sdm.inspect.duplicates import first_copies
@@ -43,10 +44,12 @@ class MeshReport:
         disagreeing_edges: Edges whose faces do not agree which side is out; of several copies of a face that face the
             same way one counts.
         disagreeing_pairs: Those of them with two faces, of which one is turned or the surface is one-sided.
+        turned_area: The share of the area that is turned against the rest of its patch, at most a half.
         nonmanifold_edges: Edges of three faces or more.
         nonmanifold_vertices: Vertices at which separate fans of faces meet.
         volume: Signed volume in cubic units, negative if inside out; None for meshes that are not closed.
         area: Total area in square units, repeated faces included.
+        shut_area: The share of the area that belongs to components that are closed, or open by little.
         recommended_sign: The `sign` of `sdm.signed_distance_map` that suits the mesh: "winding", "flood" or "none".
         recommendation: Why, in a sentence.
         problems: What deserves attention, in plain sentences; empty for a clean mesh.
@@ -69,10 +72,12 @@ class MeshReport:
     boundary_edges: int
     disagreeing_edges: int
     disagreeing_pairs: int
+    turned_area: float
     nonmanifold_edges: int
     nonmanifold_vertices: int
     volume: float | None
     area: float
+    shut_area: float
     recommended_sign: str
     recommendation: str
     problems: list[str]
@@ -133,11 +138,15 @@ def inspect_mesh(mesh: MeshLike) -> MeshReport:
         "boundary_edges": boundary,
         "disagreeing_edges": disagreeing,
         "disagreeing_pairs": int((single.disagreeing & (single.uses == 2)).sum()),
+        "turned_area": 0.0,
         "nonmanifold_edges": nonmanifold,
         "nonmanifold_vertices": edges.split_vertices,
         "volume": volume if closed else None,
         "area": float(components.area.sum()),
     }
-    shut = float(components.area[components.nearly_closed].sum() / (facts["area"] or 1.0))
-    facts["recommended_sign"], facts["recommendation"] = recommended_sign(facts, shut)
+    if facts["disagreeing_pairs"]:
+        area = np.linalg.norm(np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0]), axis=1)
+        facts["turned_area"] = float(area[agreeing_turns(merged, area)[0]].sum() / area.sum())
+    facts["shut_area"] = float(components.area[components.nearly_closed].sum() / (facts["area"] or 1.0))
+    facts["recommended_sign"], facts["recommendation"] = recommended_sign(facts)
     return MeshReport(**facts, problems=problems_of(facts, unjudged))

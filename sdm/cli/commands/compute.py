@@ -38,7 +38,7 @@ def compute(
     format: Annotated[  # noqa: A002
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
     ] = None,
-    orient: Literal["keep", "auto"] = "keep",
+    orient: Literal["keep", "auto", "parts"] = "keep",
     sign: Literal["winding", "flood", "none"] = "winding",
     hole_size: Annotated[
         float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
@@ -61,7 +61,8 @@ def compute(
         margin: Room around the mesh, as a share of the longest edge of its box.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
-        orient: auto makes faces agree and turns parts that are inside out; keep takes meshes as they are.
+        orient: auto makes faces agree and turns parts that are inside out; parts turns every patch of faces outward by
+            what sees it from outside; keep takes meshes as they are.
         sign: winding goes by the generalised winding number; flood calls inside what a ball from outside cannot reach,
             whichever way faces face; none writes unsigned distances. sdm inspect recommends one.
         hole_size: With --sign flood, the ball's diameter, in the mesh's unit after --scale: narrower gaps are closed.

@@ -15,11 +15,10 @@ from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.progress import FileProgress
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.arguments import Sign
+from sdm.engine.arguments import Orient, Sign, oriented
 from sdm.engine.map_check import doubts_about
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
-from sdm.inspect import orient_outward
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
 from sdm.io.maps.api import VoxelCounts, made_from
 from sdm.io.maps.record import digest_of
@@ -50,7 +49,7 @@ class Settings:
     like_image: Path | None
     margin: float
     device: torch.device
-    orient: Literal["keep", "auto"]
+    orient: Orient
     resume: bool
     sign: Sign = "winding"
     hole_size: float | None = None
@@ -102,7 +101,7 @@ def _compute(source: Path, target: Path, settings: Settings, progress: FileProgr
     check_target(target)
     mesh = _placed(load_mesh(source), settings)
     grid = settings.grid(mesh)
-    measured = orient_outward(mesh) if settings.orient == "auto" else mesh
+    measured = oriented(mesh, settings.orient, settings.device)
     how = "" if settings.sign == "winding" else f" {settings.sign} {settings.hole_size}"
     digest = digest_of(measured, how)
     if settings.resume and _finished(target, grid, digest):
