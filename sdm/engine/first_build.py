@@ -20,6 +20,7 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.runtime.torch_warp import as_warp, on_current_stream
+from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
 from sdm.topology.face_pairing import PairingUnderWay, remember
 
@@ -39,8 +40,12 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
     with on_current_stream(vertices, vertices, within):
         bounds = as_warp(room, wp.float32)
         fill_surface(closed.view, batch, within, under_way.neighbours, bounds)
-        remember(faces, count, under_way.finish())
-        topology = topology_for(vertices, faces)
+        pairing = under_way.finish()
+        remember(faces, count, pairing)
+        topology = guesses.topology_on_device(under_way, pairing, vertices, faces)
+        if topology is None:
+            topology = topology_for(vertices, faces)
+            guesses.remember(faces, count, topology.boundary)
         edges = topology.boundary.shape[0]
         if edges == 0:
             return closed, topology

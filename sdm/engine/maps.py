@@ -105,7 +105,6 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
         structure, topology = build_first(vertices, faces)
         found = structure_slab(structure, grid, 0, grid.shape[0])
         found = found if topology.boundary.shape[0] else found[:1]
-        guesses.remember(faces, count, topology.boundary)
         better = guesses.guess(faces, count)
         if kind is not None and topology.boundary.shape[0] == 0 and guesses.is_right(better, faces, count):
             # All its meshes, of whatever counts, share a recording.

@@ -17,7 +17,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 from sdm.kernels.topology.boundary_cycles import Walk, split_cycles
 from sdm.runtime.torch_warp import array_at
 from sdm.topology.boundary_edges import on_host
-from sdm.topology.face_pairing import cached
+from sdm.topology.face_pairing import Pairing, cached
 
 _known: WeakIdKeyDictionary = WeakIdKeyDictionary()
 _known_turned: WeakIdKeyDictionary = WeakIdKeyDictionary()
@@ -35,6 +35,12 @@ def cap_triangles(edges: Tensor) -> Tensor:
 def turned_faces(faces: Tensor) -> Tensor:
     """Faces (F,3) int32 inside out: they close any mesh, of which nothing is left then."""
     return cached(_known_turned, faces, faces[:, [0, 2, 1]].contiguous)
+
+
+def remember_joined(pairing: Pairing, edges: Tensor, caps: Tensor) -> None:
+    """Remember boundary edges and their caps, which were found on the device, as those of a pairing."""
+    pairing.edges = edges
+    cached(_known, edges, lambda: caps)
 
 
 def caps_on_host(edges: np.ndarray) -> np.ndarray:

@@ -131,12 +131,14 @@ class PairingUnderWay:
     Args:
         faces: (F,3) int32, contiguous.
         count: Number of vertices.
+
+    `found` and `neighbours` are those of `queue_pairing`.
     """
 
     def __init__(self, faces: Tensor, count: int) -> None:
         self._faces, self._count = faces, count
         flags, self._unmatched, self.neighbours = queue_pairing(faces, count)
-        self._flags, self._there = flags, None
+        self.found, self._flags, self._there = flags, flags, None
         if flags.is_cuda:
             self._flags = torch.empty(FLAGS, dtype=torch.int32, pin_memory=True)
             self._flags.copy_(flags, non_blocking=True)

@@ -14,10 +14,15 @@ from sdm.kernels.topology import boundary_loops
 from sdm.runtime.graphs import Verify
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.boundary_edges import MeshTopology, on_host
-from sdm.topology.face_pairing import pairing_of, queue_pairing
+from sdm.topology.cap_triangles import remember_joined
+from sdm.topology.face_pairing import Pairing, PairingUnderWay, pairing_of, queue_pairing
 
 # More unmatched edges are not compared with each other on the device; numbers of faces and vertices that are kept.
 MOST_GUESSED, MOST_KEPT = 1 << 10, 64
+
+
+# Devices that join a mesh's unmatched edges themselves: a CPU's host does it in less time.
+JOINING_DEVICES = ("cuda",)
 
 
 class Guess(NamedTuple):
@@ -46,16 +51,19 @@ def is_hopeless(faces: Tensor, count: int) -> bool:
     return _last_open.get((faces.shape[0], count), CLOSED) is None
 
 
-def remember(faces: Tensor, count: int, edges: Tensor) -> None:
-    """Remember the boundary `edges` (E,2) that faces turned out to have, for the next guess."""
+def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> None:
+    """Remember the boundary `edges` (E,2) that faces turned out to have, for the next guess.
+
+    If they are `simple`, one is known to begin at each vertex; else that is looked at on the host.
+    """
     unmatched = pairing_of(faces, count).unmatched.shape[0]
     key = faces.shape[0], count
     _last_open.pop(key, None)
     if unmatched == 0:
         return
     # Loops that meet are not followed on the device.
-    possible = unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0]))
-    _last_open[key] = Guess(unmatched, edges.shape[0]) if possible else None
+    simple = simple or (unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0])))
+    _last_open[key] = Guess(unmatched, edges.shape[0]) if simple else None
     while len(_last_open) > MOST_KEPT:
         _last_open.popitem(last=False)
 
@@ -79,6 +87,25 @@ def queue_guessed(guessed: Guess, vertices: Tensor, faces: Tensor, verify: Verif
     verify(flags)
     last = vertices.shape[0] - 1
     return MeshTopology(neighbours, edges.clamp(0, last), caps.clamp(0, last))
+
+
+def topology_on_device(
+    under_way: PairingUnderWay, pairing: Pairing, vertices: Tensor, faces: Tensor
+) -> MeshTopology | None:
+    """The topology of one open mesh (V,3) whose faces were just paired, found on the device: waits for it once.
+
+    None if that does not serve: for many unmatched edges, vertices at equal positions, loops that meet.
+    """
+    unmatched = pairing.unmatched.shape[0]
+    if not 0 < unmatched <= MOST_GUESSED or vertices.device.type not in JOINING_DEVICES:
+        return None
+    numbers = Guess(unmatched, unmatched)
+    flags, edges, caps = queue_joining(pairing.unmatched, under_way.found, vertices[None], numbers)
+    if any(flags.tolist()):
+        return None
+    remember_joined(pairing, edges, caps)
+    remember(faces, vertices.shape[0], edges, simple=True)
+    return MeshTopology(pairing.neighbours, edges, caps)
 
 
 def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: Guess) -> tuple[Tensor, Tensor, Tensor]:

@@ -12,6 +12,8 @@ from sdm.engine.acceleration import build
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import structure_slab
 from sdm.errors import MeshError
+from sdm.topology import guesses
+from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import is_known
 
 
@@ -46,3 +48,26 @@ def test_too_many_triangles():
     batch = vertices[None].expand(10_000_000, -1, -1)
     with pytest.raises(MeshError, match="10,000,000 meshes of 12 triangles are more than the 100,000,000"):
         build(batch, faces)
+
+
+@pytest.mark.parametrize("name", ["open hemisphere", "moebius strip", "random soup", "unmerged sphere", "three sheets"])
+def test_a_boundary_joined_on_the_device(monkeypatch, name):
+    """As a GPU does it, for simple loops; whatever else there is goes the way of the host."""
+    case = load_case(name)
+    vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
+    expected, topology = build_first(vertices, faces.clone())
+    monkeypatch.setattr(guesses, "JOINING_DEVICES", ("cpu",))
+    joined = []
+    plain = guesses.remember_joined
+    monkeypatch.setattr(guesses, "remember_joined", lambda *given: joined.append(1) or plain(*given))
+    found, ours = build_first(vertices, faces)
+    assert bool(joined) == (name == "open hemisphere")
+    assert found.sizes == expected.sizes
+    assert torch.equal(ours.boundary, topology.boundary)
+    if name != "random soup":
+        assert torch.equal(ours.caps, topology.caps)
+    grid = sdm.Grid([-1.1] * 3, [0.2] * 3, [12] * 3)
+    for one, other in zip(structure_slab(found, grid, 0, 12), structure_slab(expected, grid, 0, 12), strict=True):
+        assert torch.equal(one, other)
+    # The next call about the same faces finds the same boundary.
+    assert torch.equal(boundary_edges(vertices, faces), topology.boundary)
