@@ -5,9 +5,9 @@
 Each mesh is made `--variants` times with other counts, by new vertices in the middle of some of its faces. A first call
 is the first with such counts, the device idle before it, kernels loaded, vertices and faces on the device; a repeated
 one has other vertices and faces in memory of their own, of counts seen often. Three meshes of other counts come before
-those that are timed: their median is `cold_ms`, calls that no recording serves yet. A row tells milliseconds of both by CUDA
-events around the call, structure and topology counted, and microseconds until the call returns to the host. Two maps of
-each mesh, from a first and from a repeated call, have to be equal bit for bit.
+those that are timed: their median is `cold_ms`, calls that no recording serves yet. A row tells milliseconds of both by
+CUDA events around the call, structure and topology counted, and microseconds until the call returns to the host. Two
+maps of each mesh, from a first and from a repeated call, have to be equal bit for bit.
 """
 
 from __future__ import annotations
