@@ -38,7 +38,9 @@ from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
 from sdm.bench.studies.rate_search import best_rate
 from sdm.segmentation import Settings, TrainedModel, Training, cell, load_model, save_model, scores_of, table, train
 
-LOGS = LogFile(results_folder() / "segmentation_juhl.jsonl")
+LOGS = LogFile(results_folder() / "segmentation_juhl_rates.jsonl")
+# Five seeds at one rate, longer trainings of larger networks, made before the families' shapes were independent.
+ONE_RATE = LogFile(results_folder() / "segmentation_juhl.jsonl")
 COLUMNS = ("dice", "contour_dice", "average_surface_distance_mm", "rms_surface_distance_mm")
 # Network -> its target; None: the label.
 NETWORKS: dict[str, str | None] = {"pwc-ce": None, "pwc": None, **{f"pwr-{target}": target for target in TARGETS}}
@@ -71,7 +73,7 @@ def main() -> None:
             options.steps = known_steps(options.logs) or fit(options, few, on)
         task = partial(work, logs=options.logs)
         run_jobs(jobs(options), task, options.logs, options.work, budget_s=options.budget_s, on=on)
-    print(table_of(options.logs))
+    print(tables_of(options.logs))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -246,6 +248,25 @@ def score(prediction: Tensor, truth: Tensor) -> dict[str, float | bool]:
         box.append(slice(max(0, int(index.min()) - ROOM), int(index.max()) + ROOM + 1))
     inner = (box[0], box[1], box[2])
     return scores_of(prediction[inner], truth[inner], (1.0, 1.0, 1.0))
+
+
+def tables_of(logs: LogFile) -> str:
+    """The search for the rates, if there was one, and the table."""
+    found = rates_table(logs)
+    return f"{found}\n\n{table_of(logs)}" if found else table_of(logs)
+
+
+def rates_table(logs: LogFile) -> str:
+    """Dice of the validation shapes, linearly enlarged, for each network and rate; the highest in bold."""
+    own = {name: {r: f"{100 * (1 - e):.2f}" for r, e in rates_of(logs, name).items()} for name in NETWORKS}
+    rates = sorted({rate for row in own.values() for rate in row})
+    lines = ["| Dice of validation shapes [%] |" + "".join(f" rate {rate:g} |" for rate in rates)]
+    lines.append("|---|" + "---|" * len(rates))
+    for name, row in own.items():
+        best = max(row.values(), key=float, default="")
+        cells = [f"**{row[r]}**" if row.get(r) == best else row.get(r, "-") for r in rates]
+        lines += [f"| `{name}` | {' | '.join(cells)} |"] if row else []
+    return "\n".join(lines) if rates else ""
 
 
 def table_of(logs: LogFile) -> str:

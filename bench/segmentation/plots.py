@@ -33,7 +33,7 @@ HUES = ("#777777", COLOURS["Warp winding number"], COLOURS["libigl winding numbe
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ma", type=log_file, default=ma.LOGS)
-    parser.add_argument("--juhl", type=log_file, default=juhl.LOGS)
+    parser.add_argument("--juhl", type=log_file, default=juhl.ONE_RATE)
     parser.add_argument("--whole", type=log_file, default=WHOLE)
     parser.add_argument("--out", type=Path, default=docs_folder())
     options = parser.parse_args()

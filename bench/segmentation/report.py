@@ -40,18 +40,21 @@ Values = dict[str, dict[str, float]]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ma", type=log_file, default=segmentation_ma.LOGS)
-    parser.add_argument("--juhl", type=log_file, default=segmentation_juhl.LOGS)
+    parser.add_argument("--juhl", type=log_file, default=segmentation_juhl.ONE_RATE)
+    parser.add_argument("--juhl-rates", type=log_file, default=segmentation_juhl.LOGS)
     parser.add_argument("--whole", type=log_file, default=WHOLE)
     parser.add_argument("--trials", type=log_file, default=TRIALS)
     parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT}")
     options = parser.parse_args()
-    text = page(options.ma, options.juhl, options.trials, options.whole)
+    text = page(options.ma, options.juhl, options.trials, options.whole, options.juhl_rates)
     print(text)
     if options.out is not None:
         put(options.out, text + "\n")
 
 
-def page(ma: LogFile, juhl: LogFile, trials: LogFile, whole: LogFile | None = None) -> str:
+def page(
+    ma: LogFile, juhl: LogFile, trials: LogFile, whole: LogFile | None = None, rates: LogFile | None = None
+) -> str:
     """The page in Markdown."""
     logs, shape_logs = ma.trainings(), juhl.trainings()
     further = {} if whole is None else {whole.name: whole}
@@ -74,6 +77,14 @@ def page(ma: LogFile, juhl: LogFile, trials: LogFile, whole: LogFile | None = No
         parts += [protocol(shape_logs), "", "Mean (sd) over test shapes and seeds; seeds in brackets:", ""]
         parts += [segmentation_juhl.table_of(juhl), ""]
         parts += ["Published: PWC 92.38, 68.49, 1.573, 1.947; PWR 97.08, 87.69, 0.714, 1.018.", ""]
+    if rates is not None and (searched := rates.trainings()):
+        parts += ["### Rates searched for each network, independent test shapes, cross-entropy alone too", ""]
+        parts += [
+            protocol(searched, rate="a rate of its own for each network"),
+            "",
+            segmentation_juhl.tables_of(rates),
+            "",
+        ]
     return "\n".join(parts).rstrip()
 
 
@@ -142,7 +153,7 @@ def ensembles(main: LogFile, logs: Logs, further: Mapping[str, LogFile], trials:
     return [line for title, found in parts.items() if found for line in (title, "", found, "")]
 
 
-def protocol(logs: Logs) -> str:
+def protocol(logs: Logs, rate: str = "") -> str:
     """Settings that all logs have in common, in a sentence."""
     settings = logs[0]["job"]["settings"]
     machines = sorted({log["machine"]["device"] for log in logs})
@@ -158,8 +169,9 @@ def protocol(logs: Logs) -> str:
     coarse = f" of voxels {factor} times as large" if (factor := settings.get("coarsen", 1)) != 1 else ""
     return (
         f"{settings['architecture']}, patches {patch}{coarse}, batch {settings['batch']}, {settings['steps']} steps of "
-        f"{settings['optimizer']} at {settings['learning_rate']:g}, augmentation {settings['augment']}, maps of the "
-        f"{settings['targets']}{told}{mirrors}; a training took {seconds:.0f} s (median; several may share a GPU) on "
+        f"{settings['optimizer']} at {rate or format(settings['learning_rate'], 'g')}, "
+        f"augmentation {settings['augment']}, maps of the {settings['targets']}{told}"
+        f"{mirrors}; a training took {seconds:.0f} s (median; several may share a GPU) on "
         f"{', '.join(machines)}."
     )
 

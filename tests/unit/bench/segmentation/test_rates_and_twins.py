@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sdm.bench.segmentation import ensembles, juhl, juhl_shapes
+from sdm.bench.segmentation import ensembles, juhl, juhl_shapes, report
 from sdm.bench.segmentation.juhl_shapes import shapes
 from sdm.bench.segmentation.log_file import LogFile
 from tests.helpers.segmentation_cases import volume, write_hdf5
@@ -45,7 +45,10 @@ def test_rates_are_chosen_by_the_validation_shapes_of_each_network(tmp_path):
         assert "validation" not in by_name[f"pwc-ce-{seed}"]
     assert by_name["pwc-ce-0"]["losses"] == by_name[f"pwc-ce-rate-{best:g}"]["losses"]
     assert "linear" not in by_name["pwc-ce-rate-0.01"]
-    assert "PWC (CE), nearest (as published) (2)" in juhl.table_of(logs)
+    text = juhl.tables_of(logs)
+    assert "PWC (CE), nearest (as published) (2)" in text
+    assert f"**{100 * (1 - errors[best]):.2f}**" in text
+    assert "a rate of its own for each network" in report.page(*[LogFile(tmp_path / "none.jsonl")] * 3, rates=logs)
 
 
 def test_the_parts_of_the_shapes_have_no_shape_in_common():
