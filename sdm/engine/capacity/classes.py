@@ -68,6 +68,7 @@ class PairSizes(NamedTuple):
     visited_edges: int = 0
     cap_nodes: int = 0
     dipole_nodes: int = 0
+    caps: int = 0
     all_caps: int = 0
     kind: MeshKind = MeshKind.CLOSED
 
