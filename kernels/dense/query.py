@@ -52,6 +52,7 @@ class Target(NamedTuple):
     address: wp.array | None
     # (meshes * n * ny * nz,) int32: what each distance is from, see `dense.block.winners`; the plan then has no splits.
     winners: wp.array | None = None
+    searched: wp.array | None = None  # (1,) int32, zero; with winners: 1 if there are any of searched triangles
 
 
 def query_slab(
@@ -97,6 +98,7 @@ def output_of(target: Target, empty: Callable[[int, Any], wp.array]) -> Any:
     set_array(out, "ambiguous", target.ambiguous)
     set_array(out, "address", empty(1, wp.int64) if target.address is None else target.address)
     set_array(out, "winners", empty(0, wp.int32) if target.winners is None else target.winners)
+    set_array(out, "searched", empty(0, wp.int32) if target.searched is None else target.searched)
     return out
 
 

@@ -45,6 +45,7 @@ def note_searched(out: Output, index: int, slot: int):
     """Note that a voxel's distance is from the triangle in a slot, if that is wanted."""
     if out.winners.shape[0] > 0:
         out.winners[index] = 8 * slot + SEARCHED
+        out.searched[0] = 1
 
 
 @wp.kernel

@@ -192,6 +192,7 @@ class Output:
     missed: wp.array(dtype=wp.int32)  # (1) voxels that were given an infinite distance, to be searched for later
     # Of each voxel what its distance is from, see `dense.block.winners`; without elements if nobody wants to know.
     winners: wp.array(dtype=wp.int32)
+    searched: wp.array(dtype=wp.int32)  # (1) with winners: 1 if there are any of searched triangles
 
 
 @wp.func_native(

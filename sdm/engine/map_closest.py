@@ -17,7 +17,7 @@ from sdm.engine.maps import LARGEST_SLAB, is_recordable, slabs_of
 from sdm.engine.ops import slab_view, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
-from sdm.kernels.closest.closest_voxels import Surroundings, name_voxels
+from sdm.kernels.closest.closest_voxels import Surroundings, look_around, name_voxels
 from sdm.kernels.closest.hits import Hits
 from sdm.kernels.dense import query as dense
 from sdm.kernels.dense.cost_model import NO_SPLITS
@@ -46,10 +46,10 @@ class ClosestMap(NamedTuple):
 
 def closest_map(mesh: TriangleMesh, structure: AccelerationStructure, grid: Grid) -> ClosestMap:
     """The map of a mesh whose structure is built, with closest points; no gradients."""
-    vertices, faces = mesh.vertices.detach().contiguous(), mesh.faces.contiguous()
-    inputs = vertices, faces, neighbours(faces, vertices.shape[0])
+    faces = mesh.faces.contiguous()
+    inputs = faces, neighbours(faces, mesh.vertices.shape[0])
     if is_recordable(mesh.vertices, VOXEL_BYTES // 4 * grid.nbytes + structure.nbytes):
-        key = "closest", vertices.shape, structure.sizes, grid, OPTIONS.get()
+        key = "closest", structure.sizes, grid, OPTIONS.get()
         call = Call(key, partial(_queue_recordable, structure.sizes, grid), (*structure.memory, *inputs))
         return ClosestMap(*graphs.run(call))
     found = _queue(structure, grid, *inputs)
@@ -69,12 +69,12 @@ def _is_refined(structure: AccelerationStructure, grid: Grid) -> bool:
 
 
 def _queue_recordable(
-    sizes: Sizes, grid: Grid, verify: Verify, block: Tensor, vertices: Tensor, faces: Tensor, around: Tensor
+    sizes: Sizes, grid: Grid, verify: Verify, block: Tensor, faces: Tensor, around: Tensor
 ) -> ClosestMap:
-    return _queue(AccelerationStructure.over(block, sizes), grid, vertices, faces, around)
+    return _queue(AccelerationStructure.in_block(sizes, block.device, block), grid, faces, around)
 
 
-def _queue(structure: AccelerationStructure, grid: Grid, vertices: Tensor, faces: Tensor, around: Tensor) -> ClosestMap:
+def _queue(structure: AccelerationStructure, grid: Grid, faces: Tensor, around: Tensor) -> ClosestMap:
     device = structure.device
     found = ClosestMap(
         torch.empty(grid.shape, dtype=torch.float32, device=device),
@@ -83,12 +83,14 @@ def _queue(structure: AccelerationStructure, grid: Grid, vertices: Tensor, faces
         torch.empty(grid.shape, dtype=torch.int32, device=device),
         torch.empty((*grid.shape, 3), dtype=torch.float32, device=device),
     )
-    with on_current_stream(vertices, structure.memory[0], vertices, faces, around) as warp_device:
+    with on_current_stream(faces, structure.memory[0], faces, around) as warp_device:
         memory = memory_of(warp_device.alias)
+        rows = torch.empty_like(around)
+        normals = torch.empty(4 * faces.shape[0], dtype=torch.float32, device=device)
         meeting: Any = Surroundings()
-        set_array(meeting, "vertices", as_warp(vertices, wp.vec3))
-        set_array(meeting, "faces", as_warp(faces, wp.int32))
-        set_array(meeting, "neighbours", as_warp(around, wp.int32))
+        set_array(meeting, "rows", as_warp(rows, wp.int32))
+        set_array(meeting, "normals", as_warp(normals, wp.float32))
+        look_around(structure.view.tree, as_warp(faces, wp.int32), as_warp(around, wp.int32), meeting)
         for begin, end in slabs_of(grid, LARGEST_SLAB):
             _queue_slab(structure, grid, begin, end, meeting, memory, found)
     return found
@@ -114,6 +116,8 @@ def _queue_slab(
     set_array(hits, "faces", as_warp(found.faces[begin:end].reshape(-1), wp.int32))
     set_array(hits, "barycentric", as_warp(found.barycentric[begin:end].reshape(-1, 3), wp.vec3))
     slot = current_slot()
+    searched = torch.zeros(1, dtype=torch.int32, device=values.device)
+    plan = make_plan(work, memory, replace(OPTIONS.get(), split_length=NO_SPLITS))
     dense.query_slab(
         dense.Surface(tree, frames, features, cones),
         winding,
@@ -123,9 +127,10 @@ def _queue_slab(
             as_warp(found.ambiguous, wp.int32),
             None if slot is None else as_warp(slot.bind(values), wp.int64),
             hits.faces,
+            as_warp(searched, wp.int32),
         ),
-        make_plan(work, memory, replace(OPTIONS.get(), split_length=NO_SPLITS)),
+        plan,
         workspace(values.device),
         partial(kernels_beside, values),
     )
-    name_voxels(tree, slab, meeting, hits)
+    name_voxels(tree, slab, meeting, hits, as_warp(searched, wp.int32))

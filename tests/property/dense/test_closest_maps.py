@@ -9,11 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.map_closest
 from sdm.bench.common.grids import turned_around
 from sdm.bench.common.meshes import Case, generated_names, load_case
 from sdm.bench.common.oracles.brute_force import Brute
+from sdm.engine import map_closest
 from sdm.engine.plan_override import plan_override
+from sdm.runtime.graphs import unverified
+from sdm.topology.face_pairing import neighbours
 from tests.helpers import strategies
 from tests.helpers.exactness import ROUNDING, scale_of
 
@@ -128,9 +130,23 @@ def test_slabs_make_a_whole(monkeypatch):
     grid = sdm.Grid.around(sdm.TriangleMesh(case.vertices, case.faces), (70, 9, 11))
     index = sdm.MeshIndex((case.vertices, case.faces), "cpu")
     field, whole = index.signed_distance_map(grid, return_closest=True)
-    monkeypatch.setattr(sdm.engine.map_closest, "LARGEST_SLAB", 1)
+    monkeypatch.setattr(map_closest, "LARGEST_SLAB", 1)
     again, parts = index.signed_distance_map(grid, return_closest=True)
     assert torch.equal(field.values, again.values)
     assert torch.equal(whole.faces, parts.faces)
     assert torch.equal(whole.points, parts.points)
     assert torch.equal(whole.barycentric, parts.barycentric)
+
+
+def test_what_is_recorded_does_the_same():
+    """On a GPU the work is queued from the structure's memory alone; here it is done once in that way."""
+    case = load_case("open hemisphere")
+    mesh = sdm.TriangleMesh(case.vertices, case.faces)
+    index = sdm.MeshIndex(mesh, "cpu", warn=False)
+    grid = sdm.Grid.around(mesh, (17, 12, 14))
+    found = map_closest.closest_map(index.mesh, index._structure, grid)
+    around = neighbours(mesh.faces, mesh.vertices.shape[0])
+    (block,) = index._structure.memory
+    again = map_closest._queue_recordable(index._structure.sizes, grid, unverified, block, mesh.faces, around)
+    for one, other in zip(found, again, strict=True):
+        assert torch.equal(one, other)
