@@ -133,7 +133,9 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
 
 
 def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | None, options: PlanOptions) -> Plan:
-    """One plan for meshes that differ, whose own plans agree in cells and shares, so that all values stay the same.
+    """One plan for meshes that differ, whose own plans agree in cells, so that all values stay the same.
+
+    Their shares are theirs; there is room for as many as the one with most has.
 
     Args:
         works: Of each mesh alone.
@@ -142,8 +144,9 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         options: Those of the plans.
     """
     expected = 0.0
+    region_shares, cell_shares = max(plan.region_shares for plan in plans), max(plan.cell_shares for plan in plans)
     for work, plan in zip(works, plans, strict=True):
-        entries = expected_entries(work.triangles, work.shape, plan.cell, plan.region_shares, plan.cell_shares)
+        entries = expected_entries(work.triangles, work.shape, plan.cell, region_shares, cell_shares)
         expected += plan.total * entries * uneven_room(work.spacing, work.turned)
     total = sum(plan.total for plan in plans)
     split_length = NO_SPLITS
@@ -159,6 +162,8 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
     return replace(
         plans[0],
         regions=(0, 0, 0),
+        region_shares=region_shares,
+        cell_shares=cell_shares,
         total=total,
         passes=passes,
         most=most,

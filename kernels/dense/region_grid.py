@@ -61,6 +61,15 @@ def region_start(slab: Slab, grid: RegionGrid, item: int):
 
 
 @wp.func
+def own_shares(slab: Slab, mesh: int, entry: int, shares: int):
+    """Shares that a mesh's lists are made in, of as many as there is room for; `entry`: of regions' or cells'."""
+    own = shares
+    if slab.meshes > 0:
+        own = int(slab.rows[mesh * SLAB_ROW + entry])
+    return own
+
+
+@wp.func
 def cell_start(grid: RegionGrid, start: wp.vec3i, item: int):
     """The first voxel of cell `item` % 8 of a region that starts there."""
     return start + grid.cell * octant_at(item)

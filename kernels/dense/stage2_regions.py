@@ -14,9 +14,9 @@ from sdm.kernels.culling.witness_bound import read_witness
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CandidateLists, Chain, ChunkPool, append
 from sdm.kernels.dense.counters import NEXT_REGION
-from sdm.kernels.dense.region_grid import RegionGrid, make_cell, region_start
+from sdm.kernels.dense.region_grid import RegionGrid, make_cell, own_shares, region_start
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
-from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.geometry.voxel_grid import REGION_SHARES, Slab
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import ballot, members, rank, wait_for_lanes
@@ -48,9 +48,6 @@ def _list_regions(
     thread = begin + wp.tid()
     lane = thread % lanes
     stack = stack_of(stacks, thread / lanes)
-    # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what their
-    # parents' tests would drop, their own do too. Either lie side by side in memory.
-    fan = wp.where(regions.shares > MOST_WITH_GRANDCHILDREN, 2, 4)
     item = fetch_add_once(pool.counters, NEXT_REGION, 1, lane)
     while item < grid.count * regions.shares:
         region = item / regions.shares
@@ -63,10 +60,16 @@ def _list_regions(
         known = read_witness(cache.witnesses, region)
         chain = Chain()
         chain.chunk = item
+        shares = own_shares(slab, mesh, REGION_SHARES, regions.shares)
+        share = item % regions.shares
+        # So many lanes for a node: for its children, or where few groups share a list for its grandchildren, as what
+        # their parents' tests would drop, their own do too. Either lie side by side in memory.
+        fan = wp.where(shares > MOST_WITH_GRANDCHILDREN, 2, 4)
         # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
-        top = wp.min(lanes * regions.shares, leaves)
-        first = top * (item % regions.shares) / regions.shares
-        waiting = top * (item % regions.shares + 1) / regions.shares - first
+        top = wp.min(lanes * shares, leaves)
+        first = top * share / shares
+        # Beyond the mesh's own shares there is nothing to do.
+        waiting = wp.where(share < shares, top * (share + 1) / shares - first, 0)
         ripe = int(0)
         if lane < waiting:
             if top < leaves:

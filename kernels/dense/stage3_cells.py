@@ -25,10 +25,10 @@ from sdm.kernels.dense.chunk_pool import (
     start_reading,
 )
 from sdm.kernels.dense.counters import NEXT_CELL
-from sdm.kernels.dense.region_grid import RegionGrid
+from sdm.kernels.dense.region_grid import RegionGrid, own_shares
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab, slab_of
+from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION_SHARES, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 
@@ -58,9 +58,13 @@ def _list_cells(
     while item < 8 * grid.count * cells.shares:
         number = item / cells.shares
         place = cached_box(cache, number)
-        # The chains of its region that are this share's.
-        chains = regions.shares / cells.shares
-        first = (number / 8) * regions.shares + (item % cells.shares) * chains
+        # The chains of its region that are this share's; none beyond the mesh's own shares.
+        share = item % cells.shares
+        shares = own_shares(slab, place.mesh, CELL_SHARES, cells.shares)
+        chains = own_shares(slab, place.mesh, REGION_SHARES, regions.shares) / shares
+        first = (number / 8) * regions.shares + share * chains
+        if share >= shares:
+            chains = 0
         if is_within(slab_of(slab, place.mesh), place.start):
             mesh = place.mesh
             # Read again wherever it is needed, as registers are few.

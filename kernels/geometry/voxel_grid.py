@@ -11,8 +11,9 @@ SEARCHED = 7
 
 
 # Entries of a slab's row, where each mesh of a batch has a grid of its own: origin, spacing, axes, the slab's shape,
-# its first layer, and its first voxel and first region in the count of all.
-ORIGIN, SPACING, AXES, SHAPE, LAYER, VOXEL, REGION, SLAB_ROW = 0, 3, 6, 15, 18, 19, 20, 21
+# its first layer, its first voxel and first region in the count of all, and shares of its regions' and cells' lists.
+ORIGIN, SPACING, AXES, SHAPE, LAYER, VOXEL, REGION, REGION_SHARES, CELL_SHARES = 0, 3, 6, 15, 18, 19, 20, 21, 22
+SLAB_ROW = 23
 
 
 @wp.struct

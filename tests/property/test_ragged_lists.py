@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import sdm
 from sdm.bench.common.meshes import cube, sphere, torus
 from sdm.engine.plan_override import plan_override
+from sdm.engine.ragged.joint_maps import MapJob, ragged_maps
 
 
 def random_mesh(rng: np.random.Generator) -> sdm.TriangleMesh:
@@ -102,3 +103,17 @@ def test_what_found_no_room_is_searched():
     for field, mesh, grid in zip(found, meshes, grids, strict=True):
         alone = sdm.signed_distance_map(mesh, grid, device="cpu")
         torch.testing.assert_close(field.values, alone.values, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("shares", [[(1, 1), (2, 1), (2, 2)], [(4, 2), (8, 4), (8, 2)], [(16, 2), (32, 4), (16, 4)]])
+def test_lists_made_in_other_shares_each(shares):
+    meshes = [sdm.TriangleMesh(*shape) for shape in (sphere(20), torus(3000), sphere(13))]
+    jobs = [MapJob(i, mesh, sdm.Grid.around(mesh, 24 + i)) for i, mesh in enumerate(meshes)]
+    alone = []
+    for job, own in zip(jobs, shares, strict=True):
+        with plan_override(shares=own):
+            # Kept by the job, so that the others' do not matter to it.
+            assert (job.plan.region_shares, job.plan.cell_shares) == own
+            alone.append(sdm.signed_distance_map(job.mesh, job.grid, device="cpu"))
+    for (values, _), field in zip(ragged_maps(jobs), alone, strict=True):
+        assert torch.equal(values, field.values)

@@ -1,7 +1,7 @@
 """Maps of meshes that differ on grids of any shape: one build and one pass over the columns for all meshes of a chunk.
 
-The stages of the dense query run once for the meshes whose plans have cells and shares in common, as these decide
-about the last bit of a value. What a map is does not depend on the others.
+The stages of the dense query run once for the meshes whose plans have the cells in common, which decide about the last
+bit of a value. What a map is does not depend on the others.
 """
 
 from __future__ import annotations
@@ -29,11 +29,26 @@ from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
 from sdm.kernels.bvh.tree import depth_for
 from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan, memory_of
 from sdm.kernels.dense.query import Surface, Target, query_slabs
-from sdm.kernels.geometry.voxel_grid import AXES, LAYER, ORIGIN, REGION, SHAPE, SLAB_ROW, SPACING, VOXEL, Slab
+from sdm.kernels.geometry.voxel_grid import (
+    AXES,
+    CELL_SHARES,
+    LAYER,
+    ORIGIN,
+    REGION,
+    REGION_SHARES,
+    SHAPE,
+    SLAB_ROW,
+    SPACING,
+    VOXEL,
+    Slab,
+)
 from sdm.kernels.launch import set_array
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs.branches import kernels_beside
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
+
+# Most times the shares of another of a group that a map's lists are made in: for the other they are idle work.
+MOST_SHARES = 2
 
 
 @dataclass(frozen=True)
@@ -128,14 +143,23 @@ def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:
 
 
 def _groups(jobs: Sequence[MapJob], plans: Sequence[Plan], together: set[int]) -> list[tuple[list[int], Plan]]:
-    """The maps whose plans agree where that decides about bits, and one plan for each such group."""
-    alike: dict[tuple[int, ...], list[int]] = {}
-    for i in sorted(together):
-        alike.setdefault((plans[i].cell, plans[i].region_shares, plans[i].cell_shares), []).append(i)
+    """The maps whose plans agree in cells, and nearly in shares, and one plan for each such group."""
+    groups: list[list[int]] = []
+    first = None
+    for i in sorted(together, key=lambda i: (plans[i].cell, plans[i].cell_shares, plans[i].region_shares)):
+        if (
+            first is None
+            or plans[i].cell != first.cell
+            or plans[i].cell_shares > MOST_SHARES * first.cell_shares
+            or plans[i].region_shares > MOST_SHARES * first.region_shares
+        ):
+            first = plans[i]
+            groups.append([])
+        groups[-1].append(i)
     memory = memory_of(wp.device_from_torch(jobs[0].mesh.device).alias)
     return [
         (group, joint_plan([jobs[i].work for i in group], [plans[i] for i in group], memory, OPTIONS.get()))
-        for group in alike.values()
+        for group in groups
     ]
 
 
@@ -151,6 +175,7 @@ def _slab_rows(
         row[:, SPACING : SPACING + 3] = grid.spacing
         row[:, SHAPE : SHAPE + 3] = grid.shape
         row[:, LAYER], row[:, VOXEL] = 0, starts[i]
+        row[:, REGION_SHARES], row[:, CELL_SHARES] = plans[i].region_shares, plans[i].cell_shares
         if job.turned:
             row[:, AXES : AXES + 9] = [
                 d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)
