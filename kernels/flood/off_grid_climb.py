@@ -23,8 +23,8 @@ from sdm.kernels.winding.ray_crossings import count_crossings
 wp.set_module_options({"enable_backward": False})
 
 # Searches of one climb at most.
-SEARCHES = 64
-# A step ends where it would be shorter than this share of a voxel; a direction where it rises less than that.
+SEARCHES = 128
+# The way ends where a step would be shorter than this share of the distance, or where it rises less than that.
 SHORTEST = wp.constant(wp.float64(0.02))
 FLATTEST = wp.constant(wp.float64(0.02))
 # So near, in scaled coordinates, a voxel is on the surface itself, and has no direction: this is half a rounding.
@@ -123,12 +123,13 @@ def _climb(
     count = int(SEARCHES)
     for _search in range(count):
         rise = wp.length(direction)
-        if rise < FLATTEST or step < SHORTEST * least:
+        if rise < FLATTEST or step < SHORTEST * distance:
             return at
         there = _rounded(p + (step / rise) * direction)
         closest, slots = _closest_of_both(walls, there, slots)
         found = wp.length(there - closest)
         if distance + found <= wp.length(there - p) + ROUNDING * size / scale:
+            # Near the surface, in a dent, steps are about as long as the distance, however long a voxel is.
             step = wp.float64(0.5) * step
         elif found >= distance + wp.float64(0.5) * rise * step:
             p = there

@@ -101,9 +101,9 @@ def _climb(
     if distance <= slack:
         return at
     direction, step = away / distance, max(distance, 0.5 * min(spacing))
-    for _ in range(64):
+    for _ in range(128):
         rise = np.linalg.norm(direction)
-        if rise < 0.02 or step < 0.02 * min(spacing):
+        if rise < 0.02 or step < 0.02 * distance:
             return at
         there = (p + step / rise * direction).astype(np.float32).astype(np.float64)
         away = there - closest(there)
