@@ -121,7 +121,7 @@ def broadcast_ints(buffer: wp.uint64, mine: wp.vec4i, lane: int):
     }
     return count < 32 ? found & ((1u << count) - 1u) : found;
 #else
-    return (q[0] >= mine[0]) & (q[1] >= mine[1]) & (q[0] <= mine[2]) & (q[1] <= mine[3]) ? 1u : 0u;
+    return ((q[0] >= mine[0]) & (q[1] >= mine[1]) & (q[0] <= mine[2]) & (q[1] <= mine[3])) ? 1u : 0u;
 #endif
 """
 )
