@@ -2,6 +2,7 @@
 
     python -m sdm.bench.deepsdf.study run --data DATA --budget-s 240     # goes on where it was; all GPUs
     python -m sdm.bench.deepsdf.study table                              # the tables from the logs
+    python -m sdm.bench.deepsdf.study table --page bench/results/deepsdf_study.md
     python -m sdm.bench.deepsdf.study plot                               # docs/deepsdf-study.png
 
 The shapes are split by `sdm.bench.deepsdf.study.atria_split`: near twins are on one side. Each method is trained by
@@ -19,9 +20,10 @@ from functools import partial
 from pathlib import Path
 
 from sdm.bench.common.checkout import data_folder, docs_folder, results_folder
+from sdm.bench.common.json_file import put
 from sdm.bench.deepsdf.shapes import atria
 from sdm.bench.deepsdf.study.jobs import METHODS, work
-from sdm.bench.deepsdf.study.study_tables import picture, tables
+from sdm.bench.deepsdf.study.study_tables import page, picture, tables
 from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
 from sdm.bench.segmentation.log_file import Job, LogFile, log_file
 
@@ -40,6 +42,8 @@ def main() -> None:
         run_jobs(jobs(options), task, options.logs, options.work, budget_s=options.budget_s, on=on)
     if options.what == "plot":
         picture(options.logs, options.out)
+    if options.page:
+        put(options.page, page(options.logs))
     print(tables(options.logs))
 
 
@@ -75,6 +79,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--logs", type=log_file, default=LOGS)
     parser.add_argument("--work", type=Path, default=Path("/tmp/sdm-deepsdf-study"), help="networks")
     parser.add_argument("--out", type=Path, default=docs_folder() / "deepsdf-study.png")
+    parser.add_argument("--page", type=Path, help="Markdown file for the tables and what was done")
     parser.add_argument("--budget-s", type=float, default=3600.0)
     parser.add_argument("--gpus", type=int, default=None, help="default: all")
     parser.add_argument("--per-gpu", type=int, default=1, help="processes on each")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sdm.bench.common.figure import COLOURS, OURS, drawing, log_axes, plain_ticks
+from sdm.bench.deepsdf.study.atria_split import read_record, table_of
 from sdm.bench.deepsdf.tables import rows_table
 from sdm.bench.segmentation.log_file import Log, LogFile
 from sdm.bench.studies.intervals import Values, difference, estimate
@@ -39,6 +40,24 @@ Mean over shapes of the mean over seeds, ± half of its 95 % interval (Student's
 deviation over seeds. Chamfer is the mean, then the median; 1000 times the sum of both mean squared distances of 30,000
 points. Chamfer, EMD (500 points), accuracy (90 %) and completion (within 0.01) are in the paper's scale: the box's
 diagonal is 1."""
+
+
+def page(logs: LogFile) -> str:
+    """The page in Markdown: the protocol, the split, and all tables."""
+    found = logs.trainings()
+    machines = sorted({f"{log['machine']['device']}, commit {log['machine']['commit']}" for log in found})
+    training = next((log for log in found if "training" in log), None)
+    lines = ["# DeepSDF on left atria: equal code sizes, rates searched, baselines", ""]
+    made = "Made by `python -m sdm.bench.deepsdf.study table --page bench/results/deepsdf_study.md`."
+    lines += [f"{made} On {'; '.join(machines)}."]
+    if training is not None:
+        own, job = training["training"]["settings"], training["job"]
+        lines += [
+            f"Each training: {job['steps']} steps of {own['shapes']} shapes and {own['points']} samples each.",
+            f"Codes of test shapes: {job['search_steps']} steps. Several trainings shared a GPU.",
+        ]
+    lines += ["", "## Near twins and the split", "", table_of(read_record()), "", "## Results", ""]
+    return "\n".join([*lines, tables(logs), ""])
 
 
 def tables(logs: LogFile) -> str:

@@ -67,6 +67,8 @@ def test_tables_and_picture(tmp_path) -> None:
     assert "| local codes, 14,912 numbers (2) | 2.500 ± 2.484 (0.707); 2.500 |" in text
     assert "local codes, 14,912 numbers less the laid-on copy, other half [mm]: -2.500 ± 0.000" in text
     assert "| copy of the nearest training shape (1) |" in text
+    assert text in study_tables.page(logs)
+    assert "On a CPU, commit abc." in study_tables.page(logs)
     study_tables.picture(logs, tmp_path / "study.png")
     assert (tmp_path / "study.png").stat().st_size > 10_000
 
