@@ -94,7 +94,7 @@ def _surrogate(target: Path) -> None:
     near = error[exact.values.abs() < 0.5]
     _say(
         "surrogate",
-        f"a network's map of a cochlea in {1e3 * seconds:.3g} ms on the CPU, from four parameters without a mesh: "
+        f"a network's map of a cochlea in {seconds:.3g} s on the CPU, from four parameters without a mesh: "
         f"{float(error.mean()):.3f} mm from the exact one on average, {float(near.mean()):.3f} mm near the surface",
     )
     side_by_side(exact, predicted, target, title="A cochlea by its mesh, exactly, and by a network")
