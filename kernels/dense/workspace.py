@@ -1,5 +1,5 @@
 """Workspace of a dense query: the arrays that its stages write and read, of sizes that follow from the plan."""
-# pyright: basic, reportGeneralTypeIssues=false
+# pyright: basic, reportGeneralTypeIssues=false, reportOptionalMemberAccess=false
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     pool = ChunkPool()
     pool.chunks = plan.chunks
     set_array(pool, "entries", empty(plan.chunks * CHUNK, wp.int32))
-    zeros = empty(COUNTS + 1, wp.int32)
+    zeros: Any = empty(COUNTS + 1, wp.int32)
     counters, missed = zeros[:COUNTS], zeros[COUNTS:]
     set_array(pool, "counters", counters)
     set_array(schedule, "counters", counters)

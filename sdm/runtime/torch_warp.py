@@ -88,7 +88,7 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: torch.dev
 
 def repeated_row(array: wp.array, rows: int) -> wp.array:
     """The array (1,n) as one of so many rows, all over the same memory."""
-    step = array.strides[1]
+    step: Any = array.strides[1]
     return wp.array(
         ptr=array.ptr,
         dtype=array.dtype,
