@@ -26,12 +26,12 @@ import torch
 
 import sdm
 from sdm.bench.common import json_file
+from sdm.bench.common.dirty_meshes.by_code import half_spheres, torn
 from sdm.bench.common.grids import cube_around
 from sdm.bench.common.machine import describe
 from sdm.bench.common.markdown import markdown_table
 from sdm.bench.common.meshes import Case, load_case
 from sdm.bench.common.timing import once
-from sdm.bench.dense.dirty import half_spheres, torn
 from sdm.bench.dense.job import Job, check_map
 from sdm.bench.peers.warp import StockWarp, StockWarpSah
 from sdm.bench.zoo.folder import meshes_of

@@ -72,8 +72,9 @@ def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: in
     if kind.turned:
         axes = tuple(d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True))
     depth, behind = depth_for(faces), kind.faces - faces
+    buffer: Any = table
     _FORMAT.pack_into(
-        table,
+        buffer,
         0,
         # The slab's row, in the order of `sdm.kernels.geometry.voxel_grid`, and one of a grid without voxels.
         *(*grid.origin, *grid.spacing, *axes, *grid.shape, 0, 0, 0),
