@@ -49,15 +49,16 @@ wp.set_module_options({"enable_backward": False})
 
 # Boxes of 2^5 voxels along each edge, and so on; single voxels twice.
 BITS = (5, 4, 3, 2, 1, 0, 0)
-# The first boxes are the smallest ones of which there are no more than this; those of 2^3 are listed for what follows.
-MOST_FIRST, LISTED_BITS = 8192, 1
+# The first boxes are the smallest ones of which there are no more than this: a GPU has to be filled, and a launch costs
+# more than looking at a box. Those of 2^3 are listed for what follows.
+MOST_FIRST = {"cuda": 8192, "cpu": 16}
+LISTED_BITS = 1
 LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
-# to look at one by one, and how many to add voxel by voxel: a GPU has a lane for each voxel, a CPU tries the eighths
-# first, which have fewer.
-TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 1e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 1e-5, 2e-6)}
-LISTED = {"cuda": (0, 0, 64, *4 * [MOST_NEAR]), "cpu": (0, 0, 64, *4 * [MOST_NEAR])}
-SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR]), "cpu": (0, 0, 12, 24, *3 * [MOST_NEAR])}
+# to look at one by one, and how many to add voxel by voxel.
+TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 1e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 2e-3, 1e-3, 6e-4, 1e-4, 1e-5, 2e-6)}
+LISTED = (0, 0, 64, *4 * [MOST_NEAR])
+SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR]), "cpu": (0, 0, 12, *4 * [MOST_NEAR])}
 # With a larger error the voxels are not looked at: too many would be in doubt.
 MOST_DOUBT = 0.06
 # Less than a quarter, by more than the rounding of the sums.
@@ -278,11 +279,11 @@ def _open_exactly(
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
-def first_level(meshes: int, shape: list[int]) -> int:
-    """The level that a batch of maps of this shape begins with, at the latest that of 4^3."""
+def first_level(meshes: int, shape: list[int], most: int) -> int:
+    """The level that a batch of maps of this shape begins with: of `most` boxes at most, and at the latest of 4^3."""
     level = 0
     while BITS[level] > LISTED_BITS + 1:
-        if meshes * math.prod(-(-n >> BITS[level + 1]) for n in shape) > MOST_FIRST:
+        if meshes * math.prod(-(-n >> BITS[level + 1]) for n in shape) > most:
             break
         level += 1
     return level
@@ -306,7 +307,7 @@ def open_caps(
     stacks = empty(1 if device.is_cuda else workers * STACK, wp.int32)
     kind = "cuda" if device.is_cuda else "cpu"
     boxes = left = empty(1, wp.int32)
-    first = first_level(meshes, shape)
+    first = first_level(meshes, shape, MOST_FIRST[kind])
     pieces = wp.vec3i(*(-(-n // 2) for n in shape))
     for level in range(first, len(BITS)):
         bits = BITS[level]
@@ -316,7 +317,7 @@ def open_caps(
             eighths = wp.vec3i(*(-(-n >> (bits - 1)) for n in shape))
         if bits > 0:
             boxes, left = left, empty(meshes * eighths[0] * eighths[1] * eighths[2], wp.int32)
-        limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
+        limits = [TOLERANCES[kind][level] * FULL, LISTED[level], SETTLED[kind][level]]
         listed = left if bits == 0 else boxes
         inputs = [caps, slab, bits, *limits, cells, eighths, level, int(level == first), listed, left]
         launch(_open_boxes, workers * lanes, [*inputs, counts, stacks, lanes, values], device, smallest=1)
