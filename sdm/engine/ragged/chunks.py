@@ -17,8 +17,8 @@ T = TypeVar("T")
 GPU_SHARE, CPU_BYTES = 24, 1 << 28
 # What a triangle takes while its structure is built and searched, and what a voxel does.
 TRIANGLE_BYTES, VOXEL_BYTES = 1000, 8
-# Of meshes, and of voxels, whose numbers have 32 bits.
-MOST_MESHES, MOST_VOXELS = 1 << 12, 1 << 29
+# Of meshes, and of triangles and voxels, whose numbers have 32 bits.
+MOST_MESHES, MOST_TRIANGLES, MOST_VOXELS = 1 << 12, 1 << 26, 1 << 29
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,17 @@ def in_chunks(items: Iterable[T], load: Callable[[T], Load], limit: Callable[[T]
         limit: Bytes of a chunk that begins with this item.
     """
     chunk: list[T] = []
-    nbytes = voxels = most = 0
+    nbytes = triangles = voxels = most = 0
     for item in items:
         more = load(item)
-        if chunk and (nbytes + more.nbytes > most or voxels + more.voxels > MOST_VOXELS or len(chunk) == MOST_MESHES):
+        full = len(chunk) == MOST_MESHES or nbytes + more.nbytes > most
+        if chunk and (full or triangles + more.triangles > MOST_TRIANGLES or voxels + more.voxels > MOST_VOXELS):
             yield chunk
-            chunk, nbytes, voxels = [], 0, 0
+            chunk, nbytes, triangles, voxels = [], 0, 0, 0
         if not chunk:
             most = limit(item)
         chunk.append(item)
-        nbytes, voxels = nbytes + more.nbytes, voxels + more.voxels
+        nbytes, triangles, voxels = nbytes + more.nbytes, triangles + more.triangles, voxels + more.voxels
     if chunk:
         yield chunk
 
