@@ -20,6 +20,7 @@ from typing import Any
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.zoo.folder import files_of, other_endings
+from sdm.bench.zoo.page import page
 from sdm.bench.zoo.trial import trial
 from sdm.bench.zoo.worker import Worker
 from sdm.core.device import choose_device
@@ -34,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--resolution", type=int, default=64, help="voxels along each axis of the maps")
     parser.add_argument("--points", type=int, default=200, help="points, and voxels, that are checked of each mesh")
     parser.add_argument("--limit-s", type=float, default=300.0, help="seconds after which a file is given up")
-    parser.add_argument("--out", type=Path, help="JSON file")
+    parser.add_argument("--out", type=Path, help="JSON file; a table as Markdown beside it")
     given = parser.parse_args(argv)
     try:
         device = str(choose_device(given.device))
@@ -61,6 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         }
         if given.out and (number == len(files) or number % 20 == 0):
             json_file.write(given.out, report)
+            json_file.put(given.out.with_suffix(".md"), page(report))
     worker.close()
     found = summary(rows)
     print(", ".join(f"{count} {name.replace('_', ' ')}" for name, count in found.items()))

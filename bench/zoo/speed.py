@@ -118,7 +118,8 @@ def stock_ms(peer: type[StockWarp], case: Case, grid: sdm.Grid, device: str) -> 
 def warm_up(device: str, resolutions: Sequence[int]) -> None:
     """Compile and load what maps need: of closed and of torn meshes, small and large."""
     cases = [load_case(f"torus-{size}") for size in WARM]
-    cases = [*cases, *(torn(case, share) for case in cases for share in (0.01, 0.2)), half_spheres(20)]
+    dirty = [torn((case.vertices, case.faces), share) for case in cases for share in (0.01, 0.2)] + [half_spheres(20)]
+    cases += [Case("warm", vertices, faces, frozenset()) for vertices, faces in dirty]
     for case in cases if device.startswith("cuda") else cases[:2]:
         for resolution in resolutions:
             grid = cube_around(case, resolution)

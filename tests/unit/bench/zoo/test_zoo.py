@@ -8,8 +8,8 @@ import tarfile
 import numpy as np
 import pytest
 
+from sdm.bench.common.dirty_meshes.by_code import half_spheres
 from sdm.bench.common.meshes import load_case
-from sdm.bench.dense.dirty import half_spheres
 from sdm.bench.zoo import __main__ as zoo
 from sdm.bench.zoo import pack, speed
 from sdm.bench.zoo.folder import Found, meshes_of
@@ -25,9 +25,10 @@ def folder(tmp_path):
     """A torus, open bowls in a folder below, a small mesh, an empty file, and one that is no mesh's."""
     place = tmp_path / "meshes"
     (place / "below").mkdir(parents=True)
-    cases = {"torus": load_case("torus-500"), "below/bowls": half_spheres(2), "cube": load_case("cube")}
-    for name, case in cases.items():
-        np.savez(place / f"{name}.npz", vertices=case.vertices, faces=case.faces)
+    torus, box = load_case("torus-500"), load_case("cube")
+    meshes = {"torus": (torus.vertices, torus.faces), "below/bowls": half_spheres(2), "cube": (box.vertices, box.faces)}
+    for name, (vertices, faces) in meshes.items():
+        np.savez(place / f"{name}.npz", vertices=vertices, faces=faces)
     (place / "empty.off").touch()
     (place / "picture.png").write_bytes(b"x")
     return place
@@ -92,6 +93,9 @@ def test_command_writes_a_row_for_each_file(folder, tmp_path, monkeypatch, capsy
     assert report["summary"]["refused"] == 1
     assert report["endings_not_read"] == {".png": 1}
     assert str(folder) not in out.read_text()
+    table = out.with_suffix(".md").read_text()
+    assert "| below/bowls | " in table
+    assert "- empty.off is empty" in table
     assert "empty.off refused: empty.off is empty" in capsys.readouterr().out
     assert sdm_command(["bench", "zoo", str(folder / "nowhere")]) == 2
 
