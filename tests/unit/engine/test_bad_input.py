@@ -104,7 +104,7 @@ def test_a_batch_on_a_turned_grid():
 
 @pytest.mark.parametrize("orient", ["outward", "", None, True])
 def test_orient(orient):
-    with pytest.raises(sdm.MeshError, match="'keep' or 'auto'"):
+    with pytest.raises(sdm.MeshError, match="'keep', 'auto' or 'parts'"):
         sdm.signed_distance_map(MESH, GRID, device="cpu", orient=orient)
 
 
