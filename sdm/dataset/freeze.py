@@ -22,7 +22,7 @@ def freeze(
     """Write the samples number 0 to `count` - 1 of a stream, bit for bit as it yields them, wherever it is now.
 
     Args:
-        stream: Its family, grid, seed, sampler, type and truncation are taken; it is left where it is.
+        stream: Its family, grid, seed, sampler, type, truncation and signs are taken; it is left where it is.
         count: How many samples.
         path: The dataset to write, for example "cochlea.zarr".
         shard: As of `generate`.
@@ -48,6 +48,8 @@ def freeze(
         sampler=maker.sampler,
         dtype=maker.dtype,
         truncate=maker.truncate,
+        sign=maker.signs.sign,
+        hole_size=maker.signs.hole_size,
         device=maker.device,
         shard=shard,
         compression=compression,

@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 
 from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
-from sdm.stream.sample_maker import DRAWS, FIRST_DRAWS
+from sdm.stream.sample_maker import DRAWS, FIRST_DRAWS, FIRST_SIGN
 
 VERSION = 2
 # From this version on, the manifest has a checksum of itself, and every array but the shards' own checksums one of each
@@ -47,7 +47,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise FormatError(f"{folder} was written by a newer version of sdm: update it to read this dataset")
     # Before the checksum, since these say what is wrong.
     _check(found, _FIELDS, folder, "")
-    _check({"draws": FIRST_DRAWS, **found["recipe"]}, _RECIPE, folder, "recipe.")
+    _check({"draws": FIRST_DRAWS, **FIRST_SIGN, **found["recipe"]}, _RECIPE, folder, "recipe.")
     if found["version"] >= WITH_CHECKSUMS:
         if found.pop(CHECKSUM, None) != _checksum(found):
             raise FormatError(
@@ -56,7 +56,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             )
     else:
         _check_count(found["count"], folder)
-    found["recipe"].setdefault("draws", FIRST_DRAWS)
+    found["recipe"] = {"draws": FIRST_DRAWS, **FIRST_SIGN, **found["recipe"]}
     return found
 
 
@@ -162,4 +162,6 @@ _RECIPE: dict[str, Callable[[Any], bool]] = {
     "draws": _is_count,
     "dtype": lambda value: value in ("float32", "float16"),
     "truncate": lambda value: value is None or (_is_number(value) and 0 < value < math.inf),
+    "sign": lambda value: value in ("winding", "flood", "none"),
+    "hole_size": lambda value: value is None or (_is_number(value) and 0 <= value < math.inf),
 }

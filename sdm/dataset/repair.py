@@ -112,7 +112,8 @@ def verify(
             )
     grid = Grid(**recipe["grid"])
     dtype = {name: kind for kind, name in DTYPES.items()}[recipe["dtype"]]
-    job = Job(folder, manifest, family, grid, chosen, recipe["seed"], dtype, recipe["truncate"])
+    signs = recipe["sign"], recipe["hole_size"]
+    job = Job(folder, manifest, family, grid, chosen, recipe["seed"], dtype, recipe["truncate"], *signs)
     with alone(folder):
         remake(job, found, devices, ray, progress)
     return found

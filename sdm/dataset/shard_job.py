@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.dataset.layout import rows_of, write_shard
+from sdm.engine.arguments import Sign
 from sdm.errors import FormatError
 from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
@@ -36,6 +37,8 @@ class Job:
         seed: Of the samples.
         dtype: Of the maps.
         truncate: Largest distance, None for any.
+        sign: The method by which maps are signed.
+        hole_size: Of a flood.
     """
 
     folder: Path
@@ -46,6 +49,8 @@ class Job:
     seed: int
     dtype: torch.dtype
     truncate: float | None
+    sign: Sign = "winding"
+    hole_size: float | None = None
 
     def maker(self, device: str | torch.device) -> Maker:
         """Makes the samples."""
@@ -57,6 +62,8 @@ class Job:
             device=device,
             dtype=self.dtype,
             truncate=self.truncate,
+            sign=self.sign,
+            hole_size=self.hole_size,
         )
 
     def run(self, shards: Iterable[int], maker: Maker, done: Callable[[int], None]) -> None:

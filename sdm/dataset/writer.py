@@ -16,6 +16,7 @@ from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest, require_d
 from sdm.dataset.process_pool import run_here
 from sdm.dataset.ray_cluster import run_on_ray
 from sdm.dataset.shard_job import Job
+from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
 from sdm.shapes import Family
@@ -35,6 +36,8 @@ def generate(
     sampler: Sampler | str = "uniform",
     dtype: torch.dtype = torch.float32,
     truncate: float | None = None,
+    sign: Sign = "winding",
+    hole_size: float | None = None,
     shard: int | None = None,
     compression: str = "zstd",
     device: str | torch.device | None = None,
@@ -54,6 +57,8 @@ def generate(
         sampler: As of `SDMStream`.
         dtype: float32 or float16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign.
+        sign: As of `SDMStream`.
+        hole_size: As of `SDMStream`.
         shard: Samples in one file; by default 256 MiB of them.
         compression: "zstd" (lossless) or "none".
         device: "cuda:1", "cpu", ...; by default every GPU there is, else the CPU.
@@ -87,7 +92,9 @@ def generate(
         raise SDMError(f"datasets of type {dtype} are not supported; use float32 or float16")
     devices = ["cpu"] if ray is not None else devices_for(device)
     # Refuses what makes no sense before anything is on the disk.
-    recipe = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate).recipe
+    signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
+    maker = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate, **signs)
+    recipe = maker.recipe
     sample_bytes = grid.size * (2 if dtype == torch.float16 else 4)
     manifest = {
         "version": VERSION,
@@ -109,7 +116,7 @@ def generate(
         same(read_manifest(target), wanted, target)
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
-    job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate)
+    job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate, sign, hole_size)
     with alone(folder):
         fill(job, devices, ray, progress)
         finish(folder, target)
@@ -148,7 +155,9 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
     others = ("count", "shard", "compression", "sdm_version", "device")
     for key, value in {**wanted["recipe"], **{k: wanted[k] for k in others}}.items():
         there = found["recipe"].get(key, found.get(key))
-        if (there is not None and value is not None and there != value) or (key == "truncate" and there != value):
+        # None says something about these, and nothing about the others.
+        says = key in ("truncate", "hole_size") or (there is not None and value is not None)
+        if says and there != value:
             raise FormatError(
                 f"{path} has {key} {there}, but {value} was requested: ask for the same, or for a new one"
             )

@@ -12,7 +12,10 @@ from torch import Tensor
 
 from sdm.core.device import choose_device, require_memory
 from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.maps import batch_maps
+from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import DeviceError, SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.shapes import Family
@@ -28,6 +31,9 @@ MOST_AT_ONCE, BYTES_AT_ONCE, TRIANGLES_AT_ONCE = 64, 1 << 27, 1 << 21
 # hashed with their purpose (`sdm.core.random.derive_seed`).
 DRAWS, FIRST_DRAWS = 2, 1
 
+# Recipes of before say nothing about signs.
+FIRST_SIGN = {"sign": "winding", "hole_size": None}
+
 DTYPES = {torch.float32: "float32", torch.float16: "float16", torch.bfloat16: "bfloat16"}
 
 
@@ -42,6 +48,9 @@ class Maker:
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign; None keeps all.
+        sign: The method by which maps are signed, as for `sdm.signed_distance_map`. A flood goes from mesh to mesh and
+            waits for the device.
+        hole_size: Of a flood.
 
     Raises:
         DeviceError: The device is not there.
@@ -62,7 +71,10 @@ class Maker:
         device: torch.device | str | None = None,
         dtype: torch.dtype = torch.float32,
         truncate: float | None = None,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
     ) -> None:
+        self.signs = SignMethod(sign, hole_size)
         if dtype not in DTYPES:
             raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
         if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
@@ -103,6 +115,8 @@ class Maker:
             "draws": DRAWS,
             "dtype": DTYPES[self.dtype],
             "truncate": self.truncate,
+            "sign": self.signs.sign,
+            "hole_size": self.signs.hole_size,
         }
 
     @property
@@ -151,10 +165,18 @@ class Maker:
 
     def measure(self, vertices: Tensor, faces: Tensor) -> Tensor:
         """Maps (B,1,nx,ny,nz) of vertices (B,V,3) on the device, in the type that was requested."""
-        values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
+        if self.signs.sign == "flood":
+            values = torch.stack([self._flooded(each, faces) for each in vertices])
+        else:
+            values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
+            values = values.abs_() if self.signs.sign == "none" else values
         if self.truncate is not None:
             values = values.clamp_(-self.truncate, self.truncate)
         return values.to(self.dtype)[:, None]
+
+    def _flooded(self, vertices: Tensor, faces: Tensor) -> Tensor:
+        index = MeshIndex(TriangleMesh(vertices, faces, check=False), self.device, warn=False)
+        return index.signed_distance_map(self.grid, sign="flood", hole_size=self.signs.hole_size).values
 
     def _maps(self, theta: Tensor, host: Tensor) -> Tensor:
         if type(self.family).groups is Family.groups:

@@ -11,12 +11,13 @@ import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
 from sdm.core.grid import Grid
+from sdm.engine.arguments import Sign
 from sdm.errors import SDMError
 from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
 from sdm.stream.ranks import in_process_group, rank_and_size
-from sdm.stream.sample_maker import FIRST_DRAWS, Maker, refuse_fork
+from sdm.stream.sample_maker import FIRST_DRAWS, FIRST_SIGN, Maker, refuse_fork
 from sdm.stream.samplers import Sampler
 from sdm.stream.validation import ValidationSet
 
@@ -39,6 +40,9 @@ class SDMStream(IterableDataset[Batch]):
         device: Where to compute; by default a GPU if there is one.
         dtype: Type of the maps: float32, float16 or bfloat16.
         truncate: Distances beyond this (in the family's unit) become this, with their sign.
+        sign: The method by which maps are signed, as for `sdm.signed_distance_map`: for folders of meshes whose faces
+            do not say what is inside. A flood takes the meshes of a batch one by one, and waits for the device.
+        hole_size: Of a flood, in the family's unit.
         ahead: How many batches at least are queued on a CUDA stream of their own before they are requested. Small ones
             are made several at once, up to 64 samples, as a GPU takes less time for them so.
         start: Global number of the first sample.
@@ -78,6 +82,8 @@ class SDMStream(IterableDataset[Batch]):
         device: torch.device | str | None = None,
         dtype: torch.dtype = torch.float32,
         truncate: float | None = None,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
         ahead: int = 2,
         start: int = 0,
         stop: int | None = None,
@@ -91,7 +97,17 @@ class SDMStream(IterableDataset[Batch]):
         self._start, self.stop = int(start), None if stop is None else int(stop)
         self._find_rank = rank is None and world_size is None
         self._take_rank(rank, world_size)
-        self._maker = Maker(family, grid, seed=seed, sampler=sampler, device=device, dtype=dtype, truncate=truncate)
+        self._maker = Maker(
+            family,
+            grid,
+            seed=seed,
+            sampler=sampler,
+            device=device,
+            dtype=dtype,
+            truncate=truncate,
+            sign=sign,
+            hole_size=hole_size,
+        )
         self._position = int(start)
         # Whether the position is already that of this worker's own next batch.
         self._own = False
@@ -202,7 +218,7 @@ class SDMStream(IterableDataset[Batch]):
         if not isinstance(state, dict) or state.get("version") != VERSION:
             raise SDMError("this is not the state of a stream of this version of sdm")
         mine = self._maker.recipe
-        for key, value in {"draws": FIRST_DRAWS, **state["recipe"]}.items():
+        for key, value in {"draws": FIRST_DRAWS, **FIRST_SIGN, **state["recipe"]}.items():
             if mine.get(key) != value:
                 raise SDMError(
                     f"the state is of a stream whose {key} is {value}, but here it is {mine.get(key)}: "

@@ -57,6 +57,8 @@ class ValidationSet(Dataset[Batch]):
             device=maker.device,
             dtype=maker.dtype,
             truncate=maker.truncate,
+            sign=maker.signs.sign,
+            hole_size=maker.signs.hole_size,
         )
         made = [own.make(numbers) for numbers in torch.arange(count, device="cpu").split(own.at_once)]
         self.theta, self.sdm, self.index = (torch.cat(parts) for parts in zip(*made, strict=True))

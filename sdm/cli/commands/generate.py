@@ -30,6 +30,13 @@ def generate(
         tyro.conf.arg(metavar="{float32,float16}", help_behavior_hint="(default: float32)"),
     ] = None,
     truncate: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: none)")] = None,
+    sign: Annotated[
+        Literal["winding", "flood", "none"] | None,
+        tyro.conf.arg(metavar="{winding,flood,none}", help_behavior_hint="(default: winding)"),
+    ] = None,
+    hole_size: Annotated[
+        float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
+    ] = None,
     shard: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 256 MiB of them)")] = None,
     compression: Annotated[
         Literal["zstd", "none"] | None, tyro.conf.arg(metavar="{zstd,none}", help_behavior_hint="(default: zstd)")
@@ -71,6 +78,9 @@ def generate(
             parameter), grid:N:ordered, or mixture:SHARE (of grid:5).
         dtype: Type of the maps in the dataset.
         truncate: Distances beyond this length become this, with their sign.
+        sign: winding goes by the generalised winding number; flood calls inside what a ball from outside cannot reach,
+            for folders of meshes whose faces do not say; none writes unsigned distances.
+        hole_size: With --sign flood, the ball's diameter: narrower gaps are closed.
         shard: Samples in one file, which is what is lost at most if the work is cut off.
         compression: zstd loses nothing; none reads faster.
         device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none.
@@ -106,6 +116,8 @@ def generate(
         "seed": seed,
         "sampler": sampler,
         "truncate": truncate,
+        "sign": sign,
+        "hole_size": hole_size,
         "dtype": None if dtype is None else getattr(torch, dtype),
         "shard": shard,
         "compression": compression,
@@ -178,7 +190,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
     part = part_of(out)
     manifest = read_manifest(part if part.exists() else out)
     recipe = manifest["recipe"]
-    options = {key: recipe[key] for key in ("seed", "sampler", "truncate")}
+    options = {key: recipe[key] for key in ("seed", "sampler", "truncate", "sign", "hole_size")}
     options |= {"dtype": getattr(torch, recipe["dtype"])}
     options |= {key: manifest[key] for key in ("shard", "compression")}
     grid = Grid(**recipe["grid"])
