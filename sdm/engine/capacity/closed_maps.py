@@ -72,13 +72,14 @@ def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: in
     if kind.turned:
         axes = tuple(d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True))
     depth, behind = depth_for(faces), kind.faces - faces
+    shares = kind.plan.region_shares, kind.plan.cell_shares
     buffer: Any = table
     _FORMAT.pack_into(
         buffer,
         0,
         # The slab's row, in the order of `sdm.kernels.geometry.voxel_grid`, and one of a grid without voxels.
-        *(*grid.origin, *grid.spacing, *axes, *grid.shape, 0, 0, 0),
-        *(0, 0, 0, 1, 1, 1, *_NO_AXES, 0, 0, 0, 0, grid.size, kind.plan.total),
+        *(*grid.origin, *grid.spacing, *axes, *grid.shape, 0, 0, 0, *shares),
+        *(0, 0, 0, 1, 1, 1, *_NO_AXES, 0, 0, 0, 0, grid.size, kind.plan.total, *shares),
         # The counts, and the parts, in the order of `sdm.kernels.bvh.tree`.
         *(faces, vertices),
         *(0, faces, depth, 0, kind.plan.levels_left_out),
