@@ -33,8 +33,12 @@ MEASURES = {
     "dice": ("Dice", 4),
 }
 HALVES = {"seen_mm": ("seen half [mm]", 2), "other_mm": ("other half [mm]", 2)}
-TITLES = {"unseen": "Test shapes, all of the surface known", "half": "Completion: half of the surface known",
-          "known": "Shapes of the training, by its codes"}  # fmt: skip
+TITLES = {
+    "unseen": "Test shapes, all of the surface known",
+    "half": "Completion: half of the surface known",
+    "known": "Shapes of the training, by its codes",
+    "validation": "Validation shapes, by the first seed at each method's best rate: chosen on, so no result",
+}
 ABOUT = """\
 Mean over shapes of the mean over seeds, ± half of its 95 % interval (Student's t over shapes), in brackets the standard
 deviation over seeds. Chamfer is the mean, then the median; 1000 times the sum of both mean squared distances of 30,000
@@ -90,16 +94,20 @@ def rates_table(logs: list[Log]) -> str:
     for name in (n for n in NAMES if n in own):
         best = min(own[name].values())
         cells = [f"{own[name][r]:.3f}" if r in own[name] else "-" for r in rates]
-        cells = [f"**{c}**" if c == f"{best:.3f}" else c for c in cells]
+        # The best of one is no choice.
+        cells = [f"**{c}**" if c == f"{best:.3f}" and len(own[name]) > 1 else c for c in cells]
         lines.append(f"| {NAMES[name]} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def values_of(logs: list[Log], task: str) -> dict[str, dict[int, dict[str, dict[str, float]]]]:
-    """Row -> seed -> shape -> scores, in the order of the table."""
+    """Row -> seed -> shape -> scores, in the table's order; for validation by each method's best rate."""
     found: dict[str, dict[int, dict[str, dict[str, float]]]] = {}
-    for log in logs:
-        if log["job"]["kind"] == "test":
+    for log in sorted(logs, key=lambda log: -log.get("validation_mm", 0.0)) if task == "validation" else logs:
+        if task == "validation" and log["job"]["kind"] == "rate":
+            # The best rate comes last, and stays.
+            found[log["job"]["method"]] = {log["job"]["seed"]: log[task]}
+        elif task != "validation" and log["job"]["kind"] == "test":
             found.setdefault(log["job"]["method"], {})[log["job"]["seed"]] = log[task]
         elif log["job"]["kind"] == "baselines":
             found |= {name: {0: rows} for name, rows in log.get(task, {}).items()}

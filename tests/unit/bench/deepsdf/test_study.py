@@ -52,7 +52,14 @@ def test_tables_and_picture(tmp_path) -> None:
     logs = LogFile(tmp_path / "study.jsonl")
     for rate, found in ((0.1, 3.0), (0.2, 2.0)):
         job = {"name": f"local-rate-{rate}", "kind": "rate", "method": "local", "rate": rate}
-        logs.put({"job": job, "validation_mm": found, "machine": {"device": "a CPU", "commit": "abc"}})
+        logs.put(
+            {
+                "job": {**job, "seed": 0},
+                "validation_mm": found,
+                "validation": rows(found),
+                "machine": {"device": "a CPU", "commit": "abc"},
+            }
+        )
     for seed in (0, 1):
         job = {"name": f"local-{seed}", "kind": "test", "method": "local", "seed": seed}
         parts = {part: rows(1.0 + seed) for part in ("known", "unseen", "half")}
@@ -66,6 +73,8 @@ def test_tables_and_picture(tmp_path) -> None:
     # Cases 1.5, 2.5, 3.5 by two seeds that are 1 apart, and the median beside the mean.
     assert "| local codes, 14,912 numbers (2) | 2.500 ± 2.484 (0.707); 2.500 |" in text
     assert "local codes, 14,912 numbers less the laid-on copy, other half [mm]: -2.500 ± 0.000" in text
+    # Of the better rate, cases 2, 3 and 4.
+    assert text.count("| local codes, 14,912 numbers (1) | 3.000 ± 2.484; 3.000 |") == 1
     assert "| copy of the nearest training shape (1) |" in text
     assert text in study_tables.page(logs)
     assert "On a CPU, commit abc." in study_tables.page(logs)
