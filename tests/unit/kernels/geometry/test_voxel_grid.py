@@ -8,7 +8,7 @@ import torch
 import warp as wp
 
 import sdm
-from sdm.engine.ops import _slab
+from sdm.engine.ops import slab_view
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
 
 wp.set_module_options({"enable_backward": False})
@@ -34,7 +34,7 @@ def test_voxel_centres_are_those_of_the_grid_bit_for_bit(direction, first, devic
     grid = sdm.Grid(origin, spacing, SHAPE, direction)
     count = SHAPE[0] - first
     flat = tuple(x for row in grid.direction for x in row)
-    slab = _slab(grid.origin, grid.spacing, (count, *SHAPE[1:]), first, flat)
+    slab = slab_view(grid.origin, grid.spacing, (count, *SHAPE[1:]), first, flat)
     out = torch.zeros(count * SHAPE[1] * SHAPE[2], 3, device=device)
     wp.launch(_note, len(out), [slab, wp.from_torch(out, dtype=wp.vec3)], device=device)
     assert torch.equal(out.cpu(), grid.points(first).reshape(-1, 3))
