@@ -279,7 +279,7 @@ def table_of(logs: LogFile) -> str:
             rows.setdefault(name, []).extend(log[way])
             seeds[name] = seeds.get(name, 0) + 1
     ordered = {f"{text} ({seeds[name]})": rows[name] for name, text in ROWS.items() if name in rows}
-    return table(ordered, COLUMNS, unit="voxels") if ordered else f"no scores of test shapes in {logs} yet"
+    return table(ordered, COLUMNS, unit="voxels") if ordered else "There are no scores of test shapes yet."
 
 
 if __name__ == "__main__":

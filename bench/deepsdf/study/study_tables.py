@@ -68,7 +68,7 @@ def tables(logs: LogFile) -> str:
     """All tables of the study, in Markdown."""
     found = logs.trainings()
     if not found:
-        return f"no logs in {logs}"
+        return "There are no logs yet."
     parts = [
         "Rates: mean distance from the validation shapes in mm, by the first seed.",
         "",

@@ -83,4 +83,4 @@ def test_tables_and_picture(tmp_path) -> None:
 
 
 def test_no_logs_no_table(tmp_path) -> None:
-    assert "no logs" in study_tables.tables(LogFile(tmp_path / "none.jsonl"))
+    assert "no logs yet" in study_tables.tables(LogFile(tmp_path / "none.jsonl"))
