@@ -101,7 +101,7 @@ def measure_features(
             items = items - taken
             if lane < taken:
                 item = queue_entry(scratch, ITEMS, items + lane)
-                measure_one(scratch, item, kind_of(batch, item & (BATCH - 1)), room, near, turned, winners)
+                measure_one(scratch, item, kind_of(batch, item & (BATCH - 1)), room, near, turned, taken, winners)
         wait_for_lanes()
 
 

@@ -68,9 +68,9 @@ _FACE = (
 )
 
 
-def _measure(feature: tuple[str, str], places: str, known: str, keep: tuple[str, str]) -> str:
+def _measure(feature: tuple[str, str], places: str, known: str, keep: tuple[str, str, str]) -> str:
     rows, own = feature
-    on_gpu, on_cpu = keep
+    on_gpu, after, on_cpu = keep
     return f"""
         {rows}
         // Two times four voxels, for a small instruction cache: bench/decisions/0001-kernel-code-size.md.
@@ -95,6 +95,9 @@ def _measure(feature: tuple[str, str], places: str, known: str, keep: tuple[str,
                 {on_cpu}
 #endif
             }}
+#if defined(__CUDA_ARCH__)
+            {after}
+#endif
         }}
 """
 
@@ -114,20 +117,20 @@ _TURNED = """
 """
 
 
-def _kinds(places: str, known: str, keep: tuple[str, str]) -> str:
+def _kinds(places: str, known: str, keep: tuple[str, str, str]) -> str:
     features = _CORNER, _NEAR_EDGE, _FAR_EDGE, _FACE
     corner, near, far, face = (_measure(feature, places, known, keep) for feature in features)
     edge = f"if (near) {{ {near} }} else {{ {far} }}"
     return f"if (kind == 0) {{ {corner} }} else if (kind == 1) {{ {edge} }} else {{ {face} }}"
 
 
-def item_text(best: str, known: str, keep: tuple[str, str]) -> str:
+def item_text(best: str, known: str, keep: tuple[str, str, str]) -> str:
     """Native text that measures an item, see `work_queues`.
 
     Args:
         best: Declares where the values of the eighth's voxels are.
         known: On a GPU, declares the least values `known` of four of them so far.
-        keep: Keeps what is less of voxel v of these four, on a GPU and on a CPU.
+        keep: Keeps what is less of voxel v of these four: on a GPU, what it does after all four, and on a CPU.
     """
     return f"""
     struct alignas(16) Row {{ float x, y, z, w; }};
@@ -165,6 +168,7 @@ _KNOWN = """
 """
 _KEEP = (
     "if (counts & (value < known[v])) atomicMin(best + 4 * side + v, value);",
+    "",
     "best[4 * side + v] = (counts & (d < best[4 * side + v])) ? d : best[4 * side + v];",
 )
 

@@ -6,9 +6,9 @@ argument but two is an array of winners, or `NO_WINNERS`.
 A winner is 8 * slot + number, which is 0 to 2 for a corner, 3 to 5 for an edge, 6 for the face; or `SEARCHED` if a
 search found the triangle, and not which part of it. Of features at the same distance, in float32, it is the least.
 
-The least values then are pairs (value, winner). On a GPU one atomic minimum of 64 bits does for both, the value being
-in the upper half; on a CPU both are arrays, for loops over vectors. They take the place of the winding numbers in the
-scratch memory, which are read in the end.
+The winners take the place of the winding numbers in the scratch memory, which are read in the end. On a GPU values are
+lessened as without them. Once all lanes have done that, one lane knows of each value that it was its own that lessened
+it last, and writes its winner; then those that came to the same value lessen that. On a CPU it is a loop over vectors.
 """
 
 from __future__ import annotations
@@ -103,29 +103,51 @@ def note_feature(  # noqa: F811
 
 
 @wp.func
-def measure_one(scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool, winners: int):
-    """`measure_item`."""
+def measure_one(
+    scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool, taken: int, winners: int
+):
+    """`measure_item`; the first `taken` lanes all do it."""
     measure_item(scratch, item, kind, room, near, turned)
 
 
-_PAIRS = f"""
+_BOTH = f"""
     const int code = reinterpret_cast<const int*>(scratch)[{_CODES} + feature];
 #if defined(__CUDA_ARCH__)
-    long long* best = reinterpret_cast<long long*>(reinterpret_cast<float*>(scratch) + {MIN_VALUES}) + 64 * octant
-        + 8 * in;
+    const unsigned together = taken < 32 ? (1u << taken) - 1u : 0xffffffffu;
+    int* best = reinterpret_cast<int*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
+    int* codes = reinterpret_cast<int*>(scratch) + {WINDING} + 64 * octant + 8 * in;
 #else
     float* __restrict best = reinterpret_cast<float*>(scratch) + {MIN_VALUES} + 64 * octant + 8 * in;
     int* __restrict codes = reinterpret_cast<int*>(scratch) + {WINDING} + 64 * octant + 8 * in;
 #endif
 """
 _KNOWN = """
-            const int* upper = reinterpret_cast<const int*>(best + 4 * side);
-            const int known[4] = {upper[1], upper[3], upper[5], upper[7]};
+            const int4 four = reinterpret_cast<const int4*>(best)[side];
+            const int known[4] = {four.x, four.y, four.z, four.w};
+            int mine[4];
+            unsigned there = 0, lowered = 0;
 """
 _KEEP = (
     """
-                const unsigned long long both = (unsigned long long)(unsigned)value << 32 | (unsigned)code;
-                if (counts & (value <= known[v])) atomicMin(best + 4 * side + v, (long long)both);
+                mine[v] = value;
+                if (counts & (value <= known[v])) {
+                    there |= 1u << v;
+                    if (value < known[v] && atomicMin(best + 4 * side + v, value) > value) lowered |= 1u << v;
+                }
+    """,
+    """
+            __syncwarp(together);
+            const int4 now = reinterpret_cast<const int4*>(best)[side];
+            const int least[4] = {now.x, now.y, now.z, now.w};
+            #pragma unroll
+            for (int v = 0; v < 4; ++v) {
+                if (mine[v] != least[v]) there &= ~(1u << v);
+                if (there & lowered & (1u << v)) codes[4 * side + v] = code;
+            }
+            __syncwarp(together);
+            #pragma unroll
+            for (int v = 0; v < 4; ++v)
+                if (there & ~lowered & (1u << v)) atomicMin(codes + 4 * side + v, code);
     """,
     """
                 const int at = 4 * side + v;
@@ -136,7 +158,7 @@ _KEEP = (
 )
 
 
-@wp.func_native(snippet=item_text(_PAIRS, _KNOWN, _KEEP))
+@wp.func_native(snippet=item_text(_BOTH, _KNOWN, _KEEP))
 def measure_one(  # noqa: F811
     scratch: wp.uint64,
     item: int,
@@ -144,21 +166,16 @@ def measure_one(  # noqa: F811
     room: float,
     near: bool,
     turned: bool,
+    taken: int,
     winners: wp.array(dtype=wp.int32),
 ): ...
 
 
 @wp.func_native(
     snippet=f"""
-#if defined(__CUDA_ARCH__)
-    // The winner of each voxel, then its value.
-    const int4 both = reinterpret_cast<const int4*>(reinterpret_cast<const float*>(scratch) + {MIN_VALUES})[number];
-    return wp::vec4i(both.y, both.w, both.x, both.z);
-#else
     const int* value = reinterpret_cast<const int*>(scratch) + {MIN_VALUES} + 2 * number;
     const int* code = reinterpret_cast<const int*>(scratch) + {WINDING} + 2 * number;
     return wp::vec4i(value[0], value[1], code[0], code[1]);
-#endif
 """
 )
 def pair_of(scratch: wp.uint64, number: int) -> wp.vec4i:
