@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import sdm
 from sdm.bench.common import query_points as sampling
 from sdm.bench.common.correctness import compare, voxel_centres
 from sdm.bench.common.grids import cube_around
-from sdm.bench.common.meshes import Case
+from sdm.bench.common.meshes import Case, torus
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
 from sdm.bench.zoo.folder import Found, as_case
@@ -61,7 +62,17 @@ def _look(mesh: sdm.TriangleMesh) -> dict[str, Any]:
     }
 
 
+@cache
+def _warm_up(device: str, resolution: int) -> None:
+    """Load the kernels, which is no file's fault."""
+    vertices, faces = torus(500)
+    for some in (faces, faces[::2]):
+        case = Case("warm", vertices, some, frozenset())
+        sdm.signed_distance_map(new_mesh(case, device, 0), cube_around(case, resolution), device=device).numpy()
+
+
 def _measure(case: Case, device: str, resolution: int, points: int) -> dict[str, Any]:
+    _warm_up(device, resolution)
     grid = cube_around(case, resolution)
     mesh = new_mesh(case, device, 0)
     wake(device)
