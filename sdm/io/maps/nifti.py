@@ -12,6 +12,7 @@ import nibabel as nib
 import numpy as np
 import torch
 from nibabel.fileholders import FileHolder
+from nibabel.imageglobals import LoggingOutputSuppressor
 from nibabel.nifti1 import Nifti1Extension
 from nibabel.nifti2 import Nifti2Header
 from nibabel.openers import ImageOpener
@@ -100,7 +101,9 @@ def opened(path: Path, holder: FileHolder | None = None) -> Any:
         head = file.read(Nifti2Header.template_dtype.itemsize)
     for kind in (nib.Nifti1Image, nib.Nifti2Image):
         if kind.header_class.may_contain_header(head):
-            return kind.from_file_map({"image": holder or FileHolder(str(path))})
+            # Its remarks about voxel sizes and offsets are for those who write files.
+            with LoggingOutputSuppressor():
+                return kind.from_file_map({"image": holder or FileHolder(str(path))})
     raise FormatError(f"{path} is not a NIfTI image")
 
 
