@@ -14,7 +14,7 @@ import warp as wp
 from sdm.kernels.flood.flood_grid import FloodGrid
 from sdm.kernels.flood.off_grid_climb import Walls, climb, linked
 from sdm.kernels.flood.reached_region import REACHED, find_reached
-from sdm.kernels.flood.uphill_links import link_uphill
+from sdm.kernels.flood.uphill_links import StuckVoxels, link_uphill
 from sdm.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -49,6 +49,7 @@ def flood_signs(
     distances: wp.array,
     near: wp.array,
     links: wp.array,
+    stuck: StuckVoxels,
     values: wp.array,
     shape: tuple[int, int, int],
     skipped: tuple[int, int, int],
@@ -61,12 +62,13 @@ def flood_signs(
         distances: (N,) float32, unsigned, to the mesh.
         near: (N,) float32, the same to the mesh and what closes its small holes; may be the same array.
         links: (N,) int32, scratch.
+        stuck: Scratch, of any size.
         values: Voxels (nx,ny,nz), flat: those of the flood's grid that lie within some layers of it.
         shape: (nx,ny,nz).
         skipped: Layers before them along each axis.
     """
     find_reached(grid, distances, links)
-    link_uphill(grid, near, links)
-    climb(walls, grid, near, links)
+    link_uphill(grid, near, links, stuck)
+    climb(walls, grid, near, links, stuck)
     inputs = [wp.vec3i(*shape), grid.shape, wp.vec3i(*skipped), links, values]
     launch(_negate_inside, values.shape[0], inputs, values.device)

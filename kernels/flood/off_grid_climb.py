@@ -16,12 +16,14 @@ from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
 from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree
 from sdm.kernels.flood.flood_grid import FloodGrid, is_in_grid, number_of
 from sdm.kernels.flood.reached_region import REACHED
-from sdm.kernels.flood.uphill_links import STUCK
-from sdm.kernels.launch import launch
+from sdm.kernels.flood.uphill_links import STUCK, StuckVoxels
+from sdm.kernels.launch import launch, threads
 from sdm.kernels.winding.ray_crossings import count_crossings
 
 wp.set_module_options({"enable_backward": False})
 
+# Threads of a GPU that share the list.
+MOST_THREADS = 1 << 17
 # Searches of one climb at most.
 SEARCHES = 128
 # The way ends where a step would be shorter than this share of the distance, or where it rises less than that.
@@ -155,17 +157,38 @@ def _climb(
 
 
 @wp.kernel
-def _climb_all(
+def _climb_listed(
     begin: int,
     walls: Walls,
     grid: FloodGrid,
     distances: wp.array(dtype=wp.float32),
     links: wp.array(dtype=wp.int32),
+    stuck: StuckVoxels,
+    step: int,
 ):
-    at = begin + wp.tid()
-    if links[at] == STUCK:
+    place = begin + wp.tid()
+    count = wp.min(stuck.count[0], stuck.numbers.shape[0])
+    while place < count:
+        at = stuck.numbers[place]
         # Below zero, so that nobody takes the end of another climb for a voxel that was reached.
         links[at] = STUCK - 1 - _climb(walls, grid, distances, links, at)
+        place = place + step
+
+
+@wp.kernel
+def _climb_others(
+    begin: int,
+    walls: Walls,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+    stuck: StuckVoxels,
+):
+    """Those that there was no room for in the list, if there are any."""
+    at = begin + wp.tid()
+    if stuck.count[0] > stuck.numbers.shape[0]:
+        if links[at] == STUCK:
+            links[at] = STUCK - 1 - _climb(walls, grid, distances, links, at)
 
 
 @wp.func
@@ -175,6 +198,9 @@ def linked(links: wp.array(dtype=wp.int32), at: int):
     return wp.where(link < 0, STUCK - 1 - link, link)
 
 
-def climb(walls: Walls, grid: FloodGrid, distances: wp.array, links: wp.array) -> None:
+def climb(walls: Walls, grid: FloodGrid, distances: wp.array, links: wp.array, stuck: StuckVoxels) -> None:
     """Find the links of the voxels that are `STUCK`; all are read by `linked` from then on."""
-    launch(_climb_all, links.shape[0], [walls, grid, distances, links], links.device)
+    device = links.device
+    workers = min(stuck.numbers.shape[0], MOST_THREADS if device.is_cuda else 16 * threads())
+    launch(_climb_listed, workers, [walls, grid, distances, links, stuck, workers], device, smallest=1)
+    launch(_climb_others, links.shape[0], [walls, grid, distances, links, stuck], device)

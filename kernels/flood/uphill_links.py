@@ -12,6 +12,7 @@ import warp as wp
 from sdm.kernels.flood.flood_grid import FloodGrid, is_free, is_in_grid, length_of, number_of
 from sdm.kernels.flood.reached_region import REACHED
 from sdm.kernels.launch import launch
+from sdm.kernels.primitives.atomics import fetch_add
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,8 +22,22 @@ LEVEL = wp.constant(wp.float64(1.0e-3))
 STUCK = wp.constant(-1)
 
 
+@wp.struct
+class StuckVoxels:
+    """Numbers of the voxels that are stuck, in any order: those that there was room for."""
+
+    numbers: wp.array(dtype=wp.int32)
+    count: wp.array(dtype=wp.int32)  # (1) of all of them
+
+
 @wp.kernel
-def _link(begin: int, grid: FloodGrid, distances: wp.array(dtype=wp.float32), links: wp.array(dtype=wp.int32)):
+def _link(
+    begin: int,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+    stuck: StuckVoxels,
+):
     at = begin + wp.tid()
     if links[at] == REACHED:
         return
@@ -52,14 +67,20 @@ def _link(begin: int, grid: FloodGrid, distances: wp.array(dtype=wp.float32), li
                 best = rise
                 link = other
     links[at] = link
+    if link == STUCK:
+        place = fetch_add(stuck.count, 0, 1)
+        if place < stuck.numbers.shape[0]:
+            stuck.numbers[place] = at
 
 
-def link_uphill(grid: FloodGrid, distances: wp.array, links: wp.array) -> None:
+def link_uphill(grid: FloodGrid, distances: wp.array, links: wp.array, stuck: StuckVoxels) -> None:
     """Replace the labels of voxels that were not reached by links to other voxels; `STUCK` where there is none.
 
     Args:
         grid: The voxels.
         distances: (N,) float32, unsigned, to the surface and to what closes its small holes.
         links: (N,) int32, labels of `find_reached`; a voxel that links to itself is inside.
+        stuck: Filled.
     """
-    launch(_link, links.shape[0], [grid, distances, links], links.device)
+    stuck.count.zero_()
+    launch(_link, links.shape[0], [grid, distances, links, stuck], links.device)

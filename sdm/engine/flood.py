@@ -22,6 +22,7 @@ from sdm.inspect.positions import first_at_position
 from sdm.kernels.flood.flood_grid import FloodGrid
 from sdm.kernels.flood.flood_signs import flood_signs
 from sdm.kernels.flood.off_grid_climb import Walls
+from sdm.kernels.flood.uphill_links import StuckVoxels
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.cap_triangles import small_caps
@@ -30,6 +31,8 @@ from sdm.topology.cap_triangles import small_caps
 MOST_TIMES, ALWAYS = 8, 1 << 24
 # Roundings of float32 by which distances and places may be off.
 ROUNDINGS = 16
+# One voxel in so many may climb; where more do, all voxels are gone through, which takes longer.
+LISTED = 16
 # Voxels by which the mesh's box is taken for larger than it is.
 ROOM = 1e-3
 
@@ -104,10 +107,13 @@ def negate_inside(
         closing = build(vertices[None], caps, caps.new_empty((0, 2)))
         near = torch.minimum(distances, _unsigned(closing, frame.grid))
     links = torch.empty(frame.grid.size, dtype=torch.int32, device=values.device)
-    walls = Walls()
+    listed = torch.empty(frame.grid.size // LISTED + 2, dtype=torch.int32, device=values.device)
+    numbers, count = listed.split([len(listed) - 1, 1])
+    walls, stuck = Walls(), StuckVoxels()
     walls.with_caps, walls.closed = int(caps.shape[0] > 0), int(closed)
-    reads = (*structure.memory, *closing.memory, distances, near, links)
+    reads = (*structure.memory, *closing.memory, distances, near, links, listed)
     with on_current_stream(values, values, *reads):
+        stuck.numbers, stuck.count = as_warp(numbers, wp.int32), as_warp(count, wp.int32)
         walls.tree, walls.caps = structure.view.tree, closing.view.tree
         flood_signs(
             walls,
@@ -115,6 +121,7 @@ def negate_inside(
             as_warp(distances.reshape(-1), wp.float32),
             as_warp(near.reshape(-1), wp.float32),
             as_warp(links, wp.int32),
+            stuck,
             as_warp(values.reshape(-1), wp.float32),
             grid.shape,
             frame.skipped,

@@ -255,3 +255,10 @@ def test_points_have_distances_without_a_sign_and_no_flood(device):
         assert torch.equal(there.faces, hit.faces)
         with pytest.raises(SDMError, match="for maps, not for points"):
             measure(points, sign="flood")
+
+
+def test_a_list_without_room_changes_nothing(device, monkeypatch):
+    index = sdm.MeshIndex(DIRTY["holes"][0], device, warn=False)
+    expected = index.signed_distance_map(20, sign="flood", hole_size=0.4).values
+    monkeypatch.setattr("sdm.engine.flood.LISTED", 1 << 20)
+    assert torch.equal(index.signed_distance_map(20, sign="flood", hole_size=0.4).values, expected)
