@@ -54,19 +54,6 @@ def unknown(count: int) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    unsigned lanes;
-    asm volatile("activemask.b32 %0;" : "=r"(lanes) :: "memory");
-#endif
-"""
-)
-def one_turn():
-    """Stands in a loop whose body a GPU's compiler must not write out several times: see `unknown`."""
-    ...
-
-
-@wp.func_native(
-    snippet="""
-#if defined(__CUDA_ARCH__)
     return __ballot_sync(0xffffffffu, keep);
 #else
     return keep ? 1u : 0u;
