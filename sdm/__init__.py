@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sdm.core.signed_distance_map import SDM
     from sdm.dataset import SDMDataset
     from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps, signed_distances
+    from sdm.engine.closest_points import Closest
     from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.engine.mesh_index import MeshIndex
     from sdm.engine.orient import orient_faces
@@ -54,6 +55,7 @@ _PACKAGES = {
 # Where each name comes from. A name is imported when it is first used, so that `sdm --help` waits for no torch.
 _HOMES = {
     "SDM": "core.signed_distance_map",
+    "Closest": "engine.closest_points",
     "DeviceError": "errors",
     "FormatError": "errors",
     "Grid": "core.grid",
@@ -81,6 +83,7 @@ _HOMES = {
 
 __all__ = [
     "SDM",
+    "Closest",
     "DeviceError",
     "FormatError",
     "Grid",
