@@ -37,7 +37,7 @@ from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
 # Whether closed meshes never seen before are replayed by capacity class.
-USE_CLASSES = True
+USE_CLASSES = False
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
 LARGEST_RECORDED = 1 << 29
 
@@ -143,7 +143,7 @@ def unsigned_mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> Tensor:
 def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None) -> Tensor:
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
     meshes, voxels = vertices.shape[0], math.prod(grid.shape)
-    if vertices.is_cuda and is_recordable(vertices, 4 * meshes * voxels):
+    if is_recordable(vertices, 4 * meshes * voxels):
         check_count(vertices, faces)
         return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
     if meshes * voxels <= LARGEST_SLAB:

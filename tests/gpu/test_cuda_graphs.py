@@ -355,7 +355,7 @@ def test_nothing_waits_for_a_batch(launches):
 def test_a_new_mesh_waits_for_its_faces_alone(launches):
     vertices, faces = torus(600)
     meshes = [_mesh(vertices, faces) for _ in range(CALLS + 2)]
-    large = sdm.Grid([-1.2] * 3, [0.01] * 3, [240] * 3)
+    large = sdm.Grid([-1.2] * 3, [0.005] * 3, [480] * 3)
     for mesh in meshes[:-1]:
         sdm.signed_distance_map(mesh, large)
     torch.cuda.synchronize()

@@ -57,11 +57,11 @@ def _waits(call: Callable[[], object]) -> int:
             call()
         finally:
             torch.cuda.set_sync_debug_mode("default")
-    # The first use of the mode has a warning of its own.
+    # The first use of the mode has a warning of its own. A wait for an event, as for the pairing's flags, has none.
     return sum("called a synchronizing" in str(warning.message) for warning in caught)
 
 
-@pytest.mark.parametrize(("name", "new", "known"), [("torus", 1, 0), ("open hemisphere", 4, 1)])
+@pytest.mark.parametrize(("name", "new", "known"), [("torus", 0, 0), ("open hemisphere", 3, 1)])
 def test_waits(name, new, known):
     case = load_case(name)
     vertices, faces = torch.tensor(case.vertices).cuda(), torch.tensor(case.faces).cuda()

@@ -18,11 +18,22 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import CapacityClass
-from sdm.kernels.bvh.tree import PART_SIZE, coarser, depth_for
+from sdm.kernels.bvh.tree import COUNT, DEPTH, FIRST, LEFT_OUT, PART_SIZE, ROOT, coarser, depth_for
 from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
-from sdm.kernels.geometry.voxel_grid import SLAB_ROW, Slab
+from sdm.kernels.geometry.voxel_grid import (
+    AXES,
+    CELL_SHARES,
+    ORIGIN,
+    REGION,
+    REGION_SHARES,
+    SHAPE,
+    SLAB_ROW,
+    SPACING,
+    VOXEL,
+    Slab,
+)
 from sdm.kernels.launch import set_array
-from sdm.kernels.topology.filler_faces import COUNTS, fill_up
+from sdm.kernels.topology.filler_faces import COUNTS, FACES, VERTICES, fill_up
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import beside, kernels_beside
@@ -33,9 +44,8 @@ from sdm.topology.face_pairing import queue_pairing
 # The table: both slabs' rows, then the counts and both meshes' parts as whole numbers, two in the room of a row's.
 _ROWS = 2 * SLAB_ROW
 _NUMBERS = COUNTS + 2 * PART_SIZE
-TABLE = _ROWS + _NUMBERS // 2
+TABLE = _ROWS + -(-_NUMBERS // 2)
 _FORMAT = struct.Struct(f"={_ROWS}d{_NUMBERS}i")
-_NO_AXES = (0.0,) * 9
 
 
 def class_key(kind: CapacityClass) -> tuple[str, CapacityClass]:
@@ -68,30 +78,31 @@ def _longer(given: Tensor, rows: int) -> Tensor:
 
 def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: int, grid: Grid) -> None:
     """Write the numbers that kernels read about a mesh and its grid: (TABLE,) float64."""
-    axes: tuple[float, ...] = _NO_AXES
+    # Lists, as NumPy takes longer to write a few numbers than all else here.
+    own: list[float] = [0.0] * SLAB_ROW
+    own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape
+    own[REGION_SHARES], own[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
     if kind.turned:
-        axes = tuple(d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True))
+        own[AXES : AXES + 9] = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
+    # A grid without voxels, behind the other.
+    none: list[float] = [0.0] * SLAB_ROW
+    none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), grid.size, kind.plan.total
+    none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
     depth, behind = depth_for(faces), kind.faces - faces
-    shares = kind.plan.region_shares, kind.plan.cell_shares
-    buffer: Any = table
-    _FORMAT.pack_into(
-        buffer,
-        0,
-        # The slab's row, in the order of `sdm.kernels.geometry.voxel_grid`, and one of a grid without voxels.
-        *(*grid.origin, *grid.spacing, *axes, *grid.shape, 0, 0, 0, *shares),
-        *(0, 0, 0, 1, 1, 1, *_NO_AXES, 0, 0, 0, 0, grid.size, kind.plan.total, *shares),
-        # The counts, and the parts, in the order of `sdm.kernels.bvh.tree`.
-        *(faces, vertices),
-        *(0, faces, depth, 0, kind.plan.levels_left_out),
-        *(faces, behind, depth_for(behind), 2 << depth, 0),
-    )
+    parts = [0] * (2 * PART_SIZE)
+    parts[COUNT], parts[DEPTH], parts[LEFT_OUT] = faces, depth, kind.plan.levels_left_out
+    parts[PART_SIZE + FIRST], parts[PART_SIZE + COUNT] = faces, behind
+    parts[PART_SIZE + DEPTH], parts[PART_SIZE + ROOT] = depth_for(behind), 2 << depth
+    counts = [0] * COUNTS
+    counts[FACES], counts[VERTICES] = faces, vertices
+    _FORMAT.pack_into(table, 0, *own, *none, *counts, *parts)
 
 
 def _queue_class_map(
     kind: CapacityClass, verify: Verify, vertices: Tensor, given: Tensor, table: Tensor
 ) -> tuple[Tensor, Tensor]:
     device = vertices.device
-    rows, (counts, parts) = table[:_ROWS], table[_ROWS:].view(torch.int32).split([COUNTS, 2 * PART_SIZE])
+    rows, (counts, parts) = table[:_ROWS], table[_ROWS:].view(torch.int32)[:_NUMBERS].split([COUNTS, 2 * PART_SIZE])
     faces, wrong = torch.empty_like(given), torch.zeros(1, dtype=torch.int32, device=device)
     with on_current_stream(vertices, given, table):
         fill_up(*(as_warp(tensor, wp.int32) for tensor in (counts, given, faces, wrong)))

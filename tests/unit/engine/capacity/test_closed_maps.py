@@ -10,8 +10,11 @@ import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import split
 from sdm.engine.capacity.classes import bounds_of, class_of
-from sdm.engine.capacity.closed_maps import class_call, to_record
-from sdm.kernels.bvh.tree import depth_for
+from sdm.engine.capacity.closed_maps import TABLE, class_call, to_record, write_table
+from sdm.engine.plan_override import plan_override
+from sdm.kernels.bvh.tree import COUNT, FIRST, PART_SIZE, ROOT, depth_for
+from sdm.kernels.geometry.voxel_grid import AXES, ORIGIN, REGION, SHAPE, SLAB_ROW, VOXEL
+from sdm.kernels.topology.filler_faces import COUNTS
 from sdm.topology.face_pairing import neighbours
 
 
@@ -36,6 +39,36 @@ def test_the_same_bits(name, turned):
     assert not flags.any()
     assert torch.equal(around, neighbours(faces, len(vertices)))
     assert torch.equal(values, sdm.MeshIndex((vertices, faces), "cpu", warn=False).signed_distance_map(grid).values)
+
+
+def test_lists_in_shares():
+    """As on a GPU: each list is made by several groups, whose number is in the table."""
+    case = load_case("torus-5000")
+    vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
+    grid = sdm.Grid([-1.1] * 3, [0.08] * 3, [28] * 3)
+    with plan_override(shares=(8, 2), split_length=32, slice_factors=(1,)):
+        kind, values, _, _ = _class_map(vertices, faces, grid)
+        assert (kind.plan.region_shares, kind.plan.cell_shares) == (8, 2)
+        assert torch.equal(values, sdm.MeshIndex((vertices, faces), "cpu").signed_distance_map(grid).values)
+
+
+def test_the_table_has_every_entry_in_its_place():
+    grid = sdm.Grid([1, 2, 3], [0.1, 0.2, 0.3], [10, 11, 12], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+    kind = class_of(1000, 500, grid, None)
+    table = np.zeros(TABLE)
+    write_table(table, kind, 1000, 500, grid)
+    own, none = table[: 2 * SLAB_ROW].reshape(2, SLAB_ROW)
+    assert tuple(own[ORIGIN : ORIGIN + 3]) == (1, 2, 3)
+    assert tuple(own[SHAPE : SHAPE + 3]) == (10, 11, 12)
+    assert tuple(own[AXES : AXES + 9]) == (0, 0.2, 0, 0.1, 0, 0, 0, 0, 0.3)
+    assert tuple(none[SHAPE : SHAPE + 3]) == (0, 0, 0)
+    assert (none[VOXEL], none[REGION]) == (grid.size, kind.plan.total)
+    numbers = table[2 * SLAB_ROW :].view(np.int32)
+    assert numbers[:COUNTS].tolist() == [1000, 500]
+    parts = numbers[COUNTS:][: 2 * PART_SIZE].reshape(2, PART_SIZE)
+    assert parts[:, FIRST].tolist() == [0, 1000]
+    assert parts[:, COUNT].tolist() == [1000, kind.faces - 1000]
+    assert parts[:, ROOT].tolist() == [0, 2 << depth_for(1000)]
 
 
 def test_meshes_of_a_class_have_one_recording():
