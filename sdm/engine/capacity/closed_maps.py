@@ -95,7 +95,7 @@ def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: in
     parts[PART_SIZE + DEPTH], parts[PART_SIZE + ROOT] = depth_for(behind), 2 << depth
     counts = [0] * COUNTS
     counts[FACES], counts[VERTICES] = faces, vertices
-    _FORMAT.pack_into(table, 0, *own, *none, *counts, *parts)
+    _FORMAT.pack_into(table.data, 0, *own, *none, *counts, *parts)
 
 
 def _queue_class_map(
