@@ -37,7 +37,7 @@ from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
 # Whether closed meshes never seen before are replayed by capacity class.
-USE_CLASSES = False
+USE_CLASSES = True
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
 LARGEST_RECORDED = 1 << 29
 

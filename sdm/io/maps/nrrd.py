@@ -16,7 +16,17 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.nrrd_data import read_header, read_values
-from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
+from sdm.io.maps.record import (
+    KEY,
+    RECORD_CHECKSUM,
+    from_record,
+    record,
+    sign_arguments,
+    signs_of,
+    to_line,
+    verify,
+    with_checksum,
+)
 
 SPACE = "right-anterior-superior"
 # Axes of the spaces of the NRRD standard that point the other way than right, anterior and superior.
@@ -82,6 +92,8 @@ def _geometry(header: Any, path: Path) -> tuple[Grid, int | None, Any]:
         scale = np.abs(exact[0].affine[:3, :3]).max()
         if exact[0].shape == shape and np.allclose(exact[0].affine, affine, rtol=1e-12, atol=1e-9 * scale):
             return *exact, kept
+    elif any(RECORD_CHECKSUM in str(value) for value in header.values()):
+        raise FormatError(f"{path} is damaged: its record has lost its name, {KEY!r}; compute or copy it again")
     return Grid.from_affine(affine, shape), None, None
 
 

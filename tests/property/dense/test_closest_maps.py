@@ -150,3 +150,21 @@ def test_what_is_recorded_does_the_same():
     again = map_closest._queue_recordable(index._structure.sizes, grid, unverified, block, mesh.faces, around)
     for one, other in zip(found, again, strict=True):
         assert torch.equal(one, other)
+
+
+def test_voxels_with_other_values_than_the_map_are_asked_about_as_points(monkeypatch):
+    plain = map_closest._queue
+
+    def damaged(*args):
+        found = plain(*args)
+        for whole in (found.values, found.points, found.barycentric, found.faces):
+            whole[3:6, 2:4] = 0
+        return found
+
+    case = load_case("open hemisphere")
+    grid = turned_around(case, 20)
+    monkeypatch.setattr(map_closest, "_queue", damaged)
+    with pytest.raises(AssertionError):
+        agrees(case, grid)
+    monkeypatch.setitem(map_closest.COMPARED, "cpu", True)
+    agrees(case, grid)

@@ -240,3 +240,11 @@ def test_a_damaged_record_of_a_zarr_is_found(tmp_path):
     del document["attributes"][KEY][RECORD_CHECKSUM]
     (path / "zarr.json").write_text(json.dumps(document))
     assert torch.equal(load(path).values, VALUES)
+
+
+def test_a_record_that_lost_its_name_is_damage(tmp_path):
+    path = tmp_path / "map.nrrd"
+    save(FIELD, path)
+    path.write_bytes(path.read_bytes().replace(b"sdm:=", b"sd-:="))
+    with pytest.raises(FormatError, match="its record has lost its name"):
+        load(path)
