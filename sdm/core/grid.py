@@ -114,7 +114,7 @@ class Grid:
         count = _resolution(128 if resolution is None else resolution)
         if extent == 0:
             raise GridError(f"{mesh.name} has size zero, so a resolution says nothing: give a spacing")
-        box = np.full(3, extent) if np.ndim(resolution or 128) == 0 else high - low
+        box = np.full(3, extent) if resolution is None or np.ndim(resolution) == 0 else high - low
         step = float(((box + 2 * room) / np.maximum(count - 1, 1)).max())
         origin = (low + high) / 2 - step * (count - 1) / 2
         return cls(origin, (step,) * 3, count)

@@ -50,6 +50,10 @@ def test_numbers_of_any_kind_become_plain_tuples():
     assert all(type(n) is int for n in grid.shape)
 
 
+def test_a_resolution_may_be_an_array():
+    assert Grid.around(BOX, np.array([9, 8, 7])) == Grid.around(BOX, (9, 8, 7))
+
+
 @pytest.mark.parametrize("resolution", [1, 2, 33])
 def test_around_with_a_resolution_is_a_centred_cube(resolution):
     grid = Grid.around(BOX, resolution=resolution, margin=0.25)
