@@ -103,7 +103,7 @@ def _is_plain(mesh: TriangleMesh) -> bool:
         around = pairing_of(torch.from_numpy(merged), len(vertices)).neighbours
     other = around.cpu().numpy()[:, :3] // 3
     component = _components(np.where(other < 0, np.arange(len(faces))[:, None], other))
-    volume, area = _sizes(vertices[faces].astype(np.float64), component)
+    volume, area = _sizes(mesh, component)
     least = LEAST_VOLUME * area**1.5
     return bool((volume > -least if edges.shape[0] else volume > least).all())
 
@@ -122,10 +122,16 @@ def _components(other: np.ndarray) -> np.ndarray:
     return np.unique(lowest, return_inverse=True)[1].reshape(-1)
 
 
-def _sizes(corners: np.ndarray, component: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sizes(mesh: TriangleMesh, component: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed volume of each component about its middle, and its area."""
-    count = np.bincount(component)
-    middle = np.stack([np.bincount(component, corners[:, :, k].mean(1)) for k in range(3)], 1) / count[:, None]
-    a, b, c = np.moveaxis(corners - middle[component][:, None], 1, 0)
-    normal = np.cross(b - a, c - a)
-    return np.bincount(component, (a * normal).sum(1)) / 6, np.bincount(component, np.linalg.norm(normal, axis=1)) / 2
+    vertices = mesh.vertices.detach().double().cpu()
+    # About the middle of all, so that a mesh far from the origin loses no digits.
+    vertices = vertices - vertices.mean(0)
+    a, b, c = (vertices.index_select(0, mesh.faces[:, k].long().cpu()) for k in range(3))
+    normal = torch.linalg.cross(b - a, c - a)
+    of_face = torch.cat([a + b + c, normal, (a * normal).sum(1, True), normal.norm(dim=1, keepdim=True)], 1)
+    number = torch.from_numpy(component).long()
+    sums = torch.zeros(int(number.max()) + 1, 8, dtype=torch.float64).index_add_(0, number, of_face)
+    middle = sums[:, :3] / (3 * torch.bincount(number)[:, None])
+    volume = (sums[:, 6] - (middle * sums[:, 3:6]).sum(1)) / 6
+    return volume.numpy(), (sums[:, 7] / 2).numpy()
