@@ -11,7 +11,6 @@ from sdm.bench.dense.first import fresh, split
 from sdm.engine import maps
 from sdm.errors import MeshError
 from sdm.runtime import graphs
-from sdm.runtime.graphs.captured_call import CapturedCall
 
 pytestmark = pytest.mark.gpu
 
@@ -22,15 +21,6 @@ def afresh(monkeypatch):
     graphs.clear()
     yield
     graphs.clear()
-
-
-@pytest.fixture
-def launches(monkeypatch):
-    """Number of launches of recordings."""
-    counted = []
-    plain = CapturedCall.launch
-    monkeypatch.setattr(CapturedCall, "launch", lambda *args: counted.append(1) or plain(*args))
-    return counted
 
 
 def _grid(case, number, shape, direction=None):

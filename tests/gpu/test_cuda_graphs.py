@@ -14,7 +14,6 @@ from sdm.engine import maps
 from sdm.engine.plan_override import plan_override
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
-from sdm.runtime.graphs.captured_call import CapturedCall
 from sdm.runtime.graphs.replay import MOST_RECORDINGS
 
 pytestmark = pytest.mark.gpu
@@ -28,15 +27,6 @@ def afresh():
     graphs.clear()
     yield
     graphs.clear()
-
-
-@pytest.fixture
-def launches(monkeypatch):
-    """Number of launches of recordings."""
-    counted = []
-    plain = CapturedCall.launch
-    monkeypatch.setattr(CapturedCall, "launch", lambda *args: counted.append(1) or plain(*args))
-    return counted
 
 
 def _mesh(vertices, faces, check=False) -> sdm.TriangleMesh:
