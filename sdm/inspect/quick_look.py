@@ -131,7 +131,7 @@ def _sizes(mesh: TriangleMesh, component: np.ndarray) -> tuple[np.ndarray, np.nd
     normal = torch.linalg.cross(b - a, c - a)
     of_face = torch.cat([a + b + c, normal, (a * normal).sum(1, True), normal.norm(dim=1, keepdim=True)], 1)
     number = torch.from_numpy(component).long()
-    sums = torch.zeros(int(number.max()) + 1, 8, dtype=torch.float64).index_add_(0, number, of_face)
+    sums = of_face.new_zeros(int(number.max()) + 1, 8).index_add_(0, number, of_face)
     middle = sums[:, :3] / (3 * torch.bincount(number)[:, None])
     volume = (sums[:, 6] - (middle * sums[:, 3:6]).sum(1)) / 6
     return volume.numpy(), (sums[:, 7] / 2).numpy()
