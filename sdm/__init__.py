@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from sdm.core.grid import Grid
     from sdm.core.mesh import TriangleMesh
     from sdm.core.signed_distance_map import SDM
+    from sdm.core.sparse_sdm import SparseSDM
     from sdm.dataset import SDMDataset
     from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps, signed_distances
+    from sdm.engine.band.calls import narrow_band
     from sdm.engine.closest_points import Closest
     from sdm.engine.distance_transform import euclidean_distance_transform
     from sdm.engine.mesh_index import MeshIndex
@@ -67,11 +69,13 @@ _HOMES = {
     "SDMError": "errors",
     "SDMWarning": "errors",
     "SDMStream": "stream",
+    "SparseSDM": "core.sparse_sdm",
     "TriangleMesh": "core.mesh",
     "euclidean_distance_transform": "engine.distance_transform",
     "inspect_mesh": "inspect",
     "load": "io",
     "load_mesh": "io",
+    "narrow_band": "engine.band.calls",
     "orient_faces": "engine.orient",
     "save": "io",
     "save_mesh": "io",
@@ -95,11 +99,13 @@ __all__ = [
     "SDMError",
     "SDMStream",
     "SDMWarning",
+    "SparseSDM",
     "TriangleMesh",
     "euclidean_distance_transform",
     "inspect_mesh",
     "load",
     "load_mesh",
+    "narrow_band",
     "orient_faces",
     "save",
     "save_mesh",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import torch
 from jaxtyping import Float32
@@ -36,6 +36,10 @@ from sdm.errors import MeshError
 from sdm.runtime.operators import is_eager
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import pairing_of
+
+if TYPE_CHECKING:
+    from sdm.core.sparse_sdm import SparseSDM
+    from sdm.engine.band.calls import BandGrid
 
 
 def moves_without_wait(vertices: Tensor) -> bool:
@@ -286,6 +290,13 @@ class MeshIndex:
         if not method.is_default:
             field = self._by(method, grid, field)
         return checked(self._check, field, self._measured), hit
+
+    def narrow_band(self, grid: BandGrid, *, half_width: float = 3.0, sign: Sign = "winding") -> SparseSDM:
+        """As `sdm.narrow_band`, on this index."""
+        from sdm.engine.band.calls import band_grid, band_of, check_options
+
+        check_options(half_width, sign)
+        return band_of(self, band_grid(self.mesh, grid, half_width=half_width), half_width, sign)
 
     def slabs(
         self,

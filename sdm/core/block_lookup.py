@@ -1,0 +1,70 @@
+"""Places of blocks of 8^3 voxels in sorted lists: which one is stored where, and what lies inside where none is."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Int, Int32, Int64
+from torch import Tensor
+
+# Voxels along the edge of a block.
+BLOCK = 8
+
+
+def blocks_along(shape: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Blocks along each axis of a grid of this shape; the last ones may stick out."""
+    return (-(-shape[0] // BLOCK), -(-shape[1] // BLOCK), -(-shape[2] // BLOCK))
+
+
+def keys_of(blocks: Int[Tensor, "*n 3"], count: tuple[int, int, int]) -> Int64[Tensor, "*n"]:
+    """Numbers by which blocks (...,3) are sorted: by x, then y, then z; there are `count` along the axes."""
+    x, y, z = blocks.long().unbind(-1)
+    return (x * count[1] + y) * count[2] + z
+
+
+def blocks_of(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> Int32[Tensor, "n 3"]:
+    """The blocks (N,3) that these numbers belong to."""
+    rest = keys // count[2]
+    return torch.stack([rest // count[1], rest % count[1], keys % count[2]], -1).int()
+
+
+def find_blocks(sorted_keys: Int64[Tensor, " n"], wanted: Int64[Tensor, "*m"]) -> Int64[Tensor, "*m"]:
+    """Places of the `wanted` keys in a sorted list, or -1 where it does not have one."""
+    if not len(sorted_keys):
+        return torch.full_like(wanted, -1)
+    at = torch.searchsorted(sorted_keys, wanted).clamp(max=len(sorted_keys) - 1)
+    return torch.where(sorted_keys[at] == wanted, at, -1)
+
+
+def are_in_runs(
+    runs: Int32[Tensor, "r 4"], wanted: Int64[Tensor, "*m"], count: tuple[int, int, int]
+) -> Bool[Tensor, "*m"]:
+    """True for keys of blocks in one of the sorted runs (R,4): x and y, the first z, and the one after the last."""
+    if not len(runs):
+        return torch.zeros_like(wanted, dtype=torch.bool)
+    first = keys_of(runs[:, :3], count)
+    end = first + (runs[:, 3] - runs[:, 2])
+    at = torch.searchsorted(first, wanted, right=True) - 1
+    return (at >= 0) & (wanted < end[at.clamp(min=0)])
+
+
+def gaps_of(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[Tensor, Tensor, Tensor]:
+    """Runs of blocks along z between stored ones, or between those and the grid's ends, in rows that have any.
+
+    Returns:
+        Their first keys, the keys after their last (M,), and the place of a stored block beside each: the one before
+        it, or where there is none in its row, minus 1 minus that of the one after it.
+    """
+    row = torch.div(keys, count[2], rounding_mode="floor")
+    places = torch.arange(len(keys), device=keys.device)
+    new_row = torch.ones_like(keys, dtype=torch.bool)
+    new_row[1:] = row[1:] != row[:-1]
+    end_of_row = new_row.roll(-1)
+    # Before the first of a row, and after every one.
+    following = torch.where(end_of_row, (row + 1) * count[2], keys.roll(-1))
+    begin = torch.cat([(row * count[2])[new_row], keys + 1])
+    end = torch.cat([keys[new_row], following])
+    beside = torch.cat([-1 - places[new_row], places])
+    there = end > begin
+    begin, end, beside = begin[there], end[there], beside[there]
+    order = begin.argsort()
+    return begin[order], end[order], beside[order]

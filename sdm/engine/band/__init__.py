@@ -1,0 +1,1 @@
+"""Narrow bands of meshes: the voxels near the surface alone, in blocks."""

@@ -1,0 +1,197 @@
+"""Narrow bands of meshes: the functions that users call."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any, TypeAlias, get_args, overload
+
+import numpy as np
+import torch
+
+from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.block_lookup import blocks_along, keys_of
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.core.sparse_sdm import SparseSDM
+from sdm.engine.arguments import Orient, Sign
+from sdm.engine.band.from_slabs import blocks_of_slabs
+from sdm.engine.band.inside_runs import inside_runs
+from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.mesh_lists import are_meshes
+from sdm.errors import GridError, SDMError
+
+# A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.
+BandGrid: TypeAlias = Grid | float | Sequence[float]
+
+# With less there are voxels next to the surface that the band does not hold.
+LEAST_HALF_WIDTH = 1.5
+
+
+@overload
+def narrow_band(
+    mesh: list[MeshLike] | tuple[TriangleMesh, ...],
+    grid: BandGrid | Sequence[Grid] | None = None,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    resolution: int | Sequence[int] | None = None,
+    half_width: float = 3.0,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+    orient: Orient = "keep",
+    sign: Sign = "winding",
+) -> list[SparseSDM]: ...
+@overload
+def narrow_band(
+    mesh: MeshLike,
+    grid: BandGrid | None = None,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    resolution: int | Sequence[int] | None = None,
+    half_width: float = 3.0,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+    orient: Orient = "keep",
+    sign: Sign = "winding",
+) -> SparseSDM: ...
+def narrow_band(
+    mesh: Any,
+    grid: Any = None,
+    *,
+    spacing: float | Sequence[float] | None = None,
+    resolution: int | Sequence[int] | None = None,
+    half_width: float = 3.0,
+    margin: float | None = None,
+    device: str | torch.device | None = None,
+    orient: Orient = "keep",
+    sign: Sign = "winding",
+) -> SparseSDM | list[SparseSDM]:
+    """The exact signed distances of the voxels near a mesh's surface, in blocks of 8^3: memory grows with the surface.
+
+    Args:
+        mesh: Any triangles, as `sdm.signed_distance_map` takes them; or a list of meshes, which gives a list of bands.
+        grid: The voxels; or the length of their edges in the mesh's unit, a `float` or three; or how many there are
+            along each axis of a grid around the mesh, a whole number or three. For a list one for all, or a `Grid`
+            for each.
+        spacing: That length, by name.
+        resolution: That number, by name.
+        half_width: How far the band reaches to each side of the surface, in voxels: in the longest of their edges. At
+            least 1.5.
+        margin: Room around the mesh, as a share of the longest edge of its box: by default 0.05 with a resolution, and
+            half the band and a voxel with a spacing.
+        device: Where to compute; by default a GPU if there is one. The band stays there.
+        orient: As for `sdm.signed_distance_map`.
+        sign: `"winding"` or `"none"`, as for `sdm.signed_distance_map`; `"flood"`, which needs all of the grid, is
+            refused.
+
+    Returns:
+        The band. Its values are those of `sdm.signed_distance_map` on the same grid, clamped to the width, bit for bit,
+        without gradients; that map is never made.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: Nothing says what the grid is, or several things do; or the band is too narrow.
+        MeshError: What is given is no mesh, or one that cannot be used.
+        SDMError: A sign that there is not, or `"flood"`.
+    """
+    options: dict[str, Any] = {"half_width": half_width, "sign": sign}
+    sized: dict[str, Any] = {"spacing": spacing, "resolution": resolution, "margin": margin}
+    if are_meshes(mesh):
+        meshes = list(mesh)
+        pairs = zip(meshes, _grids_of(grid, len(meshes)), strict=True)
+        return [narrow_band(one, its, device=device, orient=orient, **options, **sized) for one, its in pairs]
+    check_options(half_width, sign)
+    if not isinstance(mesh, TriangleMesh):
+        mesh = as_mesh(mesh)
+    chosen = band_grid(mesh, grid, half_width=half_width, **sized)
+    return band_of(MeshIndex(mesh, device, orient=orient, warn=False), chosen, **options)
+
+
+def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> SparseSDM:
+    """The band of an index on a grid, whose options were checked."""
+    # In float32, as the values are.
+    width = float(np.float32(half_width * max(grid.spacing)))
+    blocks, values, ambiguous = blocks_of_slabs(index, grid, width, sign)
+    if sign == "none":
+        inside = blocks.new_empty((0, 4))
+    else:
+        inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values)
+    return SparseSDM(blocks, values, inside, grid, width, ambiguous if sign == "winding" else None, sign)
+
+
+def check_options(half_width: float, sign: str) -> None:
+    """Refuse options of a band that make no sense.
+
+    Raises:
+        GridError: The band is too narrow.
+        SDMError: A sign that there is not, or one that needs all of the grid.
+    """
+    if not (isinstance(half_width, int | float) and math.isfinite(half_width) and half_width >= LEAST_HALF_WIDTH):
+        raise GridError(f"half_width is {half_width!r}; give a number of voxels of at least {LEAST_HALF_WIDTH}")
+    if sign == "flood":
+        raise SDMError(
+            "a flood goes through all of a grid, and a narrow band has no more than the voxels near the surface: use "
+            "sign='winding' or 'none', or sdm.signed_distance_map with sign='flood'"
+        )
+    if sign not in get_args(Sign):
+        raise SDMError(f"sign is {sign!r}; use 'winding' or 'none'")
+
+
+def band_grid(
+    mesh: TriangleMesh,
+    grid: BandGrid | None,
+    *,
+    half_width: float,
+    spacing: float | Sequence[float] | None = None,
+    resolution: int | Sequence[int] | None = None,
+    margin: float | None = None,
+) -> Grid:
+    """The grid that a call asks for, see `narrow_band`.
+
+    Raises:
+        GridError: None or several of grid, spacing and resolution, or nothing that is one.
+    """
+    given = [value for value in (grid, spacing, resolution) if value is not None]
+    if len(given) != 1:
+        raise GridError("a band needs one of these: a Grid, the spacing of its voxels, or a resolution")
+    if isinstance(grid, Grid):
+        if margin is not None:
+            raise GridError("a margin is for grids that a spacing or a resolution describes: give the Grid alone")
+        return grid
+    if grid is not None:
+        if not isinstance(grid, int | float | np.number | Sequence | np.ndarray) or isinstance(grid, str | bytes):
+            raise GridError(
+                f"an object of type {type(grid).__name__} is no grid: give a Grid, a spacing or a resolution"
+            )
+        if _are_whole(grid):
+            resolution = grid  # type: ignore[assignment]
+        else:
+            spacing = grid
+    if resolution is not None:
+        return Grid.around(mesh, resolution, margin=0.05 if margin is None else margin)
+    if margin is None:
+        low, high = mesh.bounds
+        extent = float((high - low).max())
+        room = (half_width + 1) * float(np.max(np.asarray(spacing, np.float64)))
+        margin = room / extent if extent > 0 and math.isfinite(room) else 0.0
+    return Grid.around(mesh, spacing=spacing, margin=margin)
+
+
+def _are_whole(numbers: Any) -> bool:
+    """True for whole numbers by their type: 2 is two voxels, and 2.0 a length."""
+    try:
+        for number in np.atleast_1d(np.asarray(numbers)).tolist():
+            operator.index(number)
+    except TypeError:
+        return False
+    return True
+
+
+def _grids_of(grid: Any, count: int) -> list[Any]:
+    """A grid for each mesh of a list."""
+    if not (isinstance(grid, Sequence) and len(grid) > 0 and all(isinstance(each, Grid) for each in grid)):
+        return [grid] * count
+    if len(grid) != count:
+        raise GridError(f"there are {count} meshes and {len(grid)} grids: give one for each, or one for all")
+    return list(grid)

@@ -1,0 +1,95 @@
+"""Runs of blocks that are not stored and lie inside the mesh."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Bool, Float, Float32, Int32, Int64
+from torch import Tensor
+
+from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, gaps_of
+from sdm.core.grid import Grid
+
+if TYPE_CHECKING:
+    from sdm.engine.mesh_index import MeshIndex
+
+
+def inside_runs(
+    index: MeshIndex, grid: Grid, keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"]
+) -> Int32[Tensor, "r 4"]:
+    """Runs (R,4) along z of blocks that are not stored and lie inside, sorted: x and y, first z, one after the last.
+
+    Next to a block that is not stored a closed mesh has no surface, so it is on the side of any voxel that faces it. Of
+    other meshes winding numbers tell, in the first and the last block of a run; where these differ, a bisection finds
+    where they change. Rows without a block are outside, unless the mesh reaches beyond the grid; then a voxel of each
+    is asked.
+    """
+    count = blocks_along(grid.shape)
+    begin, end, beside = gaps_of(keys, count)
+    if index.closed:
+        # Before it, the last voxels of the block there; else after it, the first ones.
+        stored = torch.where(beside < 0, -1 - beside, beside)
+        side = torch.where(beside < 0, values[stored, 3, 3, 0], values[stored, 3, 3, BLOCK - 1])
+        begin, end = begin[side < 0], end[side < 0]
+    else:
+        begin, end = _inner_parts(index, grid, begin, end)
+    if _reaches_beyond(index, grid):
+        empty = _empty_rows(keys, count)
+        empty = empty[_are_inside(index, grid, empty * count[2] + count[2] // 2)]
+        begin = torch.cat([begin, empty * count[2]])
+        end = torch.cat([end, (empty + 1) * count[2]])
+        order = begin.argsort()
+        begin, end = begin[order], end[order]
+    first = blocks_of(begin, count)
+    return torch.cat([first, first[:, 2:] + (end - begin).int()[:, None]], 1)
+
+
+def _inner_parts(
+    index: MeshIndex, grid: Grid, begin: Int64[Tensor, " m"], end: Int64[Tensor, " m"]
+) -> tuple[Int64[Tensor, " i"], Int64[Tensor, " i"]]:
+    """Of runs of blocks those that lie inside, or their parts, if they have one side at either end."""
+    first, last = _are_inside(index, grid, begin), _are_inside(index, grid, end - 1)
+    # The last block known to be on the side of the first, and the first known not to be.
+    low, high = begin.clone(), torch.where(first == last, end, end - 1)
+    while len(at := ((first != last) & (high - low > 1)).nonzero()[:, 0]):
+        middle = (low[at] + high[at]) // 2
+        same = _are_inside(index, grid, middle) == first[at]
+        low[at], high[at] = torch.where(same, middle, low[at]), torch.where(same, high[at], middle)
+    inside = first | last
+    begin, end = torch.where(first, begin, high), torch.where(last, end, high)
+    return begin[inside], end[inside]
+
+
+def voxel_points(grid: Grid, voxels: Int64[Tensor, "n 3"]) -> Float32[Tensor, "n 3"]:
+    """Centres (N,3) of voxels (N,3), bit for bit those of `Grid.points`."""
+    i, j, k = voxels.double().unbind(-1)
+    found = []
+    for axis in range(3):
+        row = [d * s for d, s in zip(grid.direction[axis], grid.spacing, strict=True)]
+        found.append(grid.origin[axis] + (row[0] * i + row[1] * j + row[2] * k))
+    return torch.stack(found, -1).float()
+
+
+def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool[Tensor, " m"]:
+    """True for blocks a voxel of which, near its middle, has a winding number of more than a half."""
+    blocks = blocks_of(keys, blocks_along(grid.shape)).long()
+    last = torch.tensor(grid.shape, device=keys.device) - 1
+    voxels = (blocks * BLOCK + 3).minimum(last)
+    return index.winding_number(voxel_points(grid, voxels)) > 0.5
+
+
+def _reaches_beyond(index: MeshIndex, grid: Grid) -> bool:
+    """True if a corner of the mesh's box is outside the grid, so that rows far from its surface may be inside."""
+    low, high = index.mesh.bounds
+    corners = torch.tensor([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    turn = torch.tensor(grid.direction, dtype=torch.float64, device="cpu")
+    place = (corners.double() - torch.tensor(grid.origin, dtype=torch.float64, device="cpu")) @ turn
+    place = place / torch.tensor(grid.spacing, dtype=torch.float64, device="cpu")
+    return bool(((place < 0) | (place > torch.tensor(grid.shape, device="cpu") - 1)).any())
+
+
+def _empty_rows(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> Int64[Tensor, " m"]:
+    rows = torch.ones(count[0] * count[1], dtype=torch.bool, device=keys.device)
+    rows[torch.div(keys, count[2], rounding_mode="floor")] = False
+    return rows.nonzero()[:, 0]

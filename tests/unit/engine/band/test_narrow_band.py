@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+import sdm
+from sdm.bench.common.meshes import sphere
+from sdm.errors import GridError, SDMError
+
+
+def mesh() -> sdm.TriangleMesh:
+    return sdm.TriangleMesh(*sphere(10))
+
+
+def opened() -> sdm.TriangleMesh:
+    """A sphere with a large hole."""
+    vertices, faces = sphere(10)
+    return sdm.TriangleMesh(vertices, faces[vertices[faces].mean(1)[:, 2] < 0.4])
+
+
+def assert_is_the_band(band: sdm.SparseSDM, dense: sdm.SDM) -> None:
+    """The blocks that have a voxel in the band, and no others, with the dense map's bits."""
+    near = dense.values.abs() < band.width
+    wanted = torch.unique(near.nonzero() // 8, dim=0)
+    assert torch.equal(band.blocks.long(), wanted)
+    found = band.to_dense().values
+    stored = torch.zeros_like(near)
+    for x, y, z in (8 * wanted).tolist():
+        stored[x : x + 8, y : y + 8, z : z + 8] = True
+    assert torch.equal(found[stored], dense.values.clamp(-band.width, band.width)[stored])
+
+
+@pytest.mark.parametrize("sign", ["winding", "none"])
+@pytest.mark.parametrize("half_width", [1.5, 3.0, 7.3])
+def test_values_are_the_dense_map(device, sign, half_width):
+    grid = sdm.Grid.around(mesh(), 50)
+    band = sdm.narrow_band(mesh(), grid, half_width=half_width, sign=sign, device=device)
+    dense = sdm.signed_distance_map(mesh(), grid, sign=sign, device=device)
+    assert_is_the_band(band, dense)
+    assert torch.equal(band.to_dense().values, dense.values.clamp(-band.width, band.width))
+    assert band.ambiguous_voxels == (0 if sign == "winding" else None)
+    assert band.sign == sign
+
+
+def test_a_grid_that_the_mesh_reaches_beyond(device):
+    """From within, where no voxel is near the surface; and half of it."""
+    for grid in (
+        sdm.Grid((-0.2, -0.2, -0.2), (0.02,) * 3, (20, 20, 20)),
+        sdm.Grid((0, 0.1, -2), (0.03,) * 3, (30, 50, 90)),
+    ):
+        band = sdm.narrow_band(mesh(), grid, device=device)
+        dense = sdm.signed_distance_map(mesh(), grid, device=device)
+        assert torch.equal(band.to_dense().values, dense.values.clamp(-band.width, band.width))
+
+
+def test_an_open_mesh(device):
+    grid = sdm.Grid.around(opened(), 45)
+    band = sdm.narrow_band(opened(), grid, device=device)
+    dense = sdm.signed_distance_map(opened(), grid, device=device)
+    assert_is_the_band(band, dense)
+    assert 0 < band.ambiguous_voxels < dense.ambiguous_voxels
+    # Far from the surface a block has one sign.
+    differ = (band.to_dense().values < 0) != (dense.values < 0)
+    assert differ.float().mean() < 0.03
+
+
+def test_grids_that_are_described():
+    by_number = sdm.narrow_band(mesh(), 40, device="cpu")
+    assert by_number.grid == sdm.Grid.around(mesh(), 40)
+    assert sdm.narrow_band(mesh(), resolution=40, device="cpu").grid == by_number.grid
+    by_length = sdm.narrow_band(mesh(), 0.1, device="cpu")
+    assert by_length.grid.spacing == (0.1,) * 3 == sdm.narrow_band(mesh(), spacing=0.1, device="cpu").grid.spacing
+    # All of the band is there.
+    outermost = by_length.to_dense().values
+    assert (outermost[0] == by_length.width).all()
+    assert (outermost[..., -1] == by_length.width).all()
+    assert by_length.half_width == pytest.approx(3.0)
+    index = sdm.MeshIndex(mesh(), "cpu")
+    assert torch.equal(index.narrow_band(0.1).values, by_length.values)
+
+
+def test_lists_of_meshes():
+    meshes = [mesh(), opened()]
+    bands = sdm.narrow_band(meshes, 0.15, device="cpu")
+    assert [band.grid for band in bands] == [sdm.narrow_band(one, 0.15, device="cpu").grid for one in meshes]
+    grids = [band.grid for band in bands]
+    again = sdm.narrow_band(meshes, grids, device="cpu")
+    assert all(torch.equal(one.values, other.values) for one, other in zip(bands, again, strict=True))
+    with pytest.raises(GridError, match="2 meshes and 1 grids"):
+        sdm.narrow_band(meshes, grids[:1], device="cpu")
+
+
+def test_a_mesh_far_from_its_grid():
+    band = sdm.narrow_band(mesh(), sdm.Grid((50, 50, 50), (1, 1, 1), (9, 9, 9)), device="cpu")
+    assert len(band) == 0
+    assert (band.to_dense().values == 3.0).all()
+    assert band.sample([[52.0, 52, 52]]).tolist() == [3.0]
+
+
+def test_refused():
+    with pytest.raises(SDMError, match="a flood goes through all of a grid"):
+        sdm.narrow_band(mesh(), 0.1, sign="flood", device="cpu")
+    with pytest.raises(GridError, match=r"at least 1\.5"):
+        sdm.narrow_band(mesh(), 0.1, half_width=1, device="cpu")
+    with pytest.raises(GridError, match="needs one of these"):
+        sdm.narrow_band(mesh(), device="cpu")
+    with pytest.raises(GridError, match="needs one of these"):
+        sdm.narrow_band(mesh(), 0.1, resolution=40, device="cpu")
+    with pytest.raises(GridError, match="is no grid"):
+        sdm.narrow_band(mesh(), "40", device="cpu")
