@@ -1,0 +1,155 @@
+"""Stages of a pipeline: in threads ahead of who asks, or in the caller's own thread, item by item or in groups.
+
+A pipeline is generators one around the other: `in_threads(one_by_one(in_threads(items, read), measure), write)`. Who
+goes through the last one drives all: threads read ahead and write behind, the work in the middle stays in the caller's
+thread, where CUDA streams, interrupts and memory limits are what they are without a pipeline. Every stage holds a
+bounded number of items, and gives them on in their order, so nothing depends on the number of threads. An item that a
+stage cannot do is passed on as `Failed`, and the others go on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+from sdm.runtime.pipeline.outcome import Done, Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+
+A = TypeVar("A")
+B = TypeVar("B")
+# What a stage holds may take no more memory than this, but for a single item.
+MOST_BYTES = 1 << 31
+
+
+def numbered(items: Iterable[A]) -> Iterator[Done[A]]:
+    """The items of a pipeline, each with its number from 0."""
+    return (Done(number, item) for number, item in enumerate(items))
+
+
+def in_threads(
+    outcomes: Iterable[Done[A] | Failed],
+    name: str,
+    work: Callable[[A], B],
+    *,
+    workers: int,
+    times: StageTimes,
+    ahead: int | None = None,
+    nbytes: Callable[[A], int] | None = None,
+) -> Iterator[Done[B] | Failed]:
+    """A stage in threads of its own; results in the order of the items.
+
+    Args:
+        outcomes: Of the stage before; they are asked for as there is room.
+        name: Of the stage, for `times`.
+        work: What is done to each value. It may run in any thread, and several at once.
+        workers: Number of threads.
+        times: Where busy times go.
+        ahead: Items that the stage holds at most; twice the threads by default.
+        nbytes: Memory that an item takes here; all together at most `MOST_BYTES`.
+
+    When the generator is closed, by an error or an interrupt of who goes through it, work that has not begun is
+    dropped, and work that has is waited for.
+    """
+    times.declare(name, workers)
+    room = 2 * workers if ahead is None else ahead
+    held: deque[tuple[int, Future[B] | Failed, int]] = deque()
+    used, source, more = 0, iter(outcomes), True
+
+    def timed(number: int, value: A) -> B:
+        with times.busy(name, number):
+            return work(value)
+
+    pool = ThreadPoolExecutor(workers, thread_name_prefix=f"sdm-{name}")
+    try:
+        while more or held:
+            # What is done is given on before more is taken, which may have to be waited for.
+            while held and (_is_there(held[0][1]) or not more or len(held) >= room):
+                used -= held[0][2]
+                yield _outcome(*held.popleft()[:2])
+            if not more:
+                continue
+            found = next(source, None)
+            if found is None:
+                more = False
+                continue
+            size = nbytes(found.value) if nbytes is not None and isinstance(found, Done) else 0
+            while held and used + size > MOST_BYTES:
+                used -= held[0][2]
+                yield _outcome(*held.popleft()[:2])
+            used += size
+            waiting = found if isinstance(found, Failed) else pool.submit(timed, found.number, found.value)
+            held.append((found.number, waiting, size))
+            # The item itself is the thread's now.
+            del found, waiting
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def one_by_one(
+    outcomes: Iterable[Done[A] | Failed], name: str, work: Callable[[A], B], *, times: StageTimes
+) -> Iterator[Done[B] | Failed]:
+    """A stage in the caller's thread."""
+    return in_groups(outcomes, name, lambda values: [work(value) for value in values], times=times, most=1)
+
+
+def in_groups(
+    outcomes: Iterable[Done[A] | Failed],
+    name: str,
+    work: Callable[[Sequence[A]], Sequence[B]],
+    *,
+    times: StageTimes,
+    most: int,
+) -> Iterator[Done[B] | Failed]:
+    """A stage in the caller's thread that takes up to `most` items at once.
+
+    Where a group fails, its items are done one by one, so that only the one that is at fault fails.
+    """
+    times.declare(name, 1)
+    group: list[Done[A] | Failed] = []
+    for outcome in outcomes:
+        group.append(outcome)
+        if len(group) >= most:
+            yield from _of_group(group, name, work, times)
+            group = []
+        del outcome
+    yield from _of_group(group, name, work, times)
+
+
+def _of_group(
+    group: Sequence[Done[A] | Failed], name: str, work: Callable[[Sequence[A]], Sequence[B]], times: StageTimes
+) -> Iterator[Done[B] | Failed]:
+    good = [outcome for outcome in group if isinstance(outcome, Done)]
+    made: dict[int, Done[B] | Failed] = {outcome.number: outcome for outcome in group if isinstance(outcome, Failed)}
+    if good:
+        try:
+            with times.busy(name, good[0].number):
+                values = work([outcome.value for outcome in good])
+        except Exception as error:  # noqa: BLE001: it is raised again where the outcome is looked at
+            if len(good) == 1:
+                made[good[0].number] = Failed(good[0].number, error)
+            else:
+                for outcome in good:
+                    made.update((found.number, found) for found in _of_group([outcome], name, work, times))
+        else:
+            made.update((outcome.number, Done(outcome.number, v)) for outcome, v in zip(good, values, strict=True))
+            del values
+    numbers = [outcome.number for outcome in group]
+    for number in numbers:
+        yield made.pop(number)
+
+
+def _is_there(waiting: Future[B] | Failed) -> bool:
+    return isinstance(waiting, Failed) or waiting.done()
+
+
+def _outcome(number: int, waiting: Future[B] | Failed) -> Done[B] | Failed:
+    if isinstance(waiting, Failed):
+        return waiting
+    error = waiting.exception()
+    if error is None:
+        return Done(number, waiting.result())
+    if isinstance(error, Exception):
+        return Failed(number, error)
+    raise error
