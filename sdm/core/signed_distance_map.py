@@ -15,6 +15,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
+from sdm.core.normalization import Normalization
 from sdm.core.trilinear import trilinear
 from sdm.errors import GridError, SDMError
 
@@ -35,6 +36,8 @@ class SDM:
         hole_size: Of "flood", the length of the narrowest gaps that the flood may pass.
         sign_disagreements: How many voxels are inside by one of the methods "winding" and "flood", and outside by the
             other; None where nobody compared them.
+        truncated: The length beyond which distances are this length, with their sign; None where none are cut.
+        normalization: The shift and the scale that the mesh went through before; None if it stayed as it was.
 
     `numpy.asarray(field)` and `field[i, j, k]` are its values. `torch.save` keeps it, and `torch.load` takes it once
     `sdm.SDM` was used in the process.
@@ -46,6 +49,8 @@ class SDM:
     sign: str | None = None
     hole_size: float | None = None
     sign_disagreements: int | None = None
+    truncated: float | None = None
+    normalization: Normalization | None = None
 
     def __init__(
         self,
@@ -56,6 +61,8 @@ class SDM:
         sign: str | None = None,
         hole_size: float | None = None,
         sign_disagreements: int | None = None,
+        truncated: float | None = None,
+        normalization: Normalization | None = None,
     ) -> None:
         if isinstance(values, np.ndarray):
             # What NumPy computed is a map too; float64 is rounded, as the engine's own values are.
@@ -64,7 +71,7 @@ class SDM:
             values = torch.from_numpy(np.array(values, np.float32))
         if tuple(values.shape) != grid.shape:
             raise GridError(f"values of shape {tuple(values.shape)} do not fit a grid of shape {grid.shape}")
-        given = (values, grid, ambiguous_voxels, sign, hole_size, sign_disagreements)
+        given = (values, grid, ambiguous_voxels, sign, hole_size, sign_disagreements, truncated, normalization)
         for field, value in zip(fields(self), given, strict=True):
             object.__setattr__(self, field.name, value)
 
@@ -195,4 +202,4 @@ class SDM:
 
 
 # `torch.load` makes no objects but those of classes that it was told of: these hold tensors and numbers alone.
-torch.serialization.add_safe_globals([SDM, Grid, TriangleMesh])
+torch.serialization.add_safe_globals([SDM, Grid, TriangleMesh, Normalization])

@@ -50,7 +50,7 @@ FORMATS = {
     "npz": Format("npz"),
     "nrrd": Format("nrrd", extra_maps=1.0),
     "zarr": Format("zarr", streamed=True),
-    "nvdb": Format("nvdb", extra_maps=2.5),
+    "nvdb": Format("nvdb", extra_maps=4.5),
 }
 # The header of an NRRD image whose values lie in another file.
 HEADERS = {"nhdr": Format("nrrd")}

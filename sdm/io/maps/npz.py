@@ -16,16 +16,19 @@ from sdm.io.maps.record import (
     DISAGREEMENTS,
     HOLE_SIZE,
     MADE_FROM,
+    NORMALIZATION,
     SIGN_METHOD,
+    TRUNCATED,
     from_record,
     record,
     sign_arguments,
     signs_of,
+    stored_values,
 )
 
 FIELDS = ("version", "origin", "spacing", "shape", "direction", "ambiguous_voxels")
 # Where it is known.
-KNOWN = (MADE_FROM, SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS)
+KNOWN = (MADE_FROM, SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS, TRUNCATED, NORMALIZATION)
 # An archive holds arrays alone, and no array is None.
 UNCOUNTED = -1
 # Bytes of what is beside the values, at most.
@@ -39,7 +42,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         kept["ambiguous_voxels"] = UNCOUNTED
     arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, *KNOWN) if name in kept}
     with path.open("wb") as file:
-        np.savez(file, values=field.numpy().astype(np.float32, copy=False), **arrays)
+        np.savez(file, values=stored_values(field), **arrays)
 
 
 def read(path: Path) -> SDM:

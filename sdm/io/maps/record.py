@@ -8,9 +8,11 @@ import zlib
 from typing import Any
 
 import numpy as np
+import torch
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 
@@ -21,6 +23,8 @@ KEY = "sdm"
 MADE_FROM = "made_from"
 # In it, the method by which the map is signed, and what belongs to it, where it is known.
 SIGN_METHOD, HOLE_SIZE, DISAGREEMENTS = "sign_method", "hole_size", "sign_disagreements"
+# In it, the length at which distances are cut, and what the mesh went through before, in words.
+TRUNCATED, NORMALIZATION = "truncated", "normalization"
 # In it, the checksum of values and record, for formats that have none of their own.
 CHECKSUM = "crc32"
 # In it, the checksum of the record alone. A damaged geometry would otherwise look as if another program had moved the
@@ -63,19 +67,35 @@ def record(
 
 
 def signs_of(field: SDM) -> dict[str, Any]:
-    """The part of a map's record that says how it is signed: what is known of it."""
-    found = {SIGN_METHOD: field.sign, HOLE_SIZE: field.hole_size, DISAGREEMENTS: field.sign_disagreements}
+    """The part of a map's record that says how it is signed, cut and placed: what is known of it."""
+    found = {
+        SIGN_METHOD: field.sign,
+        HOLE_SIZE: field.hole_size,
+        DISAGREEMENTS: field.sign_disagreements,
+        TRUNCATED: field.truncated,
+        NORMALIZATION: None if field.normalization is None else str(field.normalization),
+    }
     return {key: value for key, value in found.items() if value is not None}
+
+
+def stored_values(field: SDM) -> np.ndarray:
+    """Values (nx,ny,nz) on the host for a format that has half precision: float16 if the map's are, else float32."""
+    if field.values.dtype == torch.float16:
+        return field.values.detach().cpu().numpy()
+    return field.numpy().astype(np.float32, copy=False)
 
 
 def sign_arguments(kept: Any) -> dict[str, Any]:
     """The arguments of `SDM` that a record tells by what `signs_of` gave."""
     kept = kept if isinstance(kept, dict) else {}
     hole, count = kept.get(HOLE_SIZE), kept.get(DISAGREEMENTS)
+    cut, moved = kept.get(TRUNCATED), kept.get(NORMALIZATION)
     return {
         "sign": kept.get(SIGN_METHOD),
         "hole_size": None if hole is None else float(hole),
         "sign_disagreements": None if count is None else int(count),
+        "truncated": None if cut is None else float(cut),
+        "normalization": None if moved is None else Normalization.parse(moved),
     }
 
 

@@ -14,7 +14,17 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import KEY, NO_VALUES, from_record, record, sign_arguments, signs_of, verify, with_checksum
+from sdm.io.maps.record import (
+    KEY,
+    NO_VALUES,
+    from_record,
+    record,
+    sign_arguments,
+    signs_of,
+    stored_values,
+    verify,
+    with_checksum,
+)
 
 CHUNK = 128
 # The engine gives slabs of a multiple of this many layers, and so chunks have it too.
@@ -25,10 +35,10 @@ SLAB_BYTES = 1 << 28
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write a whole map."""
-    values = field.numpy()
+    values = stored_values(field)
     layers = slab_layers(field.grid)
     slabs = ((i, min(i + layers, len(values)), values[i : i + layers]) for i in range(0, len(values), layers))
-    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels, made_from, signs_of(field))
+    write_slabs(slabs, field.grid, path, lambda: field.ambiguous_voxels, made_from, signs_of(field), values.dtype.name)
 
 
 def slab_layers(grid: Grid) -> int:
@@ -44,6 +54,7 @@ def write_slabs(
     ambiguous_voxels: Callable[[], int | None],
     made_from: str | None = None,
     signs: dict[str, Any] | None = None,
+    dtype: str = "float32",
 ) -> None:
     """Write slabs (begin, end, values (end - begin, ny, nz)) of `slab_layers(grid)` layers as they come.
 
@@ -54,7 +65,7 @@ def write_slabs(
         store=path,
         shape=grid.shape,
         chunks=(layers, min(CHUNK, grid.shape[1]), min(CHUNK, grid.shape[2])),
-        dtype="float32",
+        dtype=dtype,
         # A flipped bit is an error when it is read, not a wrong distance.
         compressors=[ZstdCodec(level=0), Crc32cCodec()],
         # Zero would be a surface: where a chunk is lost, nothing is known.

@@ -126,7 +126,8 @@ def _of_group(
         try:
             with times.busy(name, good[0].number):
                 values = work([outcome.value for outcome in good])
-        except Exception as error:  # noqa: BLE001: it is raised again where the outcome is looked at
+        # Whoever looks at the outcome raises it, or says it.
+        except Exception as error:  # noqa: BLE001
             if len(good) == 1:
                 made[good[0].number] = Failed(good[0].number, error)
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -45,8 +46,9 @@ def test_warp_sees_the_grid_where_it_is(saved):
 def test_the_header_has_the_transform_in_double_precision(saved):
     _, path = saved
     data = path.read_bytes()
-    # GridData comes after the file's header, its metadata and the name.
-    at = 16 + 176 + struct.unpack_from("<I", data, 16 + 136)[0]
+    # GridData comes after the file's header, its metadata, the name and the size of what is compressed.
+    begin = 16 + 176 + struct.unpack_from("<I", data, 16 + 136)[0]
+    data, at = zlib.decompress(data[begin + 8 :]), 0
     assert data[at : at + 7] == b"NanoVDB"
     doubles = struct.unpack_from("<22d", data, at + 40 + 256 + 88)
     np.testing.assert_array_equal(np.reshape(doubles[:9], (3, 3)), GRID.affine[:3, :3])
@@ -86,3 +88,31 @@ def test_what_warp_cannot_make_is_said(tmp_path, monkeypatch):
     with pytest.raises(FormatError, match=r"Warp cannot make .* no volumes on this device"):
         save(SDM(torch.zeros(GRID.shape), GRID), tmp_path / "map.nvdb")
     assert list(tmp_path.iterdir()) == []
+
+
+def of_ball(spacing, **more):
+    n = round(2.4 / spacing)
+    grid = Grid((-1.2, -1.2, -1.2), (spacing,) * 3, (n, n, n))
+    x, y, z = np.meshgrid(*(np.arange(n) * spacing - 1.2 for _ in range(3)), indexing="ij")
+    return SDM((np.sqrt(x * x + y * y + z * z) - 1).astype(np.float32), grid, 0, sign="winding", **more)
+
+
+def test_a_file_is_not_larger_than_its_values(tmp_path):
+    for spacing in (0.075, 0.0242):
+        field = of_ball(spacing)
+        save(field, tmp_path / "map.nvdb")
+        assert (tmp_path / "map.nvdb").stat().st_size < field.grid.nbytes
+
+
+def test_blocks_beyond_the_truncation_are_not_kept(tmp_path):
+    whole = of_ball(0.04)
+    values = whole.values.clamp(-0.1, 0.1)
+    field = SDM(values, whole.grid, 0, sign="winding", truncated=0.1)
+    save(field, tmp_path / "map.nvdb")
+    volume = wp.Volume.load_from_nvdb((tmp_path / "map.nvdb").read_bytes(), device="cpu")
+    blocks = 8**3
+    assert volume.get_tiles().shape[0] < blocks
+    again = load(tmp_path / "map.nvdb")
+    np.testing.assert_array_equal(again.numpy(), field.numpy())
+    assert (again.truncated, again.hole_size, again.sign) == (np.float64(0.1), None, "winding")
+    assert (tmp_path / "map.nvdb").stat().st_size < field.grid.nbytes / 4
