@@ -1,4 +1,4 @@
-"""What a map's file says beside its geometry: where distances are cut, and how the mesh was normalised."""
+"""The record of a map beside its geometry: the length at which distances are cut, and the normalisation of its mesh."""
 
 from __future__ import annotations
 
