@@ -1,9 +1,11 @@
-"""Conversion of foreign meshes: files, pairs of arrays, and those of trimesh, Open3D, PyVista and meshio."""
+"""Conversion of foreign meshes: files, pairs of arrays, and the meshes of other libraries, told by what they have."""
 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,8 +17,8 @@ from sdm.errors import MeshError
 MeshLike: TypeAlias = TriangleMesh | str | os.PathLike[str] | tuple[Any, Any] | Any
 
 WANTED = (
-    "give a TriangleMesh, the path of a mesh file, a pair (vertices, faces), or a mesh of trimesh, Open3D, PyVista or "
-    "meshio"
+    "give a TriangleMesh, the path of a mesh file, a pair (vertices, faces), or a mesh of trimesh, Open3D, PyVista, "
+    "meshio, MeshLib, Kaolin or PyTorch3D"
 )
 
 
@@ -25,8 +27,9 @@ def as_mesh(mesh: MeshLike) -> TriangleMesh:
 
     Args:
         mesh: A `TriangleMesh`, which is returned as it is; a path, which is read as by `load_mesh`; a pair of
-            vertices (V,3) and faces (F,3); or a mesh of trimesh (scenes too), Open3D (both kinds), PyVista or meshio,
-            whose polygons are cut into triangles. Vertices are not merged, save those of files.
+            vertices (V,3) and faces (F,3); or a mesh of trimesh (scenes too), Open3D (both kinds), PyVista (blocks
+            too), meshio, MeshLib, Kaolin or PyTorch3D, whose polygons are cut into triangles. Tensors stay on their
+            device, and gradients flow to them. Vertices are not merged, save those of files.
 
     Raises:
         MeshError: It is nothing of these, or a mesh that cannot be used.
@@ -54,6 +57,42 @@ def _of_faces(mesh: Any) -> TriangleMesh:
     return TriangleMesh(mesh.vertices, mesh.faces)
 
 
+def _of_kaolin(mesh: Any) -> TriangleMesh:
+    # One mesh, or a batch that holds one: of arrays with a first axis, or of lists; faces may be shared.
+    vertices, faces = mesh.vertices, mesh.faces
+    if isinstance(vertices, list | tuple) or vertices.ndim == 3:
+        _require_one(mesh, len(vertices))
+        vertices = vertices[0]
+    if isinstance(faces, list | tuple) or faces.ndim == 3:
+        faces = faces[0]
+    return TriangleMesh(vertices, faces)
+
+
+def _of_pytorch3d(mesh: Any) -> TriangleMesh:
+    _require_one(mesh, len(mesh))
+    return TriangleMesh(mesh.verts_list()[0], mesh.faces_list()[0])
+
+
+def _require_one(mesh: Any, count: int) -> None:
+    if count != 1:
+        raise MeshError(
+            f"a {type(mesh).__name__} of {count} meshes is not one: give one of them, or a list of them to "
+            "signed_distance_maps"
+        )
+
+
+def _of_meshlib(mesh: Any) -> TriangleMesh:
+    # Whoever has such a mesh has its library; what is packed has no numbers of deleted faces.
+    arrays = import_module("meshlib.mrmeshnumpy")
+    return TriangleMesh(arrays.getNumpyVerts(mesh), _kept(arrays, mesh.topology))
+
+
+def _kept(arrays: Any, topology: Any) -> np.ndarray:
+    faces = np.asarray(arrays.getNumpyFaces(topology))
+    valid = np.asarray(arrays.getNumpyBitSet(topology.getValidFaces()))
+    return faces[np.flatnonzero(valid[: len(faces)])]
+
+
 def _of_open3d(mesh: Any) -> TriangleMesh:
     return TriangleMesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
 
@@ -68,8 +107,15 @@ def _of_polydata(mesh: Any) -> TriangleMesh:
     return TriangleMesh(np.asarray(surface.points), np.asarray(surface.faces).reshape(-1, 4)[:, 1:])
 
 
+def _of_blocks(mesh: Any) -> TriangleMesh:
+    return _of_volume(mesh.combine())
+
+
 def _of_volume(mesh: Any) -> TriangleMesh:
-    return _of_polydata(mesh.extract_surface())
+    # PyVista 0.47 and later warn of an algorithm that they will choose by themselves.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _of_polydata(mesh.extract_surface())
 
 
 def _of_meshio(mesh: Any) -> TriangleMesh:
@@ -90,10 +136,14 @@ def _of_meshio(mesh: Any) -> TriangleMesh:
 # Attributes that tell a library's meshes, in the order in which they are looked for.
 _KINDS: tuple[tuple[tuple[str, ...], Callable[[Any], TriangleMesh]], ...] = (
     (("geometry", "to_mesh"), _of_scene),
+    (("vertices", "faces", "batching"), _of_kaolin),
+    (("verts_list", "faces_list"), _of_pytorch3d),
     (("vertices", "faces"), _of_faces),
+    (("points", "topology"), _of_meshlib),
     (("vertices", "triangles"), _of_open3d),
     (("vertex", "triangle"), _of_open3d_tensors),
     (("points", "faces", "triangulate"), _of_polydata),
+    (("n_blocks", "combine"), _of_blocks),
     (("points", "extract_surface"), _of_volume),
     (("points", "cells"), _of_meshio),
 )

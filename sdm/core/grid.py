@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -17,8 +17,6 @@ from sdm.errors import GridError
 if TYPE_CHECKING:
     Numbers = Sequence[float] | np.ndarray
 
-# What is taken in place of a grid.
-WANTED = "give a Grid, or a number of voxels along each axis of a grid around the mesh, such as 128"
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -180,28 +178,6 @@ class Grid:
             self.origin[a] + (rows[a, 0] * index[0] + rows[a, 1] * index[1] + rows[a, 2] * index[2]) for a in range(3)
         ]
         return torch.from_numpy(np.stack(xyz, -1).astype(np.float32))
-
-
-# A grid, or voxels along each axis of one around a mesh: one number or three.
-GridLike: TypeAlias = Grid | int | Sequence[int]
-
-
-def as_grid(grid: GridLike | None, mesh: MeshLike, resolution: int | None = None, margin: float | None = None) -> Grid:
-    """The grid that a call asks for: one that is given, or one of a resolution around the mesh.
-
-    Raises:
-        GridError: Neither or both of them, or nothing that is a grid or a resolution.
-    """
-    if grid is not None and resolution is not None:
-        raise GridError("give a grid or a resolution, not both")
-    if isinstance(grid, Grid):
-        raise GridError("a margin is for grids that a resolution describes: give the Grid alone, or Grid.around(mesh)")
-    wanted = resolution if grid is None else grid
-    if wanted is None:
-        raise GridError(f"a map needs a grid: {WANTED}")
-    if isinstance(wanted, str | bytes) or not isinstance(wanted, int | float | np.number | Sequence | np.ndarray):
-        raise GridError(f"an object of type {type(wanted).__name__} is no grid: {WANTED}")
-    return Grid.around(mesh, wanted, margin=0.05 if margin is None else margin)
 
 
 def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:

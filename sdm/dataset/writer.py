@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from sdm.core.as_grid import GridLike
 from sdm.core.grid import Grid
 from sdm.dataset import layout
 from sdm.dataset.devices import device_kind, devices_for
@@ -28,7 +29,7 @@ Progress = Callable[[int, int], None]
 
 def generate(
     family: Family,
-    grid: Grid,
+    grid: GridLike,
     count: int,
     path: str | Path,
     *,
@@ -50,7 +51,7 @@ def generate(
 
     Args:
         family: The shapes.
-        grid: Where to measure.
+        grid: Where to measure, as for `SDMStream`.
         count: Number of samples.
         path: The dataset to write, a folder that is not there yet. Until it is complete it is called `path`.part.
         seed: As of `SDMStream`.
@@ -94,8 +95,9 @@ def generate(
     # Refuses what makes no sense before anything is on the disk.
     signs: dict[str, Any] = {"sign": sign, "hole_size": hole_size}
     maker = Maker(family, grid, seed=seed, sampler=sampler, device="cpu", dtype=dtype, truncate=truncate, **signs)
+    at: Grid = maker.grid
     recipe = maker.recipe
-    sample_bytes = grid.size * (2 if dtype == torch.float16 else 4)
+    sample_bytes = at.size * (2 if dtype == torch.float16 else 4)
     manifest = {
         "version": VERSION,
         "sign": "negative inside",
@@ -116,7 +118,7 @@ def generate(
         same(read_manifest(target), wanted, target)
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
-    job = Job(folder, manifest, family, grid, as_sampler(sampler), seed, dtype, truncate, sign, hole_size)
+    job = Job(folder, manifest, family, at, as_sampler(sampler), seed, dtype, truncate, sign, hole_size)
     with alone(folder):
         fill(job, devices, ray, progress)
         finish(folder, target)

@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device, memory_guard
-from sdm.core.grid import Grid, GridLike, as_grid
+from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
@@ -21,7 +22,7 @@ from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked
 from sdm.engine.maps import batch_maps, is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.mesh_lists import are_meshes, box_of
+from sdm.engine.mesh_lists import are_meshes, box_of, each_of
 from sdm.engine.points import at_points
 from sdm.engine.ragged.calls import distances_of, maps_of
 from sdm.engine.repeated_faces import may_be_crowded
@@ -75,8 +76,10 @@ def signed_distance_map(
 
     Args:
         mesh: Any triangles: closed or not, with slivers, zero-area and repeated faces. A `TriangleMesh`, to whose
-            vertices gradients flow, or a path, (vertices, faces), or a mesh of trimesh, Open3D, PyVista or meshio.
-        grid: The voxel centres to measure at, or voxels along each axis of a cube around the mesh.
+            vertices gradients flow, or whatever `sdm.core.as_mesh` takes for one: a path, (vertices, faces), a mesh of
+            another library.
+        grid: The voxel centres to measure at: a `Grid`, voxels along each axis of a cube around the mesh, an image of
+            another library or the path of one, see `sdm.core.as_grid`.
         resolution: That number, by name.
         margin: Room around the mesh in that cube, as a share of the longest edge of the mesh's box; 0.05 by default.
         device: Where to compute; by default a GPU if there is one. The values stay there.
@@ -254,6 +257,7 @@ def signed_distances(
         # Without the closest points it is one tensor.
         return cast(Tensor, at_points(mesh, at, False, structure))
 
+    meshes = each_of(meshes)
     found = distances_of(meshes, points, single, device=device, max_bytes=max_bytes)
     return found if isinstance(meshes, Iterator) else list(found)
 
@@ -315,14 +319,16 @@ def signed_distance_maps(
         (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`. Recorded and replayed as
         `signed_distance_map`.
 
-    Meshes that differ: `signed_distance_maps([mesh, ...], grid)` with one grid, one for each mesh, or voxels along each
-    axis of a cube around each, gives a list of maps, each bit for bit that of `signed_distance_map`. Meshes are built
-    and measured together, as many at a time as fit into `max_bytes` beside their maps, by default 1/24 of a GPU's
-    memory. An iterator of meshes gives an iterator of maps, which takes as many meshes as it needs for the next chunk,
-    and the same of grids. The maps of a chunk are parts of one tensor. Errors name the mesh by its number, from 0.
+    Meshes that differ: `signed_distance_maps([mesh, ...], grid)`, also of a batch of PyTorch3D or Kaolin, with one
+    grid, one for each mesh, or voxels along each axis of a cube around each, gives a list of maps, each bit for bit
+    that of `signed_distance_map`. Meshes are built and measured together, as many at a time as fit into `max_bytes`
+    beside their maps, by default 1/24 of a GPU's memory. An iterator of meshes gives an iterator of maps, which takes
+    as many meshes as it needs for the next chunk, and the same of grids. The maps of a chunk are parts of one tensor.
+    Errors name the mesh by its number, from 0.
     """
     if not isinstance(grid, Grid) and are_meshes(vertices):
         options = {"resolution": resolution, "margin": margin, "device": device, "max_bytes": max_bytes}
+        vertices = each_of(vertices)
         maps = maps_of(vertices, faces if grid is None else grid, _map_there, **options)
         return list(maps) if isinstance(vertices, list | tuple) else maps
     where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)

@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device, memory_guard
-from sdm.core.grid import Grid, GridLike, as_grid
+from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build

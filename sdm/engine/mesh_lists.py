@@ -1,4 +1,4 @@
-"""Lists of meshes that differ, told from batches of vertices; the box of a batch."""
+"""Lists of meshes that differ, and other libraries' batches of them, told from batches of vertices; a batch's box."""
 
 from __future__ import annotations
 
@@ -17,10 +17,26 @@ _ARRAYS = (Tensor, np.ndarray, list, int, float, np.number)
 
 
 def are_meshes(given: Any) -> bool:
-    """True for meshes in a list, or one by one from an iterator, and not for arrays that are a batch of vertices."""
+    """True for meshes in a list, or one by one from an iterator, and not for arrays that are a batch of vertices.
+
+    A batch of PyTorch3D or Kaolin is a list too: see `each_of`.
+    """
     if not isinstance(given, list | tuple):
-        return isinstance(given, Iterator)
+        return isinstance(given, Iterator) or hasattr(given, "faces_list") or hasattr(given, "batching")
     return not given or any(not isinstance(each, _ARRAYS) for each in given if not _is_row(each))
+
+
+def each_of(given: Any) -> Any:
+    """The meshes of another library's batch in a list of (vertices, faces); any other list or iterator as it is."""
+    if hasattr(given, "faces_list"):
+        return list(zip(given.verts_list(), given.faces_list(), strict=True))
+    if hasattr(given, "batching"):
+        vertices, faces = given.vertices, given.faces
+        if not isinstance(vertices, list | tuple) and vertices.ndim == 2:
+            return [(vertices, faces)]
+        is_shared = not isinstance(faces, list | tuple) and faces.ndim == 2
+        return list(zip(vertices, [faces] * len(vertices) if is_shared else faces, strict=True))
+    return given
 
 
 def _is_row(each: Any) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.inspect.quick_look import look_at
 
 
-def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
+def orient_outward(mesh: MeshLike) -> TriangleMesh:
     """Turn faces so that they face outward, where closed or nearly closed components say which side that is.
 
     1. Where faces that share an edge disagree, the fewer (by area) are turned: faces agree over every edge of exactly
@@ -19,11 +20,12 @@ def orient_outward(mesh: TriangleMesh) -> TriangleMesh:
     only made to agree. Components are what edges hold together.
 
     Args:
-        mesh: Any mesh, on any device; looked at on the host.
+        mesh: Any mesh, on any device, or whatever `as_mesh` takes for one; looked at on the host.
 
     Returns:
         The same object if nothing is to be turned; else a mesh with the same vertices, and turned faces: the same ones
         for the same mesh.
     """
+    mesh = as_mesh(mesh)
     faces = look_at(mesh).outward_faces(mesh)
     return mesh if faces is None else TriangleMesh(mesh.vertices, faces, mesh.name, check=False)

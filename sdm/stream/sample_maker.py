@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import choose_device, require_memory
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
@@ -64,7 +65,7 @@ class Maker:
     def __init__(
         self,
         family: Family,
-        grid: Grid,
+        grid: GridLike,
         *,
         seed: int = 0,
         sampler: Sampler | str = "uniform",
@@ -79,6 +80,7 @@ class Maker:
             raise SDMError(f"maps of type {dtype} are not supported; use float32, float16 or bfloat16")
         if truncate is not None and not (math.isfinite(truncate) and truncate > 0):
             raise SDMError(f"the truncation {truncate} must be a positive distance")
+        grid = family.grid(grid) if isinstance(grid, int) else as_grid(grid)
         if dtype == torch.float16:
             _refuse_overflow(grid, truncate)
         if device is None or str(device).startswith("cuda"):

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
+from sdm.core.as_grid import GridLike
 from sdm.core.grid import Grid
 from sdm.engine.arguments import Sign
 from sdm.errors import SDMError
@@ -29,7 +30,8 @@ class SDMStream(IterableDataset[Batch]):
 
     Args:
         family: The shapes, for example `sdm.shapes.make_family("cochlea")`.
-        grid: Where to measure, for example `family.grid(64)`.
+        grid: Where to measure: voxels along each axis of a cube that holds every shape, which is `family.grid(64)`, or
+            any grid that `sdm.core.as_grid` takes, for example an image's.
         batch_size: Samples of a batch on each rank.
         seed: Any whole number.
         rank: Number of this process among `world_size`; both by default from torch.distributed or torchrun, asked
@@ -72,7 +74,7 @@ class SDMStream(IterableDataset[Batch]):
     def __init__(
         self,
         family: Family,
-        grid: Grid,
+        grid: GridLike,
         batch_size: int = 16,
         seed: int = 0,
         rank: int | None = None,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, SDMError
@@ -23,9 +24,7 @@ SAMPLES = 3
 PALETTE = "inside red, outside blue"
 
 
-def view(
-    field: SDM, *, mesh: TriangleMesh | None = None, level: float = 0.0, picture: str | Path | None = None
-) -> None:
+def view(field: SDM, *, mesh: MeshLike | None = None, level: float = 0.0, picture: str | Path | None = None) -> None:
     """Show a map in a window until it is closed, or draw what the window would show.
 
     The surface where the distance is `level` stands out of the map, which is cut through its middle; on the cut are
@@ -33,7 +32,7 @@ def view(
 
     Args:
         field: The map.
-        mesh: Its mesh, shown in place of the map's surface at level 0.
+        mesh: Its mesh, or whatever `as_mesh` takes for one, shown in place of the map's surface at level 0.
         level: In the map's unit.
         picture: A .png to write in place of opening a window; that takes OpenGL, but no display.
 
@@ -44,7 +43,7 @@ def view(
     """
     if picture is not None and Path(picture).suffix.lower() != ".png":
         raise FormatError(f"{picture} does not end in .png, the one kind of picture that a view can be")
-    surface = mesh if mesh is not None and level == 0.0 else field.to_mesh(level)
+    surface = as_mesh(mesh) if mesh is not None and level == 0.0 else field.to_mesh(level)
     polyscope = _started(window=picture is None)
     cut = _show_map(polyscope, field)
     _show_surface(polyscope, surface, cut)

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from sdm.core.mesh import TriangleMesh
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.random import derive_seed
 from sdm.deepsdf.infer.code_file import ShapeCode
 from sdm.deepsdf.infer.estimate_codes import estimate_codes
@@ -22,7 +22,7 @@ POINTS = 8000
 
 def encode_meshes(
     model: DeepSDF,
-    meshes: Sequence[TriangleMesh],
+    meshes: Sequence[MeshLike],
     *,
     steps: int = 800,
     points: int = POINTS,
@@ -34,7 +34,7 @@ def encode_meshes(
 
     Args:
         model: A trained model.
-        meshes: Closed meshes; one that is inside out is turned first.
+        meshes: Closed meshes, as `as_mesh` takes them; one that is inside out is turned first.
         steps: Of the search.
         points: Samples of each shape and step.
         seed: Of the samples.
@@ -44,7 +44,7 @@ def encode_meshes(
     Raises:
         MeshError: No meshes, or one that is not closed.
     """
-    shapes = ShapeSet(meshes, model.device, spheres=spheres)
+    shapes = ShapeSet([as_mesh(mesh) for mesh in meshes], model.device, spheres=spheres)
     every = torch.arange(len(shapes), device=model.device)
 
     # Other samples than a training of the same seed has had.

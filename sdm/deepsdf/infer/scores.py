@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.grid import Grid
-from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.deepsdf.infer.paper_measures import PaperMeasures, paper_measures
 from sdm.deepsdf.samples import UnitSphere, surface_points
@@ -60,15 +60,16 @@ def chamfer_distance(a: Tensor, b: Tensor) -> float:
     return 1000 * (_mean_squared(a, b) + _mean_squared(b, a))
 
 
-def box_diagonal(mesh: TriangleMesh) -> float:
+def box_diagonal(mesh: MeshLike) -> float:
     """Length of the diagonal of the bounding box of a mesh's triangles, in the mesh's unit."""
+    mesh = as_mesh(mesh)
     corners = mesh.vertices.detach()[mesh.faces.reshape(-1).long()].double()
     return float((corners.amax(0) - corners.amin(0)).norm())
 
 
 def score_shape(
-    mesh: TriangleMesh,
-    truth: TriangleMesh,
+    mesh: MeshLike,
+    truth: MeshLike,
     *,
     sphere: UnitSphere | None = None,
     points: int = POINTS,
@@ -78,13 +79,14 @@ def score_shape(
     """Compare a surface with the true one; both in one unit, on the truth's device.
 
     Args:
-        mesh: What was found.
-        truth: What is right.
+        mesh: What was found, as `as_mesh` takes it.
+        truth: What is right, likewise.
         sphere: The truth's normalisation, in whose radii Chamfer distances are; its own if not given.
         points: Random points of each surface.
         seed: Of these points.
         resolution: Voxels along each axis of the grid for the overlap.
     """
+    mesh, truth = as_mesh(mesh), as_mesh(truth)
     sphere = sphere or UnitSphere.of(truth)
     own, index = MeshIndex(mesh, truth.device), MeshIndex(truth, truth.device)
     found, right, again = (

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import choose_device
-from sdm.core.grid import Grid
 from sdm.core.mesh import as_tensor
 from sdm.deepsdf.networks.auto_decoder import AutoDecoder, bounded
 from sdm.deepsdf.samples import UnitSphere
@@ -117,10 +117,11 @@ class DeepSDF:
             (slope,) = torch.autograd.grad(values.sum(), at)
         return normalize(slope, dim=-1, eps=1e-20)
 
-    def signed_distance_map(self, grid: Grid, code: Any, sphere: UnitSphere | None = None) -> Any:
+    def signed_distance_map(self, grid: GridLike, code: Any, sphere: UnitSphere | None = None) -> Any:
         """The learned map of a whole grid, an `SDM`; see `signed_distance`."""
         from sdm.core.signed_distance_map import SDM
 
+        grid = as_grid(grid)
         layers = max(1, CHUNK // (grid.shape[1] * grid.shape[2]))
         with torch.no_grad():
             parts = [

@@ -10,9 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import as_grid
 from sdm.core.as_mesh import MeshLike
 from sdm.core.device import choose_device, memory_guard
-from sdm.core.grid import Grid, as_grid
+from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure

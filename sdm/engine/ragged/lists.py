@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import repeat
 from typing import Any, TypeVar
 
+import numpy as np
+
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import GridError, MeshError, SDMError
 
@@ -40,12 +41,12 @@ def each_mesh(meshes: Iterable[MeshLike]) -> Iterator[tuple[int, TriangleMesh]]:
 
 
 def each_grid(meshes: Iterable[MeshLike], grids: Any) -> Iterator[Any]:
-    """A grid, or a resolution, for each mesh: those of a list or an iterator of grids, or the same for all.
+    """A grid, or what stands for one, for each mesh: those of a list or an iterator of them, or the same for all.
 
     Raises:
         GridError: As many grids as meshes are needed, and there are others.
     """
-    if isinstance(grids, list | tuple) and any(isinstance(grid, Grid) for grid in grids):
+    if isinstance(grids, list | tuple) and not all(isinstance(grid, int | float | np.number) for grid in grids):
         if isinstance(meshes, list | tuple) and len(meshes) != len(grids):
             raise GridError(f"{len(meshes)} meshes and {len(grids)} grids were given: {_WANTED}")
     elif not isinstance(grids, Iterator):

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
 from sdm.errors import GridError, SDMError
 from sdm.fit.model.anchor import Anchored
@@ -87,7 +88,7 @@ class FitOptions:
 
 def fit_shape(
     image: Any,
-    grid: Grid,
+    grid: GridLike,
     backend: Backend | None = None,
     *,
     finish: Backend | None = None,
@@ -98,7 +99,7 @@ def fit_shape(
 
     Args:
         image: (nx,ny,nz) intensities of any unit, cropped to the shape and a few millimetres around.
-        grid: Where its voxels are [mm].
+        grid: Where its voxels are [mm]: a `Grid`, the path of the image, or another that `sdm.core.as_grid` takes.
         backend: Signed distances of the family; `ExactBackend()` if not given.
         finish: A second backend that takes over at the end: with a surrogate first and `ExactBackend` here the
             estimate is that of the exact backend alone (hybrid). Without it, a surrogate that has an exact backend is
@@ -123,6 +124,7 @@ def fit_shape(
     backend = ExactBackend() if backend is None else backend
     if options.model not in MODELS:
         raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
+    grid = as_grid(grid)
     values = image_tensor(image, grid, backend.device)
     with one_thread_for(values.numel(), backend.device):
         found = _fit(values, grid, backend, finish, options, report)

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.errors import SDMError
@@ -42,7 +43,7 @@ class Samples:
 def sample_posterior(
     result: FitResult,
     image: Any,
-    grid: Grid,
+    grid: GridLike,
     backend: Backend,
     *,
     options: FitOptions | None = None,
@@ -55,7 +56,7 @@ def sample_posterior(
     Args:
         result: What `fit_shape` returned for the same image and options.
         image: (nx,ny,nz) intensities.
-        grid: Where its voxels are.
+        grid: Where its voxels are, as for `fit_shape`.
         backend: Where distances come from; each draw takes several evaluations. A surrogate is not anchored here.
         options: As given to `fit_shape`.
         count: Draws to keep.
@@ -70,6 +71,7 @@ def sample_posterior(
     except ImportError as error:
         raise SDMError('sampling needs Pyro: pip install ".[nuts]" in a clone') from error
     options = FitOptions() if options is None else options
+    grid = as_grid(grid)
     energy = _Energy(result, image_tensor(image, grid, backend.device), grid, backend, options)
 
     def potential(unknowns: dict[str, Tensor]) -> Tensor:

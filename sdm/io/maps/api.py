@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
+from sdm.core.as_grid import as_grid
 from sdm.core.device import require_memory
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
@@ -68,8 +69,10 @@ def load(path: str | Path) -> SDM:
         return chosen.module.read(source)
 
 
-def grid_like(path: str | Path) -> Grid:
+def grid_like(path: str | Path | Any) -> Grid:
     """The geometry of a NIfTI or NRRD image, or of a map that `save` wrote, without reading the values.
+
+    An image of another library is taken in place of a path, as `sdm.core.as_grid` takes it.
 
     World coordinates are taken as right-anterior-superior: an NRRD image in left-posterior-superior space gives the
     grid that the same image gives as NIfTI.
@@ -78,6 +81,8 @@ def grid_like(path: str | Path) -> Grid:
         FormatError: As `load`.
         GridError: The image's axes are not orthogonal.
     """
+    if not isinstance(path, str | Path):
+        return as_grid(path)
     source = Path(path)
     chosen = _readable(source, FORMATS | HEADERS)
     with _reading(source):

@@ -8,6 +8,7 @@ from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
@@ -21,16 +22,19 @@ STL_HEADER = 80
 DIGITS = "%.9g"
 
 
-def save_mesh(mesh: TriangleMesh, path: str | Path) -> None:
+def save_mesh(mesh: MeshLike, path: str | Path) -> None:
     """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off` or `.glb`, as the name ends; atomic.
 
     `load_mesh` gives the same triangles in the same order, bit for bit. `.stl` keeps no shared vertices.
 
+    `mesh` may be whatever `as_mesh` takes for one.
+
     Raises:
+        MeshError: It is no mesh.
         FormatError: Another ending, or a place that cannot be written.
     """
     target = Path(path)
-    _write(mesh, target, WRITERS[ending_to_write(target)])
+    _write(as_mesh(mesh), target, WRITERS[ending_to_write(target)])
 
 
 def write_ply(mesh: TriangleMesh, path: str | Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -44,6 +45,41 @@ def meshio(*blocks: tuple[str, Any]) -> SimpleNamespace:
     return SimpleNamespace(points=VERTICES, cells=[SimpleNamespace(type=kind, data=data) for kind, data in blocks])
 
 
+def surface_mesh(vertices: Any, faces: Any) -> SimpleNamespace:
+    """Kaolin's layout: one mesh, a batch with shared faces, or lists."""
+    return SimpleNamespace(vertices=vertices, faces=faces, batching=None)
+
+
+class Meshes:
+    """PyTorch3D's layout: a batch of meshes that differ."""
+
+    def __init__(self, meshes: list[Any]) -> None:
+        self.meshes = meshes
+
+    def __len__(self) -> int:
+        return len(self.meshes)
+
+    def verts_list(self) -> list[torch.Tensor]:
+        return [torch.from_numpy(mesh[0]) for mesh in self.meshes]
+
+    def faces_list(self) -> list[torch.Tensor]:
+        return [torch.from_numpy(mesh[1]) for mesh in self.meshes]
+
+
+def meshlib(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """MeshLib's layout: arrays by functions of its own; one face was deleted."""
+    valid = np.arange(len(FACES) + 1) != 3
+    arrays = SimpleNamespace(
+        getNumpyVerts=lambda mesh: mesh.points,
+        getNumpyFaces=lambda topology: topology.faces,
+        getNumpyBitSet=lambda bits: bits,
+    )
+    monkeypatch.setitem(sys.modules, "meshlib", SimpleNamespace(mrmeshnumpy=arrays))
+    monkeypatch.setitem(sys.modules, "meshlib.mrmeshnumpy", arrays)
+    topology = SimpleNamespace(faces=np.insert(FACES, 3, 0, axis=0), getValidFaces=lambda: valid)
+    return SimpleNamespace(points=VERTICES, topology=topology)
+
+
 def tensor(values: np.ndarray) -> SimpleNamespace:
     return SimpleNamespace(cpu=lambda: SimpleNamespace(numpy=lambda: values))
 
@@ -60,6 +96,11 @@ FOREIGN: dict[str, Any] = {
     ),
     "pyvista": PolyData(),
     "pyvista volume": Volume(),
+    "pyvista blocks": SimpleNamespace(n_blocks=1, combine=Volume),
+    "kaolin": surface_mesh(torch.from_numpy(VERTICES), torch.from_numpy(FACES)),
+    "kaolin batch": surface_mesh(torch.from_numpy(VERTICES)[None], torch.from_numpy(FACES)),
+    "kaolin list": surface_mesh([torch.from_numpy(VERTICES)], [torch.from_numpy(FACES)]),
+    "pytorch3d": Meshes([(VERTICES, FACES)]),
     "meshio": meshio(("line", np.array([[0, 1]])), ("triangle", FACES[:5]), ("triangle", FACES[5:])),
 }
 
@@ -76,6 +117,35 @@ def test_every_function_takes_every_kind(kind, tmp_path):
     assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]
     assert sdm.inspect_mesh(mesh).closed
     assert sdm.Grid.around(mesh, 8) == sdm.Grid.around(MESH, resolution=8)
+
+
+def test_of_meshlib(monkeypatch):
+    assert torch.equal(as_mesh(meshlib(monkeypatch)).faces, MESH.faces)
+
+
+@pytest.mark.parametrize(
+    "batch",
+    [
+        Meshes([(VERTICES, FACES), (2 * VERTICES, FACES)]),
+        surface_mesh(torch.from_numpy(np.stack([VERTICES, 2 * VERTICES])), torch.from_numpy(FACES)),
+        surface_mesh([VERTICES, 2 * VERTICES], [FACES, FACES]),
+    ],
+    ids=["pytorch3d", "kaolin", "kaolin list"],
+)
+def test_batches_of_other_libraries_are_lists(batch):
+    wanted = sdm.signed_distance_maps([(VERTICES, FACES), (2 * VERTICES, FACES)], 5, device="cpu")
+    found = sdm.signed_distance_maps(batch, 5, device="cpu")
+    assert [field.grid for field in found] == [field.grid for field in wanted]
+    assert sdm.signed_distances(batch, [POINTS, POINTS], device="cpu")[1].tolist() == [-2, 0]
+    with pytest.raises(sdm.MeshError, match=r"of 2 meshes is not one: give one of them, or a list"):
+        sdm.signed_distance_map(batch, 5)
+
+
+def test_gradients_flow_to_tensors_of_other_libraries():
+    vertices = torch.from_numpy(VERTICES).clone().requires_grad_()
+    sdm.signed_distance(surface_mesh(vertices[None], torch.from_numpy(FACES)), POINTS, device="cpu").sum().backward()
+    assert vertices.grad is not None
+    assert float(vertices.grad.abs().sum()) > 0
 
 
 def test_a_mesh_is_itself():
@@ -112,3 +182,23 @@ def test_what_is_no_mesh(mesh, message):
     for call in calls:
         with pytest.raises(sdm.MeshError, match=message):
             call()
+
+
+def test_of_pyvista():
+    pyvista = pytest.importorskip("pyvista")
+    surface = pyvista.PolyData.from_regular_faces(VERTICES, FACES)
+    for mesh in (surface, surface.cast_to_unstructured_grid(), pyvista.MultiBlock([surface])):
+        assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]
+
+
+def test_of_open3d():
+    # Its wheel needs libraries of the system, without which it raises an ImportError of its own.
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
+    legacy = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(VERTICES), open3d.utility.Vector3iVector(FACES))
+    for mesh in (legacy, open3d.t.geometry.TriangleMesh.from_legacy(legacy)):
+        assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]
+
+
+def test_of_meshio():
+    mesh = pytest.importorskip("meshio").Mesh(VERTICES, [("triangle", FACES)])
+    assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]
