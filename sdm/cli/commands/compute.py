@@ -11,6 +11,7 @@ import tyro
 
 from sdm.cli.common.numbers import numbers
 
+REPORT = "report.json"
 Ending = Literal["nii.gz", "nii", "npz", "nrrd", "zarr", "nvdb"]
 
 
@@ -45,15 +46,27 @@ def compute(
     ] = None,
     scale: float = 1.0,
     mesh_space: Literal["ras", "lps"] = "ras",
+    normalize: Annotated[
+        Literal["sphere", "cube"] | None,
+        tyro.conf.arg(metavar="{sphere,cube}", help_behavior_hint="(default: as they are)"),
+    ] = None,
+    dtype: Literal["float32", "float16"] = "float32",
+    truncate: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: none)")] = None,
     resume: bool = False,
+    skip_bad: bool = False,
+    report: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: OUT/report.json with --skip-bad, else none)"),
+    ] = None,
 ) -> int | None:
     """Compute the exact signed distance maps of meshes: negative inside, in the mesh's own unit of length.
 
-    One mesh gives one file; several meshes, or a folder of them, give a folder of maps. Of several meshes a bad one
-    is reported at the end, the others are computed, and the exit code is 2.
+    One mesh gives one file; several meshes, or a folder of them, give a folder of maps, in which they lie as in the
+    folder that was named. Of several meshes a bad one is reported at the end, the others are computed, and the exit
+    code is 2. Reading, computing and writing of several meshes run beside each other.
 
     Args:
-        meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them.
+        meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them, nested as deep as they are.
         out: File to write (its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb), or a folder.
         resolution: Voxels along each axis: one number for a cube around the mesh, or three.
         spacing: Voxel size in the mesh's unit: one length, or one for each axis.
@@ -69,17 +82,26 @@ def compute(
         scale: Multiply the vertices by this first: 1000 for a mesh in metres and an image in millimetres.
         mesh_space: lps for a mesh in left-posterior-superior coordinates, whose x and y are negated first; images and
             maps are in ras, right-anterior-superior.
+        normalize: Shift and scale each mesh, which its map then tells: sphere puts the furthest vertex 1/1.03 from the
+            origin, as DeepSDF does; cube puts the box's longest edge from -1 to 1. Distances and lengths are then in
+            that unit.
+        dtype: Type of the values in .npz and .zarr files.
+        truncate: Distances beyond this length become this, with their sign; a .nvdb file then keeps the blocks within.
         resume: Skip meshes whose map is there already: on the same grid, and made from the same mesh (checksum stored
             in the map). Other files under its name are replaced.
+        skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
+        report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
     from sdm.cli.common.inputs import refuse_inputs
-    from sdm.cli.common.jobs import Settings, run
     from sdm.cli.common.output_files import plan
+    from sdm.cli.maps.run import run
+    from sdm.cli.maps.settings import Settings
     from sdm.core.device import choose_device
     from sdm.engine.arguments import SignMethod
     from sdm.errors import GridError, MeshError
     from sdm.io import grid_like as read_grid
     from sdm.io.maps.api import is_placed
+    from sdm.io.maps.formats import check_file, is_map_name
 
     SignMethod(sign, hole_size)
     given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
@@ -103,6 +125,9 @@ def compute(
         hole_size=hole_size,
         scale=scale,
         mesh_space=mesh_space,
+        normalize=normalize,
+        dtype=dtype,
+        truncate=truncate,
         resume=resume,
     )
     if grid_like is not None and not is_placed(grid_like):
@@ -114,5 +139,9 @@ def compute(
     jobs = plan(meshes, out, format)
     # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like
-    refuse_inputs((target for _, target in jobs), [*(source for source, _ in jobs), like])
-    return run(jobs, settings)
+    if report is None and skip_bad and out.is_dir() and not is_map_name(out):
+        report = out / REPORT
+    refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
+    if report is not None:
+        check_file(report)
+    return run(jobs, settings, report=report, skip_bad=skip_bad)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 
 from sdm.errors import FormatError, MeshError
-from sdm.io import FORMATS, mesh_files
+from sdm.io import FORMATS, mesh_tree
 
 DEFAULT_ENDING = "nii.gz"
 
@@ -15,11 +16,11 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
     """Pairs of a mesh file and the map's file, in order.
 
     Args:
-        meshes: Files, and folders whose mesh files are meant.
+        meshes: Files, and folders whose mesh files are meant, also those of the folders in them.
         out: A file if it ends like a map, else a folder, which is made.
         ending: The format that was requested, without the dot.
 
-    In a folder a map is named like its mesh; where two meshes differ by their ending alone, it stays in the name.
+    In a folder a map lies and is named as `places_in` says.
 
     Raises:
         MeshError: No mesh at all.
@@ -27,8 +28,7 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
     """
     if not meshes:
         raise MeshError("no mesh was given: name one or more mesh files, or a folder of them")
-    # A file that is named twice is computed once.
-    sources = list(dict.fromkeys(file for path in meshes for file in (mesh_files(path) if path.is_dir() else [path])))
+    sources = inputs_of(meshes)
     if not sources:
         raise MeshError(f"no mesh file was found in {', '.join(map(str, meshes))}")
     one = len(meshes) == 1 and not meshes[0].is_dir()
@@ -38,12 +38,45 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
             raise FormatError(f"several meshes need a folder to write to, and {out} ends like one map")
         if ending not in (None, found):
             raise FormatError(f"{out} does not end with .{ending}, which --format asks for")
-        return [(sources[0], out)]
+        return [(next(iter(sources)), out)]
     if one and out.suffix and not out.is_dir():
         raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make the folder")
-    targets = targets_in(out, sources, ending or DEFAULT_ENDING)
-    _make(out)
+    places = places_in(sources)
+    targets = [out / place.with_name(f"{place.name}.{ending or DEFAULT_ENDING}") for place in places]
+    for folder in dict.fromkeys([out, *(target.parent for target in targets)]):
+        _make(folder)
     return list(zip(sources, targets, strict=True))
+
+
+def inputs_of(meshes: list[Path]) -> dict[Path, Path]:
+    """Mesh files, each once, with their places: the path below the folder that was named, or the name alone."""
+    found: dict[Path, Path] = {}
+    for path in meshes:
+        if path.is_dir():
+            found.update((file, file.relative_to(path)) for file in mesh_tree(path) if file not in found)
+        else:
+            found.setdefault(path, Path(path.name))
+    return found
+
+
+def places_in(sources: dict[Path, Path]) -> list[Path]:
+    """Places of outputs in a folder, as paths without an ending, no two alike.
+
+    Each lies like its source below the folder that was named. Where that makes two alike, as of two folders or of files
+    called alike, all lie as their sources do below the folder that is common to them. Sources that then differ by their
+    endings alone keep these.
+    """
+    places = list(sources.values())
+    if len({_plain(place) for place in places}) < len(places) and len(set(places)) < len(places):
+        whole = [source.parent.resolve() / source.name for source in sources]
+        common = os.path.commonpath([path.parent for path in whole])
+        places = [path.relative_to(common) for path in whole]
+    times = Counter(map(_plain, places))
+    return [_plain(place) if times[_plain(place)] == 1 else place for place in places]
+
+
+def _plain(place: Path) -> Path:
+    return place.with_name(place.stem)
 
 
 def targets_in(out: Path, sources: list[Path], ending: str) -> list[Path]:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from sdm.runtime.pipeline.stage_times import StageTimes
+
 # Seconds between the lines in a log.
 LOG_INTERVAL = 30.0
 
@@ -69,17 +71,23 @@ class StageProgress(_Bar):
 
 
 class FileProgress(_Bar):
-    """Progress over `total` files, each with the share of it that is done."""
+    """Progress over `total` files, each with the share of it that is done.
 
-    def __init__(self, total: int) -> None:
+    Args:
+        total: Number of files.
+        times: The clock of the pipeline that they go through, to name the stage that the others wait for.
+    """
+
+    def __init__(self, total: int, times: StageTimes | None = None) -> None:
         super().__init__(elapsed=True, transient=True)
+        self._times, self._begun = times, time.monotonic()
         self._total = total
         self._done = 0
-        self._name = ""
+        self._name = self._more = ""
 
     def begin(self, name: str) -> None:
         """The next file, by name."""
-        self._name = name
+        self._name = f"{name}{self._more}"
         # Of one file alone there is no share to show until a slab is written.
         self.draw(name, self._done, None if self._total == 1 else self._total)
 
@@ -90,6 +98,9 @@ class FileProgress(_Bar):
     def end(self) -> None:
         """The file is done."""
         self._done += 1
+        pace = _pace(self._done, self._total - self._done, time.monotonic() - self._begun)
+        limit = None if self._times is None else self._times.limit()
+        self._more = f"{pace}{f', {limit} limits' if limit else ''}" if self._total > 1 else ""
         self.draw(self._name, self._done, self._total)
 
     def print(self, line: str, *, warn: bool = False) -> None:

@@ -12,12 +12,13 @@ import torch
 from sdm.core.as_grid import as_grid
 from sdm.core.device import require_memory
 from sdm.core.grid import Grid
+from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, GridError, SDMError
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
 from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
-from sdm.io.maps.record import HOLE_SIZE, MADE_FROM, SIGN_METHOD
+from sdm.io.maps.record import MADE_FROM, signs_record
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -46,10 +47,11 @@ def save(field: SDM, path: str | Path) -> None:
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
     """
-    _save(field, Path(path), None)
+    save_made_from(field, Path(path), None)
 
 
-def _save(field: SDM, target: Path, made_from: str | None) -> None:
+def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
+    """As `save`, with the digest of the mesh that the map is made from; see `made_from`."""
     chosen = check_target(target)
     with replacing(target) as part:
         getattr(chosen.module, chosen.writer)(field, part, made_from)
@@ -123,6 +125,9 @@ def write_streamed(
     made_from: str | None = None,
     sign: Sign = "winding",
     hole_size: float | None = None,
+    stored: Callable[[Tensor], Tensor] | None = None,
+    truncated: float | None = None,
+    normalization: Normalization | None = None,
 ) -> VoxelCounts:
     """Compute a map and write it; `.zarr` slab by slab, so that the grid may be larger than memory.
 
@@ -134,6 +139,9 @@ def write_streamed(
         made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
         sign: As for `sdm.signed_distance_map`. A flood's map has to fit into memory, whatever the format.
         hole_size: Of a flood.
+        stored: Makes of values what the file is to have, such as half precision.
+        truncated: The length at which it cuts them, for the file's record.
+        normalization: What the mesh was normalised by, for the same.
 
     Returns:
         How many voxels are inside, and how many are ambiguous: of a closed mesh none.
@@ -151,7 +159,11 @@ def write_streamed(
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:
         field = index.signed_distance_map(grid, **asked)
-        _save(field, target, made_from)
+        more = {"truncated": truncated, "normalization": normalization}
+        if stored is not None or any(value is not None for value in more.values()):
+            kept = {"sign": field.sign, "hole_size": field.hole_size, **more}
+            field = SDM(field.values if stored is None else stored(field.values), grid, field.ambiguous_voxels, **kept)
+        save_made_from(field, target, made_from)
         if progress is not None:
             progress(1.0)
         return VoxelCounts(field.inside_voxels, field.ambiguous_voxels or 0)
@@ -161,18 +173,24 @@ def write_streamed(
         size = chosen.module.slab_layers(grid) * layer_bytes
         slabs = index.slabs(grid, max_bytes=size, ambiguous=unclear, **asked)
         hole = SignMethod(sign, hole_size).hole_on(grid) if sign == "flood" else None
-        signs = {SIGN_METHOD: sign} if hole is None else {SIGN_METHOD: sign, HOLE_SIZE: hole}
-        told = _told(slabs, grid.shape[0], progress, inside)
-        chosen.module.write_slabs(
-            told, grid, part, lambda: int(unclear) if sign == "winding" else None, made_from, signs
-        )
+        signs = signs_record(sign, hole, truncated, normalization)
+        told = _told(slabs, grid.shape[0], progress, inside, stored or (lambda values: values))
+        dtype = "float32" if stored is None else str(stored(torch.zeros(1, device="cpu")).dtype).removeprefix("torch.")
+        count = (lambda: int(unclear)) if sign == "winding" else (lambda: None)
+        chosen.module.write_slabs(told, grid, part, count, made_from, signs, dtype)
     return VoxelCounts(int(inside), int(unclear))
 
 
 def _told(
-    slabs: Iterator[tuple[int, int, Tensor]], layers: int, progress: Callable[[float], Any] | None, inside: Tensor
+    slabs: Iterator[tuple[int, int, Tensor]],
+    layers: int,
+    progress: Callable[[float], Any] | None,
+    inside: Tensor,
+    stored: Callable[[Tensor], Tensor],
 ) -> Iterator[tuple[int, int, Tensor]]:
-    for begin, end, values in slabs:
+    for begin, end, exact in slabs:
+        values = stored(exact)
+        del exact
         inside += (values < 0).sum()
         yield begin, end, values
         del values

@@ -68,12 +68,26 @@ def record(
 
 def signs_of(field: SDM) -> dict[str, Any]:
     """The part of a map's record that says how it is signed, cut and placed: what is known of it."""
+    return signs_record(
+        field.sign, field.hole_size, field.truncated, field.normalization, disagreements=field.sign_disagreements
+    )
+
+
+def signs_record(
+    sign: str | None,
+    hole_size: float | None,
+    truncated: float | None,
+    normalization: Normalization | None,
+    *,
+    disagreements: int | None = None,
+) -> dict[str, Any]:
+    """The same of a map that is not there yet."""
     found = {
-        SIGN_METHOD: field.sign,
-        HOLE_SIZE: field.hole_size,
-        DISAGREEMENTS: field.sign_disagreements,
-        TRUNCATED: field.truncated,
-        NORMALIZATION: None if field.normalization is None else str(field.normalization),
+        SIGN_METHOD: sign,
+        HOLE_SIZE: hole_size,
+        DISAGREEMENTS: disagreements,
+        TRUNCATED: truncated,
+        NORMALIZATION: None if normalization is None else str(normalization),
     }
     return {key: value for key, value in found.items() if value is not None}
 

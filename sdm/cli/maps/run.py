@@ -1,0 +1,127 @@
+"""`sdm compute` over its meshes: the stages put together, what is said about each, and what is left to say."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from sdm.cli.common.error_sentence import sentence_of
+from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.common.progress import FileProgress
+from sdm.cli.maps.remarks import is_closed
+from sdm.cli.maps.report import MeshEntry, failures_table, write_report
+from sdm.cli.maps.settings import Settings
+from sdm.cli.maps.stages import MapStages, threads_for
+from sdm.cli.maps.work import MapTask, Written
+from sdm.errors import FormatError
+from sdm.runtime.pipeline.outcome import Done, Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
+
+# Meshes that a GPU gets in one call.
+TOGETHER = 8
+
+
+def run(
+    jobs: list[tuple[Path, Path]],
+    settings: Settings,
+    *,
+    report: Path | None = None,
+    skip_bad: bool = False,
+    workers: int | None = None,
+    times: StageTimes | None = None,
+) -> int | None:
+    """Compute the map of each mesh into its file.
+
+    Args:
+        jobs: Pairs of a mesh file and the file to write.
+        settings: What is the same for all.
+        report: A JSON file about all meshes to write.
+        skip_bad: Meshes that cannot be used are no failure of the whole.
+        workers: Threads that read, and as many that write; by default what the machine has.
+        times: The pipeline's clock, to be read afterwards.
+
+    Returns:
+        2 if some of several meshes failed, which is then said on stderr; None if none did, or they are to be skipped.
+        A mesh that is alone raises its error.
+    """
+    times = StageTimes() if times is None else times
+    threads = min(threads_for(settings.device) if workers is None else workers, len(jobs))
+    most = TOGETHER if settings.device.type == "cuda" else 1
+    entries: list[MeshEntry] = []
+    with FileProgress(len(jobs), times) as progress:
+        stages = MapStages(settings, progress.share, alone=len(jobs) == 1)
+        tasks = numbered(MapTask(*job) for job in jobs)
+        read = in_threads(tasks, "read", stages.read, workers=threads, times=times, ahead=max(2 * threads, most))
+        measured = in_groups(read, str(settings.device), stages.measure, times=times, most=min(most, len(jobs)))
+        written = in_threads(
+            measured, "write", stages.write, workers=threads, times=times, nbytes=lambda found: found.nbytes
+        )
+        progress.begin(jobs[0][0].name)
+        for outcome in written:
+            source, target = jobs[outcome.number]
+            entries.append(_entry(outcome, source, target, settings, alone=len(jobs) == 1 and not skip_bad))
+            if isinstance(outcome, Done):
+                _tell(outcome.value, settings, progress)
+            progress.end()
+            if outcome.number + 1 < len(jobs):
+                progress.begin(jobs[outcome.number + 1][0].name)
+    if report is not None:
+        write_report(entries, report, seconds_of_stages=times.seconds)
+    return _sum_up(entries, skip_bad)
+
+
+def _entry(
+    outcome: Done[Written] | Failed, source: Path, target: Path, settings: Settings, *, alone: bool
+) -> MeshEntry:
+    if isinstance(outcome, Failed):
+        sentence = sentence_of(outcome.error)
+        if sentence is None or alone:
+            raise outcome.error
+        if is_full_disk(outcome.error):
+            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
+        return MeshEntry(mesh=str(source), state="failed", reason=sentence)
+    found = outcome.value
+    mesh = found.read.measured
+    return MeshEntry(
+        mesh=str(source),
+        state="there already" if found.read.there else "done",
+        output=str(target),
+        triangles=len(mesh),
+        closed=is_closed(mesh),
+        sign=settings.sign,
+        inside=found.inside,
+        ambiguous_voxels=found.ambiguous if settings.sign == "winding" else None,
+        warnings=[line.lstrip(": ") for line in found.warnings],
+        seconds=None if found.read.there else round(found.seconds, 4),
+    )
+
+
+def _tell(found: Written, settings: Settings, progress: FileProgress) -> None:
+    read = found.read
+    name, grid = read.mesh.name, read.grid
+    if read.there:
+        progress.print(f"{name}: {read.task.target} is there already")
+        return
+    spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
+    progress.print(
+        f"{name}: {len(read.mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
+        f"{found.seconds:.2f} s on {settings.device}, written to {read.task.target}"
+    )
+    for warning in found.warnings:
+        progress.print(f"sdm: warning: {name}{warning}", warn=True)
+
+
+def _sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
+    failed = [entry for entry in entries if entry.state == "failed"]
+    if skip_bad:
+        for line in failures_table(entries):
+            print(line)
+        return None
+    for entry in failed:
+        # Most sentences name the file already.
+        named = entry.reason if entry.mesh in (entry.reason or "") else f"{entry.mesh}: {entry.reason}"
+        print(f"sdm: {named}", file=sys.stderr)
+    if failed:
+        print(f"sdm: {len(failed)} of {len(entries)} meshes failed; the others are done", file=sys.stderr)
+    return 2 if failed else None

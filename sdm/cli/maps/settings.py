@@ -1,0 +1,114 @@
+"""Settings of `sdm compute` that are the same for all meshes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.core.normalization import Normal, Normalization
+from sdm.engine.arguments import Orient, Sign
+from sdm.errors import FormatError, SDMError
+
+# Formats that have half precision, by their endings.
+WITH_HALF = ("npz", "zarr")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings that are the same for all meshes.
+
+    Args:
+        resolution: Voxels along each axis, one number or three; None for the default.
+        spacing: Voxel size in place of it: one length or three.
+        like: The grid itself in place of it.
+        like_image: The file that it is of, which is not written over.
+        margin: Room around the mesh, as a share of its box.
+        device: Where to compute.
+        orient: Whether faces that disagree, and parts that are inside out, are turned.
+        scale: What the vertices are multiplied by.
+        mesh_space: `"lps"` negates their x and y.
+        normalize: Whether they are then shifted and scaled to a sphere or a cube.
+        sign: The method by which maps are signed.
+        hole_size: Of a flood, the narrowest gaps that it passes.
+        dtype: Of the values in the files.
+        truncate: Distances beyond this become this, with their sign.
+        resume: Whether maps of the same triangles that are there on the same grid are left.
+    """
+
+    resolution: int | tuple[int, ...] | None
+    spacing: float | tuple[float, ...] | None
+    like: Grid | None
+    like_image: Path | None
+    margin: float
+    device: torch.device
+    orient: Orient
+    resume: bool
+    sign: Sign = "winding"
+    hole_size: float | None = None
+    scale: float = 1.0
+    mesh_space: Literal["ras", "lps"] = "ras"
+    normalize: Normal | None = None
+    dtype: Literal["float32", "float16"] = "float32"
+    truncate: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.truncate is not None and not (math.isfinite(self.truncate) and self.truncate > 0):
+            raise SDMError(f"--truncate is {self.truncate:g}: give a positive length")
+
+    def grid(self, mesh: TriangleMesh) -> Grid:
+        """The grid of a mesh's map."""
+        if self.like is not None:
+            return self.like
+        return Grid.around(mesh, resolution=self.resolution, spacing=self.spacing, margin=self.margin)
+
+    def placed(self, mesh: TriangleMesh) -> tuple[TriangleMesh, Normalization | None]:
+        """The mesh in the grid's unit and space, and what it was normalised by."""
+        if self.scale != 1 or self.mesh_space != "ras":
+            side = -1.0 if self.mesh_space == "lps" else 1.0
+            factors = torch.tensor([side, side, 1.0], dtype=torch.float64, device="cpu") * self.scale
+            # Half a turn about z: faces look where they looked.
+            mesh = TriangleMesh(mesh.vertices.double() * factors, mesh.faces, mesh.name)
+        if self.normalize is None:
+            return mesh, None
+        by = Normalization.of(mesh, self.normalize)
+        return by.normalised(mesh), by
+
+    def check(self, grid: Grid, target: Path) -> None:
+        """Refuse a file that cannot hold what is wanted.
+
+        Raises:
+            FormatError: Half precision in a format that has none.
+            SDMError: Distances that half precision has no numbers for.
+        """
+        if self.dtype == "float32":
+            return
+        if not target.name.lower().endswith(tuple(f".{ending}" for ending in WITH_HALF)):
+            raise FormatError(f"{target} cannot hold float16: use .{' or .'.join(WITH_HALF)}, or float32")
+        largest = torch.finfo(torch.float16).max
+        diagonal = math.hypot(*(s * n for s, n in zip(grid.spacing, grid.shape, strict=True)))
+        if min(diagonal, math.inf if self.truncate is None else self.truncate) > largest:
+            raise SDMError(
+                f"distances on this grid may reach {diagonal:g}, but float16 ends at {largest:g}: use float32, "
+                "--truncate or --normalize"
+            )
+
+    def stored(self, values: Tensor) -> Tensor:
+        """Values as the file has them: cut, and of its type."""
+        if self.truncate is not None:
+            values = values.clamp(-self.truncate, self.truncate)
+        return values.half() if self.dtype == "float16" else values
+
+    @property
+    def how(self) -> str:
+        """What a file's values depend on besides the triangles and the grid, for its digest."""
+        words = [] if self.sign == "winding" else [self.sign, self.hole_size]
+        words += [] if self.dtype == "float32" else [self.dtype]
+        words += [] if self.truncate is None else ["truncate", self.truncate]
+        return "".join(f" {word}" for word in words)

@@ -1,0 +1,169 @@
+"""The stages of `sdm compute`: reading and writing in threads, measuring in the caller's."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.cli.common.inputs import refuse_inputs
+from sdm.cli.maps.remarks import remarks
+from sdm.cli.maps.settings import Settings
+from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.engine.api import signed_distance_maps
+from sdm.engine.arguments import oriented
+from sdm.engine.map_check import quiet
+from sdm.engine.mesh_index import MeshIndex
+from sdm.errors import SDMError
+from sdm.io import check_target, grid_like, load_mesh, write_streamed
+from sdm.io.maps.api import made_from, save_made_from
+from sdm.io.maps.formats import format_of, require_memory_to_write
+from sdm.io.maps.record import digest_of
+from sdm.runtime.host_copy import HostCopy
+
+# A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
+LARGEST_BESIDE = 1 << 28
+
+
+class MapStages:
+    """What is done with each mesh, stage by stage.
+
+    Args:
+        settings: What is the same for all.
+        progress: Called with the share of a large map that is done, while it is written.
+        alone: Whether there is one mesh only.
+    """
+
+    def __init__(self, settings: Settings, progress: Callable[[float], Any], *, alone: bool = False) -> None:
+        self._settings, self._alone = settings, alone
+        self._progress = progress
+
+    def read(self, task: MapTask) -> ReadMesh:
+        """Read and place a mesh, and see whether its map is there already."""
+        start, settings = time.perf_counter(), self._settings
+        check_target(task.target)
+        mesh, by = settings.placed(load_mesh(task.source))
+        grid = settings.grid(mesh)
+        settings.check(grid, task.target)
+        measured = oriented(mesh, settings.orient, settings.device)
+        digest = digest_of(measured, settings.how)
+        there = settings.resume and _finished(task, grid, digest)
+        if not there:
+            refuse_inputs([task.target], [settings.like_image])
+        return ReadMesh(task, mesh, measured, by, grid, digest, there, time.perf_counter() - start)
+
+    def measure(self, group: Sequence[ReadMesh]) -> list[Measured]:
+        """The maps of some meshes, by one call where that is possible."""
+        start, settings = time.perf_counter(), self._settings
+        wanted = [read for read in group if not read.there]
+        joint = len(wanted) > 1 and settings.sign == "winding" and not any(map(self._is_by_itself, wanted))
+        made: list[Measured] = []
+        if joint:
+            for read in wanted:
+                require_memory_to_write(format_of(read.task.target), read.grid, settings.device)
+            with quiet():
+                maps = signed_distance_maps(
+                    [read.measured for read in wanted], [read.grid for read in wanted], device=settings.device
+                )
+            made = [self._on_the_way(read, found) for read, found in zip(wanted, maps, strict=True)]
+        else:
+            made = [self._measure_one(read) for read in wanted]
+        each = (time.perf_counter() - start) / max(1, len(wanted))
+        by_number = iter(made)
+        return [
+            Measured(read, None, None, 0, read.seconds) if read.there else _later(next(by_number), each)
+            for read in group
+        ]
+
+    def _measure_one(self, read: ReadMesh) -> Measured:
+        settings = self._settings
+        chosen = format_of(read.task.target)
+        index = MeshIndex(read.measured, settings.device, warn=False)
+        signs: dict[str, Any] = {"sign": settings.sign, "hole_size": settings.hole_size}
+        require_memory_to_write(chosen, read.grid, settings.device)
+        if not (self._is_by_itself(read) and chosen.streamed):
+            asked = {} if settings.sign == "winding" else signs
+            found = self._on_the_way(read, index.signed_distance_map(read.grid, **asked))
+            if not self._is_by_itself(read):
+                return found
+            # By itself: two of these may not fit into memory.
+            inside, ambiguous = self._save(found)
+            self._progress(1.0)
+            return Measured(read, None, inside, ambiguous, read.seconds)
+        counts = write_streamed(
+            index,
+            read.grid,
+            read.task.target,
+            progress=self._progress,
+            made_from=read.digest,
+            stored=settings.stored,
+            truncated=settings.truncate,
+            normalization=read.normalization,
+            **signs,
+        )
+        return Measured(read, None, counts.inside, counts.ambiguous, read.seconds)
+
+    def _is_by_itself(self, read: ReadMesh) -> bool:
+        return self._alone or read.grid.nbytes > LARGEST_BESIDE
+
+    def _on_the_way(self, read: ReadMesh, field: SDM) -> Measured:
+        """A map on its way to the host, cut and of its type."""
+        values = self._settings.stored(field.values)
+        make = partial(
+            _map_of,
+            grid=field.grid,
+            ambiguous_voxels=field.ambiguous_voxels,
+            sign=field.sign,
+            hole_size=field.hole_size,
+            truncated=self._settings.truncate,
+            normalization=read.normalization,
+        )
+        return Measured(read, HostCopy(values, make), None, field.ambiguous_voxels or 0, read.seconds)
+
+    def write(self, found: Measured) -> Written:
+        """Write a map, and look at it."""
+        start = time.perf_counter()
+        if found.read.there:
+            return Written(found.read)
+        inside, ambiguous = self._save(found)
+        warnings = remarks(found.read, inside, ambiguous, self._settings.sign)
+        seconds = found.seconds + time.perf_counter() - start
+        return Written(found.read, inside, ambiguous, seconds, warnings)
+
+    def _save(self, found: Measured) -> tuple[int, int]:
+        if found.map is None:
+            return found.inside or 0, found.ambiguous
+        field = found.map.wait()
+        save_made_from(field, found.read.task.target, found.read.digest)
+        return field.inside_voxels, found.ambiguous
+
+
+def _map_of(values: Tensor, **kept: Any) -> SDM:
+    return SDM(values, **kept)
+
+
+def _later(found: Measured, seconds: float) -> Measured:
+    return Measured(found.read, found.map, found.inside, found.ambiguous, found.seconds + seconds)
+
+
+def _finished(task: MapTask, grid: Grid, digest: str) -> bool:
+    """True if a file is a map, on this grid, of the mesh with this digest."""
+    try:
+        return grid_like(task.target) == grid and made_from(task.target) == digest
+    except SDMError:
+        return False
+
+
+def threads_for(device: torch.device) -> int:
+    """Threads of a stage beside a device."""
+    import os
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    # The engine on a CPU has threads of its own.
+    return max(1, min(16, cores if device.type == "cuda" else cores // 2))

@@ -1,0 +1,51 @@
+"""Copies from a GPU to the host that nobody waits for until they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+T = TypeVar("T")
+
+
+class HostCopy(Generic[T]):
+    """A tensor on its way to the host, and what is made of it there.
+
+    Args:
+        values: On any device. From a GPU it is copied into pinned memory by a stream of its own, beside the kernels
+            that are queued next.
+        make: Makes of the tensor on the host what `wait` returns.
+
+    Another thread may wait; it holds nothing up but itself.
+    """
+
+    def __init__(self, values: Tensor, make: Callable[[Tensor], T]) -> None:
+        self._make = make
+        self._done: torch.cuda.Event | None = None
+        if values.device.type != "cuda":
+            self._host = values.detach()
+            return
+        self._host = torch.empty(values.shape, dtype=values.dtype, device="cpu", pin_memory=True)
+        side = _copy_stream(values.device)
+        side.wait_stream(torch.cuda.current_stream(values.device))
+        with torch.cuda.stream(side):
+            self._host.copy_(values.detach(), non_blocking=True)
+            self._done = torch.cuda.Event()
+            self._done.record(side)
+        # Its memory is not given to others before the copy has read it.
+        values.record_stream(side)
+
+    def wait(self) -> T:
+        """What was made of the tensor, once it is there."""
+        if self._done is not None:
+            self._done.synchronize()
+        return self._make(self._host)
+
+
+@cache
+def _copy_stream(device: torch.device) -> torch.cuda.Stream:
+    return torch.cuda.Stream(device)
