@@ -8,7 +8,7 @@ mesh in another space (LPS, as some medical software exports) has to be turned b
 from sdm.io.maps.api import grid_like, load, save, write_streamed
 from sdm.io.maps.formats import FORMATS, check_target
 from sdm.io.meshes.load import load_mesh, mesh_files
-from sdm.io.meshes.tree import mesh_tree
+from sdm.io.meshes.mesh_tree import mesh_tree
 from sdm.io.meshes.write import save_mesh
 
 __all__ = [

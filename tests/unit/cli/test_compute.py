@@ -91,7 +91,7 @@ def test_an_image_that_does_not_say_how_it_lies(ball, tmp_path, capsys):
 
 
 def test_the_default_resolution(ball, tmp_path):
-    from sdm.cli.maps.settings import Settings
+    from sdm.cli.maps.map_settings import Settings
 
     assert run(ball, "-o", tmp_path / "map.npz", "--device", "cpu") == 0
     assert load(tmp_path / "map.npz").grid.shape == (128, 128, 128)
