@@ -94,8 +94,8 @@ def compute(
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.output_files import plan
-    from sdm.cli.maps.run import run
     from sdm.cli.maps.map_settings import Settings
+    from sdm.cli.maps.run import run
     from sdm.core.device import choose_device
     from sdm.engine.arguments import SignMethod
     from sdm.errors import GridError, MeshError

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
-from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM

@@ -8,10 +8,10 @@ from pathlib import Path
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.full_disk import is_full_disk
 from sdm.cli.common.progress import FileProgress
-from sdm.cli.maps.remarks import is_closed
-from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_stages import MapStages, threads_for
+from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
+from sdm.cli.maps.remarks import is_closed
 from sdm.cli.maps.work import MapTask, Written
 from sdm.errors import FormatError
 from sdm.runtime.pipeline.outcome import Done, Failed

@@ -14,8 +14,8 @@ import trimesh
 import sdm
 from sdm.cli import main
 from sdm.cli.common.output_files import inputs_of, places_in
-from sdm.cli.maps.run import run as run_jobs
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.run import run as run_jobs
 from sdm.core.normalization import Normalization
 
 SMALL = ["--resolution", "12", "--device", "cpu"]
