@@ -40,7 +40,7 @@ class HostCopy(Generic[T]):
         values.record_stream(side)
 
     def wait(self) -> T:
-        """What was made of the tensor, once it is there."""
+        """The thing that was made of the tensor, once it is there."""
         if self._done is not None:
             self._done.synchronize()
         return self._make(self._host)

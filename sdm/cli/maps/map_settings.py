@@ -107,7 +107,7 @@ class Settings:
 
     @property
     def how(self) -> str:
-        """What a file's values depend on besides the triangles and the grid, for its digest."""
+        """All that a file's values depend on besides the triangles and the grid, for its digest."""
         words = [] if self.sign == "winding" else [self.sign, self.hole_size]
         words += [] if self.dtype == "float32" else [self.dtype]
         words += [] if self.truncate is None else ["truncate", self.truncate]

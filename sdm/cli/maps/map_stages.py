@@ -32,7 +32,7 @@ LARGEST_BESIDE = 1 << 28
 
 
 class MapStages:
-    """What is done with each mesh, stage by stage.
+    """The work on each mesh, stage by stage.
 
     Args:
         settings: What is the same for all.
