@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float32, Float64, Int32
 from torch import Tensor
 
+from sdm.core.to_libraries import mesh_to_open3d, mesh_to_pyvista, mesh_to_trimesh
 from sdm.errors import MeshError
 
 # Squared lengths, areas and volumes of a mesh within this bound stay finite in float64, lengths in float32.
@@ -95,6 +96,18 @@ class TriangleMesh:
         from sdm.io import save_mesh
 
         save_mesh(self, path)
+
+    def to_trimesh(self) -> Any:
+        """A `trimesh.Trimesh` with the same vertices and faces."""
+        return mesh_to_trimesh(self)
+
+    def to_open3d(self) -> Any:
+        """An `open3d.geometry.TriangleMesh` with the same vertices and faces."""
+        return mesh_to_open3d(self)
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.PolyData` with the same vertices and faces."""
+        return mesh_to_pyvista(self)
 
     def numpy(self) -> tuple[Float32[np.ndarray, "V 3"], Int32[np.ndarray, "F 3"]]:
         """Vertices (V,3) float32 and faces (F,3) int32 on the host."""

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.normalization import Normalization
+from sdm.core.to_libraries import map_to_nibabel, map_to_pyvista, map_to_sitk
+from sdm.core.tricubic import tricubic
 from sdm.core.trilinear import trilinear
 from sdm.errors import GridError, SDMError
 
@@ -39,7 +41,8 @@ class SDM:
         truncated: The length beyond which distances are this length, with their sign; None where none are cut.
         normalization: The shift and the scale that the mesh went through before; None if it stayed as it was.
 
-    `numpy.asarray(field)` and `field[i, j, k]` are its values. `torch.save` keeps it, and `torch.load` takes it once
+    `field[i, j, k]`, `numpy.asarray(field)` and `torch.as_tensor(field)` are its values, as is what others make of it
+    by DLPack; gradients flow through `values` alone. `torch.save` keeps it, and `torch.load` takes it once
     `sdm.SDM` was used in the process.
     """
 
@@ -77,8 +80,10 @@ class SDM:
 
     def with_values(self, values: Tensor) -> SDM:
         """A map with other values, and all else as it is."""
-        kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "values"}
-        return SDM(values, **kept)
+        return self._with(values=values)
+
+    def _with(self, **other: Any) -> SDM:
+        return SDM(**({field.name: getattr(self, field.name) for field in fields(self)} | other))
 
     @cached_property
     def inside_voxels(self) -> int:
@@ -148,6 +153,18 @@ class SDM:
             raise ValueError("the values of this map cannot be had as such an array without a copy")
         return values.copy() if copy and kept else values.astype(values.dtype if kept else dtype, copy=False)
 
+    def __dlpack__(self, **options: Any) -> Any:
+        self._check()
+        return self.values.detach().__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.values.__dlpack_device__()
+
+    def _repr_html_(self) -> str:
+        from sdm.viz.slices import map_html
+
+        return map_html(self)
+
     def __repr__(self) -> str:
         unclear = f", {self.ambiguous_voxels:,} of them ambiguous" if self.ambiguous_voxels else ""
         sign = (
@@ -155,11 +172,13 @@ class SDM:
         )
         return f"SDM({self.grid.summary}{unclear}{sign}, on {self.values.device})"
 
-    def sample(self, points: Any) -> Float[Tensor, "*n"]:
-        """Trilinear interpolation of the map, which off the voxel centres is near the exact distance, not equal to it.
+    def sample(self, points: Any, order: int = 1) -> Float[Tensor, "*n"]:
+        """Interpolation of the map, which off the voxel centres is near the exact distance, not equal to it.
 
         Args:
             points: (...,3) coordinates in the mesh's unit, NumPy or torch.
+            order: 1 for trilinear, from the eight voxels around; 3 for tricubic (`sdm.core.tricubic`), from 64: smooth,
+                and nearer where the map is.
 
         Returns:
             (...) on the map's device, NaN beyond the outermost voxel centres. Differentiable in `points` and in the
@@ -167,11 +186,82 @@ class SDM:
 
         Raises:
             GridError: The points are not (...,3).
+            SDMError: Another order.
         """
+        if order not in (1, 3):
+            raise SDMError(f"maps are interpolated by order 1 (trilinear) or 3 (tricubic), not {order!r}")
         at = as_tensor(points, torch.float64, "the points", device=self.values.device)
         if at.ndim == 0 or at.shape[-1] != 3:
             raise GridError(f"the points have shape {tuple(at.shape)}; (..., 3) is needed")
-        return trilinear(self.values, self.grid, at.reshape(-1, 3)).reshape(at.shape[:-1])
+        interpolated = tricubic if order == 3 else trilinear
+        return interpolated(self.values, self.grid, at.reshape(-1, 3)).reshape(at.shape[:-1])
+
+    def gradient(self) -> Float[Tensor, "nx ny nz 3"]:
+        """The map's slope at every voxel, (nx,ny,nz,3), along the world's x, y and z: near 1 in length, outward.
+
+        Central differences, one-sided ones at the border, 0 along an axis of one voxel; differentiable in the values.
+        """
+        slopes = [
+            torch.gradient(self.values, spacing=step, dim=axis)[0] if count > 1 else torch.zeros_like(self.values)
+            for axis, (step, count) in enumerate(zip(self.grid.spacing, self.shape, strict=True))
+        ]
+        turn = torch.tensor(self.grid.direction, dtype=self.values.dtype, device=self.values.device)
+        return torch.stack(slopes, -1) @ turn.T
+
+    def normalized(self) -> Float[Tensor, "nx ny nz"]:
+        """Values from -1 to 1: the inside divided by its depth, the outside by its reach.
+
+        The normalisation of Xue et al. (AAAI 2020) and Ma et al. (MIDL 2020) for networks that regress maps; a side
+        without voxels stays as it is. `truncate` first, where all maps shall have one scale near the surface.
+        """
+        inside, outside = (-self.values).clamp(min=0), self.values.clamp(min=0)
+        deep, far = (side.amax().clamp(min=torch.finfo(side.dtype).tiny) for side in (inside, outside))
+        return outside / far - inside / deep
+
+    def occupancy(self, level: float = 0.0) -> Bool[Tensor, "nx ny nz"]:
+        """True for voxels whose distance is below `level`: inside."""
+        return self.values < level
+
+    def truncate(self, distance: float) -> SDM:
+        """The map with values beyond `distance` cut to it, on both sides, which `truncated` tells.
+
+        Raises:
+            SDMError: A distance that is not positive.
+        """
+        if not 0 < distance < float("inf"):
+            raise SDMError(f"a map cannot be truncated at {distance}: give a positive length")
+        known = distance if self.truncated is None else min(distance, self.truncated)
+        return self._with(values=self.values.clamp(-distance, distance), truncated=known)
+
+    def plot(self, unit: str | None = None) -> Any:
+        """A matplotlib figure of the three middle slices: red is inside. Notebooks show it.
+
+        Args:
+            unit: The mesh's unit of length for the labels, for example "mm".
+        """
+        from sdm.viz.slices import slices_figure
+
+        return slices_figure(self, unit)
+
+    def to_trimesh(self, level: float = 0.0) -> Any:
+        """The surface at `level` as a `trimesh.Trimesh`; see `to_mesh`."""
+        return self.to_mesh(level).to_trimesh()
+
+    def to_open3d(self, level: float = 0.0) -> Any:
+        """The surface at `level` as an `open3d.geometry.TriangleMesh`; see `to_mesh`."""
+        return self.to_mesh(level).to_open3d()
+
+    def to_pyvista(self) -> Any:
+        """A `pyvista.ImageData` whose points are the voxel centres, with the values as `implicit_distance`."""
+        return map_to_pyvista(self)
+
+    def to_sitk(self) -> Any:
+        """A `SimpleITK.Image` of the map, in LPS coordinates."""
+        return map_to_sitk(self)
+
+    def to_nibabel(self) -> Any:
+        """A `nibabel.Nifti1Image` of the map, in RAS coordinates."""
+        return map_to_nibabel(self)
 
     def save(self, path: str | Path) -> None:
         """Write to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends; atomic. See `sdm.io`."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.facts_table import facts_table
 from sdm.inspect.agreement import agreeing_turns
 from sdm.inspect.components import components_of
 from sdm.inspect.degenerate import zero_area
@@ -86,6 +87,14 @@ class MeshReport:
     def sign_problems(self) -> list[str]:
         """Those of the problems for which the sign of a map is probably not what was meant."""
         return sign_problems(asdict(self))
+
+    def _repr_html_(self) -> str:
+        facts = asdict(self)
+        told = {"name", "problems", "bounds", "recommendation", "recommended_sign"}
+        shown = {name.replace("_", " "): value for name, value in facts.items() if name not in told}
+        shown |= {"box": " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in self.bounds)}
+        notes = self.problems or ["nothing deserves attention"]
+        return facts_table(self.name, shown, [*notes, f"sign={self.recommended_sign!r}: {self.recommendation}"])
 
     def as_dict(self) -> dict[str, Any]:
         """The fields by name, ready for JSON."""

@@ -93,13 +93,13 @@ def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> 
     draw_surface(figure, (0.0, 0.02, 0.5, 0.89), field, unit)
     cells = figure.add_gridspec(2, 2, left=0.575, right=0.975, bottom=0.085, top=0.885, wspace=0.24, hspace=0.27)
     # The places of a technical drawing: the view along z below, those along y and x above it and to the right.
-    image = _slice(figure.add_subplot(cells[1, 0]), field, values, (0, 1), limit, unit)
-    _slice(figure.add_subplot(cells[0, 0]), field, values, (0, 2), limit, unit)
-    _slice(figure.add_subplot(cells[0, 1]), field, values, (1, 2), limit, unit)
+    image = draw_slice(figure.add_subplot(cells[1, 0]), field, values, (0, 1), limit, unit)
+    draw_slice(figure.add_subplot(cells[0, 0]), field, values, (0, 2), limit, unit)
+    draw_slice(figure.add_subplot(cells[0, 1]), field, values, (1, 2), limit, unit)
     axes = figure.add_subplot(cells[1, 1])
     axes.axis("off")
     _colour_bar(figure, axes, image, extend, unit)
-    _list(axes, facts | _known(field, values, limit, unit))
+    _list(axes, facts | known_facts(field, values, limit, unit))
     return figure
 
 
@@ -129,7 +129,7 @@ def line_step(limit: float) -> float:
     return power * max(x for x in (1.0, 2.0, 5.0) if x * power <= limit / 3 * 1.0001)
 
 
-def _slice(
+def draw_slice(
     axes: Axes, field: SDM, values: np.ndarray, plane: tuple[int, int], limit: float, unit: str | None
 ) -> AxesImage:
     """The middle slice that holds the two axes of `plane`: the first to the right, the second up."""
@@ -175,7 +175,8 @@ def _colour_bar(figure: Figure, axes: Axes, image: AxesImage, extend: str, unit:
     bar.ax.set_title(f"signed distance{_in(unit)}", fontsize=10, color="0.2", pad=5)
 
 
-def _known(field: SDM, values: np.ndarray, limit: float, unit: str | None) -> dict[str, str]:
+def known_facts(field: SDM, values: np.ndarray, limit: float, unit: str | None) -> dict[str, str]:
+    """Shape, spacing and range of a map by name; lines of equal distance go with `limit`, see `colour_limit`."""
     suffix = f" {unit}" if unit else ""
     spacing = field.grid.spacing
     steps = f"{spacing[0]:.4g}" if len(set(spacing)) == 1 else _times(tuple(f"{s:.4g}" for s in spacing))

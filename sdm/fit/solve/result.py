@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdm.core.facts_table import facts_table
 from sdm.errors import SDMError
 from sdm.fit.model.appearance import Appearance
 from sdm.fit.model.pose import State
@@ -111,6 +112,15 @@ class FitResult:
             "steps": self.steps,
             "seconds": self.seconds,
         }
+
+    def _repr_html_(self) -> str:
+        found = self.record()
+        facts: dict[str, object] = {"trusted": self.trusted}
+        for name, value in found["theta"].items():
+            low, high = value["interval"]
+            facts[name] = f"{value['estimate']:.4g} {value['unit']}, 90 % within {low:.4g} to {high:.4g}"
+        facts |= {name: found[name] for name in ("explained", "contrast", "misfit", "seconds")}
+        return facts_table("Fit", facts, [*self.diagnosis.problems, *self.diagnosis.warnings])
 
     def save(self, path: str | Path) -> None:
         """Write `record` as JSON; atomic."""

@@ -59,6 +59,8 @@ def test_intervals_and_record(result: FitResult, tmp_path: Path) -> None:
     ends = result.posterior.intervals(0.9)
     assert torch.allclose((ends[:, 1] - ends[:, 0]) / 2, 1.6448536 * result.posterior.deviations)
     result.save(tmp_path / "fit.json")
+    page = result._repr_html_()
+    assert all(parameter.name in page for parameter in result.parameters)
     record = json.loads((tmp_path / "fit.json").read_text())
     assert record["trusted"]
     assert record["theta"]["a"]["interval"] == pytest.approx(ends[0].tolist())
