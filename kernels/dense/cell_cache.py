@@ -16,6 +16,8 @@ wp.set_module_options({"enable_backward": False})
 # Floats of a cached box: its centre and half^2; its half-widths and the mesh's diagonal; its first voxel and its mesh.
 BOX_FLOATS = 12
 _ROWS = BOX_FLOATS // 4
+# What the first voxels of cells that are left out have added to their x, so that they are beyond every slab.
+LEFT_OUT = 1 << 30
 
 
 @wp.struct
@@ -55,6 +57,13 @@ def cached_start(cache: CellCache, number: int):
     r = load4(cache.boxes, _ROWS * number + 2)
     start = wp.vec3i(wp.cast(r[0], wp.int32), wp.cast(r[1], wp.int32), wp.cast(r[2], wp.int32))
     return wp.cast(r[3], wp.int32), start
+
+
+@wp.func
+def cached_region(cache: CellCache, region: int):
+    """The mesh and the first voxel of a region, from its first cell, be that left out or not."""
+    mesh, start = cached_start(cache, 8 * region)
+    return mesh, wp.vec3i(start[0] & (LEFT_OUT - 1), start[1], start[2])
 
 
 @wp.func

@@ -11,10 +11,10 @@ from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import node_matters, push
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness
-from sdm.kernels.dense.cell_cache import CellCache
+from sdm.kernels.dense.cell_cache import CellCache, cached_region
 from sdm.kernels.dense.chunk_pool import CandidateLists, Chain, ChunkPool, append
 from sdm.kernels.dense.counters import NEXT_REGION
-from sdm.kernels.dense.region_grid import RegionGrid, make_cell, own_shares, region_start
+from sdm.kernels.dense.region_grid import RegionGrid, make_cell, own_shares
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_grid import REGION_SHARES, Slab
 from sdm.kernels.launch import launch
@@ -51,7 +51,7 @@ def _list_regions(
     item = fetch_add_once(pool.counters, NEXT_REGION, 1, lane)
     while item < grid.count * regions.shares:
         region = item / regions.shares
-        mesh, start = region_start(slab, grid, region)
+        mesh, start = cached_region(cache, region)
         # Read again wherever it is needed, as registers are few.
         leaves = 1 << tree_of(tree, mesh).depth
         base = nodes_of(tree_of(tree, mesh), mesh)

@@ -33,6 +33,7 @@ from sdm.kernels.dense.block.winners import (
     WINNER_ROWS,
     begin_block,
     end_block,
+    is_wanted,
     measure_one,
     note_feature,
     worker_scratch,
@@ -209,7 +210,7 @@ def measure_scheduled(
             eighth = (item - bricks) % 8
         block, _number = block_of(tree, slab, grid, cache, schedule, listed, bricks, eighth)
         here = slab_of(slab, block.mesh)
-        if is_within(here, block.start):
+        if is_within(here, block.start) and is_wanted(winners, block.start):
             own = worker_scratch(scratch, worker, winners)
             stack = small_stack_of(stacks, worker)
             measure_block(tree, features, here, pool, blocks, listed, own, stack, out, block, winners, lane, lanes)

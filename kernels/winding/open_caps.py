@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.block_table import VOXELS, inner_of
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
 from sdm.kernels.launch import launch, threads
@@ -91,6 +92,36 @@ def opened(winding: float):
     return wp.where(is_whole(winding), winding + 0.0625, winding)
 
 
+@wp.struct
+class BlockWindings:
+    """Winding numbers of blocks of 8^3 voxels, see `geometry.block_table`, of which one is looked at."""
+
+    values: wp.array(dtype=wp.float32)  # (N * 512)
+    place: wp.int32
+
+
+@wp.func
+def winding_at(values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i):
+    """The winding number of a voxel, of all or of one block's."""
+    return values[mesh, v[0], v[1], v[2]]
+
+
+@wp.func
+def winding_at(values: BlockWindings, mesh: int, v: wp.vec3i):  # noqa: F811
+    return values.values[VOXELS * values.place + inner_of(v)]
+
+
+@wp.func
+def put_winding(values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i, winding: float):
+    """Write it."""
+    values[mesh, v[0], v[1], v[2]] = winding
+
+
+@wp.func
+def put_winding(values: BlockWindings, mesh: int, v: wp.vec3i, winding: float):  # noqa: F811
+    values.values[VOXELS * values.place + inner_of(v)] = winding
+
+
 @wp.func
 def settle_box(
     field: Field,
@@ -105,7 +136,7 @@ def settle_box(
     scale: float,
     lane: int,
     lanes: int,
-    values: wp.array4d(dtype=wp.float32),
+    values: Any,
 ):
     """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each."""
     far = largest_share(field, box.half) < LARGEST_SHARE
@@ -122,7 +153,7 @@ def settle_box(
         v = start + at
         whole = float(0.5)
         if is_within(slab, v):
-            whole = values[mesh, v[0], v[1], v[2]]
+            whole = winding_at(values, mesh, v)
         p = scale * voxel(slab, v[0], v[1], v[2])
         angle = float(0.0)
         wrong = float(0.0)
@@ -138,7 +169,7 @@ def settle_box(
         if is_whole(whole):
             if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
                 if lane % share == 0:
-                    values[mesh, v[0], v[1], v[2]] = opened(winding)
+                    put_winding(values, mesh, v, opened(winding))
             else:
                 half = bits - 1
                 left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
@@ -155,11 +186,11 @@ def voxel_of_piece(piece: int, octant: int, cells: wp.vec3i):
 
 
 @wp.func
-def is_left(slab: Slab, values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i):
+def is_left(slab: Slab, values: Any, mesh: int, v: wp.vec3i):
     """True if a voxel is there, and not open yet."""
     if not is_within(slab, v):
         return False
-    return is_whole(values[mesh, v[0], v[1], v[2]])
+    return is_whole(winding_at(values, mesh, v))
 
 
 @wp.kernel

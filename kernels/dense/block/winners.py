@@ -9,6 +9,8 @@ search found the triangle, and not which part of it. Of features at the same dis
 The winners take the place of the winding numbers in the scratch memory, which are read in the end. On a GPU values are
 lessened as without them. Once all lanes have done that, one lane knows of each value that it was its own that lessened
 it last, and writes its winner; then those that came to the same value lessen that. On a CPU it is a loop over vectors.
+
+In place of winners there may be a `BlockOutput`: then distances go to the blocks of a narrow band.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.dense.block.feature_setup import CORNER_KIND, EDGE_KIND
-from sdm.kernels.dense.block.min_values import clear_values, item_text, measure_item, two_at
+from sdm.kernels.dense.block.min_values import clear_values, item_text, measure_item, two_at, values_of
 from sdm.kernels.dense.block.shared_layout import BATCH, MIN_VALUES, SCRATCH_ROWS, WINDING, scratch_of, write_row
 from sdm.kernels.dense.block.voxels import (
     Block,
@@ -27,6 +29,8 @@ from sdm.kernels.dense.block.voxels import (
     write_two,
     write_voxels,
 )
+from sdm.kernels.geometry.block_table import BlockTable, inner_of, place_of
+from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, distances_at, is_unclear, with_sign
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_GROUPS
@@ -41,9 +45,76 @@ WINNER_ROWS = SCRATCH_ROWS + BATCH // 4
 _FIRST_ROW, _ROWS = MIN_VALUES // 4, 256
 
 
+@wp.struct
+class BlockOutput:
+    """Blocks of a narrow band, to which the distances of their voxels go."""
+
+    table: BlockTable
+    values: wp.array(dtype=wp.float32)  # (N * 512) winding numbers before, signed distances after
+    near: wp.array(dtype=wp.int32)  # (N) zero before, 1 for blocks with a voxel that is nearer than:
+    width: float  # at most so far from zero are the distances that are written
+    shifts: wp.vec3i  # along each axis the blocks have one of 2^shift measured voxels, from the first on
+
+
+# A voxel of a block that was missed: minus that inside. Without an end where its winding number is clear.
+MISSED = 3.0e38
+
+
+@wp.func
+def put_in_block(to: BlockOutput, place: int, number: int, distance: float):
+    """Write a distance, clamped and with its sign; 1 if it is near and its winding number unclear."""
+    index = 512 * place + number
+    winding = to.values[index]
+    if not distance < float(wp.inf):
+        to.values[index] = with_sign(wp.where(is_unclear(winding) != 0, MISSED, float(wp.inf)), winding)
+        return 0
+    to.values[index] = with_sign(wp.min(distance, to.width), winding)
+    if distance < to.width:
+        to.near[place] = 1
+        return is_unclear(winding)
+    return 0
+
+
+@wp.func
+def first_kept(to: BlockOutput, start: wp.vec3i):
+    """The first voxel of the blocks' grid that is not before a measured voxel."""
+    s = to.shifts
+    return wp.vec3i(
+        (start[0] + (1 << s[0]) - 1) >> s[0], (start[1] + (1 << s[1]) - 1) >> s[1], (start[2] + (1 << s[2]) - 1) >> s[2]
+    )
+
+
+@wp.func
+def block_place(to: BlockOutput, start: wp.vec3i):
+    """The place of the block that has the voxels of a measured block, all of which lie in one; -1 for none."""
+    at = first_kept(to, start)
+    return place_of(to.table, wp.vec3i(at[0] >> 3, at[1] >> 3, at[2] >> 3))
+
+
+@wp.func
+def is_wanted(winners: int, start: wp.vec3i):
+    """True if the block that starts at a voxel is to be measured."""
+    return True
+
+
+@wp.func
+def is_wanted(winners: wp.array(dtype=wp.int32), start: wp.vec3i):  # noqa: F811
+    return True
+
+
+@wp.func
+def is_wanted(winners: BlockOutput, start: wp.vec3i):  # noqa: F811
+    return block_place(winners, start) >= 0
+
+
 @wp.func
 def worker_scratch(scratch: wp.array(dtype=wp.float32), worker: int, winners: int):
     """The address of a worker's rows of four floats."""
+    return scratch_of(scratch, worker)
+
+
+@wp.func
+def worker_scratch(scratch: wp.array(dtype=wp.float32), worker: int, winners: BlockOutput):  # noqa: F811
     return scratch_of(scratch, worker)
 
 
@@ -67,6 +138,13 @@ def begin_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winne
     """No voxel of the block has a value yet; its winding numbers are on their way."""
     clear_values(scratch, lane, lanes)
     read_windings(slab, out, scratch, block, lane, lanes)
+
+
+@wp.func
+def begin_block(  # noqa: F811
+    slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: BlockOutput, lane: int, lanes: int
+):
+    clear_values(scratch, lane, lanes)
 
 
 @wp.func
@@ -95,6 +173,11 @@ def note_feature(scratch: wp.uint64, number: int, kind: int, code: int, winners:
 
 
 @wp.func
+def note_feature(scratch: wp.uint64, number: int, kind: int, code: int, winners: BlockOutput):  # noqa: F811
+    pass
+
+
+@wp.func
 def note_feature(  # noqa: F811
     scratch: wp.uint64, number: int, kind: int, code: int, winners: wp.array(dtype=wp.int32)
 ):
@@ -107,6 +190,13 @@ def measure_one(
     scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool, taken: int, winners: int
 ):
     """`measure_item`; the first `taken` lanes all do it."""
+    measure_item(scratch, item, kind, room, near, turned)
+
+
+@wp.func
+def measure_one(  # noqa: F811
+    scratch: wp.uint64, item: int, kind: int, room: float, near: bool, turned: bool, taken: int, winners: BlockOutput
+):
     measure_item(scratch, item, kind, room, near, turned)
 
 
@@ -191,6 +281,30 @@ def as_float(bits: int) -> float: ...
 def end_block(slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: int, lane: int, lanes: int):
     """Write what was found of all voxels of a measured block; returns how many have unclear winding numbers."""
     return write_voxels(slab, out, scratch, block, lane, lanes)
+
+
+@wp.func
+def end_block(  # noqa: F811
+    slab: Slab, out: Output, scratch: wp.uint64, block: Block, winners: BlockOutput, lane: int, lanes: int
+):
+    unclear = int(0)
+    missed = int(0)
+    place = block_place(winners, block.start)
+    two = lane
+    while two < twos_of(block):
+        least = values_of(scratch, two)
+        for second in range(2):
+            v = block.start + two_at(two) + wp.vec3i(0, 0, second)
+            at = first_kept(winners, v)
+            s = winners.shifts
+            if is_within(slab, v) and wp.vec3i(at[0] << s[0], at[1] << s[1], at[2] << s[2]) == v:
+                distance = distance_of(block, least[second])
+                missed = missed + wp.where(distance < float(wp.inf), 0, 1)
+                unclear = unclear + put_in_block(winners, place, inner_of(at), distance)
+        two = two + lanes
+    if missed > 0:
+        fetch_add(out.missed, 0, missed)
+    return unclear
 
 
 @wp.func

@@ -16,8 +16,9 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign
+from sdm.engine.band.block_distances import measured_blocks
 from sdm.engine.band.from_slabs import blocks_of_slabs
-from sdm.engine.band.inside_runs import inside_runs
+from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.mesh_lists import are_meshes
 from sdm.errors import GridError, SDMError
@@ -112,7 +113,11 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> Spar
     """The band of an index on a grid, whose options were checked."""
     # In float32, as the values are.
     width = float(np.float32(half_width * max(grid.spacing)))
-    blocks, values, ambiguous = blocks_of_slabs(index, grid, width, sign)
+    if index._repeated is None:
+        signed, beyond = sign == "winding", reaches_beyond(index, grid)
+        blocks, values, ambiguous = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond)
+    else:
+        blocks, values, ambiguous = blocks_of_slabs(index, grid, width, sign)
     if sign == "none":
         inside = blocks.new_empty((0, 4))
     else:

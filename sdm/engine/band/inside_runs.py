@@ -28,13 +28,14 @@ def inside_runs(
     count = blocks_along(grid.shape)
     begin, end, beside = gaps_of(keys, count)
     if index.closed:
-        # Before it, the last voxels of the block there; else after it, the first ones.
+        # Of the block before it a last voxel along z, else of the one after it a first. The first along x and y are
+        # within the grid.
         stored = torch.where(beside < 0, -1 - beside, beside)
-        side = torch.where(beside < 0, values[stored, 3, 3, 0], values[stored, 3, 3, BLOCK - 1])
+        side = values[stored, 0, 0, torch.where(beside < 0, 0, BLOCK - 1)]
         begin, end = begin[side < 0], end[side < 0]
     else:
         begin, end = _inner_parts(index, grid, begin, end)
-    if _reaches_beyond(index, grid):
+    if reaches_beyond(index, grid):
         empty = _empty_rows(keys, count)
         empty = empty[_are_inside(index, grid, empty * count[2] + count[2] // 2)]
         begin = torch.cat([begin, empty * count[2]])
@@ -79,7 +80,7 @@ def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool
     return index.winding_number(voxel_points(grid, voxels)) > 0.5
 
 
-def _reaches_beyond(index: MeshIndex, grid: Grid) -> bool:
+def reaches_beyond(index: MeshIndex, grid: Grid) -> bool:
     """True if a corner of the mesh's box is outside the grid, so that rows far from its surface may be inside."""
     low, high = index.mesh.bounds
     corners = torch.tensor([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])

@@ -1,0 +1,85 @@
+"""Stage 1 of the dense query for regions in a list: witnesses of those that have voxels of a band, and their cells."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.culling.witness_bound import agree, moved, no_witness, write_witness
+from sdm.kernels.dense.cell_cache import LEFT_OUT, CellCache, store_box
+from sdm.kernels.dense.counters import NEXT_WITNESS
+from sdm.kernels.dense.region_grid import RegionGrid, cell_start, make_cell
+from sdm.kernels.dense.stage1_witnesses import PROBES, WITNESS_BLOCKS, nearer_leaf, probe_direction
+from sdm.kernels.geometry.voxel_box import is_within
+from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
+from sdm.kernels.primitives.atomics import fetch_add_once
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel(launch_bounds=(128, WITNESS_BLOCKS))
+def _find_listed_witnesses(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    slab: Slab,
+    grid: RegionGrid,
+    regions: wp.array(dtype=wp.vec4i),
+    counters: wp.array(dtype=wp.int32),
+    cache: CellCache,
+):
+    lane = (begin + wp.tid()) % lanes
+    item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
+    while item < grid.count:
+        listed = regions[grid.first + item * grid.step]
+        start = 2 * grid.cell * wp.vec3i(listed[0], listed[1], listed[2])
+        region = make_cell(tree, slab, 0, start, 2 * grid.cell)
+        # As `stage1_witnesses` does it, so that all that follows from them has the same bits.
+        known = no_witness()
+        reach = float(0.0)
+        probe = lane
+        while probe < PROBES + lanes:
+            p = region.centre + reach * probe_direction(probe)
+            known = agree(nearer_leaf(tree, frames, 0, p, region.centre, known), lane)
+            reach = wp.sqrt(known.distance2)
+            probe = probe + lanes
+        if lane == 0:
+            write_witness(cache.witnesses, item, known)
+        octant = lane
+        while octant < 8:
+            number = 8 * item + octant
+            first = cell_start(grid, start, octant)
+            wanted = ((listed[3] >> octant) & 1) != 0 and is_within(slab, first)
+            if wanted:
+                cell = make_cell(tree, slab, 0, first, grid.cell)
+                store_box(cache, number, 0, first, cell)
+                centre = cell.centre
+                mine = moved(known, centre - region.centre)
+                mine = nearer_leaf(tree, frames, 0, centre, centre, mine)
+                write_witness(cache.witnesses, grid.count + number, mine)
+            else:
+                # Beyond the slab, for all that comes later.
+                store_box(cache, number, 0, first + wp.vec3i(LEFT_OUT, 0, 0), region)
+            octant = octant + lanes
+        item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
+
+
+def find_listed_witnesses(
+    tree: Tree,
+    frames: wp.array,
+    slab: Slab,
+    grid: RegionGrid,
+    regions: wp.array,
+    counters: wp.array,
+    cache: CellCache,
+    workers: int,
+    lanes: int,
+) -> None:
+    """Write the cache of one pass over listed regions of one mesh's slab; see `stage1_witnesses.find_witnesses`.
+
+    `regions` (R,) vec4i: each one's place among all, and a bit for each of its eight cells that is wanted.
+    """
+    inputs = [lanes, tree, frames, slab, grid, regions, counters, cache]
+    launch(_find_listed_witnesses, workers * lanes, inputs, frames.device, smallest=1)

@@ -1,0 +1,154 @@
+"""Boxes of voxels near the surface, from large ones to blocks of 8^3: of those that may be near the eighths are tried.
+
+A box may be near if some triangle may be within reach of some point of it. That is found by a descent of the tree which
+ends with the first such triangle, so boxes along the surface cost little, and boxes far from it end at the root. Three
+bounds tell that a triangle is out of reach: its box, its plane, and its distance from the centre of the voxels.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.nearest_search import NodeStack
+from sdm.kernels.bvh.tree import SCALE, Tree, first_triangle, load_corners, node_box, nodes_of, slots_of
+from sdm.kernels.geometry.triangle_distance import nearest_part
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_grid import Slab
+from sdm.kernels.launch import launch
+from sdm.kernels.primitives.atomics import fetch_add
+
+wp.set_module_options({"enable_backward": False})
+
+# Counts of each level: the next box to look at, and how many there are.
+NEXT, LENGTH, STRIDE = 0, 1, 2
+# What rounding adds to a distance, in units of the largest coordinate.
+ROUNDING = 1.0e-6
+
+
+@wp.func
+def box_gap2(low: wp.vec3, high: wp.vec3, box: VoxelBox):
+    """Squared distance of two boxes."""
+    gap = wp.max(wp.max(low - box.centre - box.half, box.centre - box.half - high), wp.vec3())
+    return wp.dot(gap, gap)
+
+
+@wp.func
+def may_reach(tree: Tree, slot: int, box: VoxelBox, reach: float, reach2: float):
+    """False only for triangles that are further than `reach` from all points of a box."""
+    a, b, c, n = load_corners(tree, slot)
+    if box_gap2(wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c)), box) > reach2:
+        return False
+    h = box.half
+    across = wp.abs(n[0]) * h[0] + wp.abs(n[1]) * h[1] + wp.abs(n[2]) * h[2]
+    if wp.abs(wp.dot(n, box.centre - a)) > reach + across:
+        return False
+    d2, _part = nearest_part(box.centre, a, b, c, n)
+    most = reach + wp.sqrt(box.half2)
+    return d2 <= most * most
+
+
+@wp.func
+def is_near(tree: Tree, box: VoxelBox, reach: float):
+    """False only for boxes of which all points are further than `reach` from the surface."""
+    room = 1.0 + wp.max(wp.abs(box.centre)) + wp.max(box.half)
+    within = reach * (1.0 + ROUNDING) + ROUNDING * room
+    within2 = within * within
+    leaves = 1 << tree.depth
+    base = nodes_of(tree, 0)
+    nodes = NodeStack()
+    waiting = int(0)
+    node = int(1)
+    low, high = node_box(tree, base + 1)
+    if box_gap2(low, high, box) > within2:
+        return False
+    while node > 0:
+        if node >= leaves:
+            leaf = node - leaves
+            for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+                if may_reach(tree, slots_of(tree, 0) + t, box, within, within2):
+                    return True
+            node = int(0)
+        else:
+            # The child whose box is nearer first.
+            left = 2 * node
+            left_low, left_high = node_box(tree, base + left)
+            right_low, right_high = node_box(tree, base + left + 1)
+            left2 = box_gap2(left_low, left_high, box)
+            right2 = box_gap2(right_low, right_high, box)
+            if left2 == 0.0 and right2 == 0.0:
+                left2 = wp.length_sq(0.5 * (left_low + left_high) - box.centre) * 1.0e-30
+                right2 = wp.length_sq(0.5 * (right_low + right_high) - box.centre) * 1.0e-30
+            near = wp.where(right2 < left2, left + 1, left)
+            if wp.max(left2, right2) <= within2:
+                nodes[waiting] = 2 * left + 1 - near
+                waiting = waiting + 1
+            node = wp.where(wp.min(left2, right2) <= within2, near, 0)
+        if node == 0 and waiting > 0:
+            waiting = waiting - 1
+            node = nodes[waiting]
+    return False
+
+
+@wp.kernel
+def _find_boxes(
+    begin: int,
+    workers: int,
+    tree: Tree,
+    slab: Slab,
+    reach: float,
+    bits: int,
+    level: int,
+    room: int,
+    parents: wp.array(dtype=wp.vec3i),
+    boxes: wp.array(dtype=wp.vec3i),
+    counts: wp.array(dtype=wp.int32),
+):
+    """List the eighths of parents, boxes of 2^bits voxels, that may be near; those without room are counted alone."""
+    scale = float(tree.frame[SCALE])
+    item = begin + wp.tid()
+    total = 8 * counts[STRIDE * level + LENGTH]
+    while item < total:
+        at = 2 * parents[item / 8] + octant_at(item)
+        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+        if is_within(slab, start):
+            box = box_of_voxels(slab, start, 1 << bits, scale)
+            if is_near(tree, box, reach * scale):
+                place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
+                if place < room:
+                    boxes[place] = at
+        item = item + workers
+
+
+def find_boxes(
+    tree: Tree,
+    slab: Slab,
+    reach: float,
+    bits: int,
+    level: int,
+    parents: wp.array,
+    boxes: wp.array,
+    counts: wp.array,
+    most: int,
+) -> None:
+    """List boxes of 2^bits voxels with a voxel that may be within `reach` (in the mesh's unit) of the surface.
+
+    Args:
+        tree: Of one mesh.
+        slab: The voxels.
+        reach: A length.
+        bits: See above.
+        level: Which of the lists the parents are.
+        parents: (n,) vec3i, boxes twice as large, by their place among all of that size; as many as were counted.
+        boxes: Filled in any order, as far as there is room.
+        counts: Of all levels, see `STRIDE`; the length of the next is counted from 0.
+        most: Parents that there may be.
+    """
+    device: Any = boxes.device
+    workers = min(8 * most, 1 << 18)
+    if not device.is_cuda:
+        # One after the other each takes its share, and near ones lie side by side.
+        workers = 8 * most
+    inputs = [workers, tree, slab, reach, bits, level, boxes.shape[0], parents, boxes, counts]
+    launch(_find_boxes, workers, inputs, device, smallest=8)

@@ -1,0 +1,155 @@
+"""Blocks of a narrow band and their distances, without a dense map: the fast path."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import warp as wp
+from jaxtyping import Int32, Int64
+from torch import Tensor
+
+from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of
+from sdm.core.grid import Grid
+from sdm.engine.acceleration import AccelerationStructure
+from sdm.engine.band.near_blocks import keys_near, regions_with
+from sdm.engine.gradients import IDENTITY
+from sdm.engine.ops import slab_view
+from sdm.engine.plan_override import OPTIONS
+from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, scales_of
+from sdm.kernels.band.block_winding import whole_windings
+from sdm.kernels.band.open_blocks import open_blocks
+from sdm.kernels.band.query import query_blocks
+from sdm.kernels.dense.block.winners import BlockOutput
+from sdm.kernels.dense.plan import Workload, make_plan, memory_of
+from sdm.kernels.dense.query import Surface
+from sdm.kernels.geometry.block_table import BlockTable
+from sdm.kernels.launch import set_array
+from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
+
+# More than the spacing along x, at which a crossing is from the voxel that it is marked at.
+STEP_ROOM = 1.01
+
+
+def measured_blocks(
+    structure: AccelerationStructure, grid: Grid, width: float, *, signed: bool, beyond: bool
+) -> tuple[Int32[Tensor, "n 3"], Tensor, int]:
+    """Blocks (N,3) with a voxel nearer than `width`, their clamped values (N,8,8,8), and how many are ambiguous.
+
+    Args:
+        structure: Of one mesh.
+        grid: The voxels.
+        width: In the mesh's unit.
+        signed: False for distances of at least 0.
+        beyond: Whether triangles may be beyond the grid's last voxels along x.
+    """
+    device = structure.device
+    direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
+    slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, direction)
+    with on_current_stream(structure.memory[0], structure.memory[0]) as warp_device:
+        tree, winding, frames, features, cones = structure.view
+        keys = keys_near(tree, slab, grid, width, device)
+        if signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
+            caps = keys_near(winding.caps.tree, slab, grid, STEP_ROOM * grid.spacing[0], device)
+            keys = torch.unique(torch.cat([keys, caps]))
+        blocks = blocks_of(keys, blocks_along(grid.shape))
+        values = torch.empty((len(keys), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
+        if not len(keys):
+            return blocks, values, 0
+        near = torch.zeros(len(keys), dtype=torch.int32, device=device)
+        ambiguous = torch.zeros(1, dtype=torch.int32, device=device)
+        table, rows = _table(blocks)
+        flat, empty = values.view(-1), workspace(device)
+        if signed:
+            order = _by_lines(blocks, blocks_along(grid.shape))
+            layer = torch.zeros(grid.shape[1] * grid.shape[2] if beyond else 0, dtype=torch.int32, device=device)
+            lost = torch.zeros(1, dtype=torch.int32, device=device)
+            whole_windings(
+                tree,
+                winding,
+                slab,
+                table,
+                as_warp(order, wp.int32),
+                as_warp(layer, wp.int32),
+                as_warp(flat, wp.float32),
+                as_warp(lost, wp.int32),
+            )
+            if winding.caps.tree.count > 0:
+                open_blocks(tree, winding.boundary, winding.caps, slab, table, as_warp(flat, wp.float32), empty)
+        else:
+            values.zero_()
+        times = _times(structure, grid)
+        fine = _measured_slices(grid, times)
+        work = Workload(structure.sizes.faces, tree.depth, 1, fine.shape, fine.spacing, direction != IDENTITY)
+        plan = make_plan(work, memory_of(warp_device.alias), OPTIONS.get())
+        shifts = (times[0].bit_length() - 1, times[1].bit_length() - 1, times[2].bit_length() - 1)
+        count = tuple(-(-n // plan.cell) for n in fine.shape)
+        regions = regions_with(blocks, plan.cell, shifts, (count[0], count[1], count[2]))
+        to: Any = BlockOutput()
+        to.table, to.width, to.shifts = table, width, wp.vec3i(*shifts)
+        set_array(to, "values", as_warp(flat, wp.float32))
+        set_array(to, "near", as_warp(near, wp.int32))
+        query_blocks(
+            Surface(tree, frames, features, cones),
+            slab,
+            slab_view(grid.origin, fine.spacing, fine.shape, 0, direction),
+            to,
+            as_warp(regions, wp.vec4i),
+            as_warp(ambiguous, wp.int32),
+            plan,
+            empty,
+        )
+        del rows
+    kept = near.nonzero()[:, 0]
+    blocks, values = blocks[kept], values[kept]
+    _clear_beyond(blocks, values, grid, width)
+    return blocks, values, int(ambiguous)
+
+
+def _table(blocks: Int32[Tensor, "n 3"]) -> tuple[Any, tuple[Tensor, ...]]:
+    """The kernels' table of blocks that are sorted, and the memory that it is in."""
+    low, high = blocks[:, :2].amin(0).long(), blocks[:, :2].amax(0).long()
+    size = high - low + 1
+    row = (blocks[:, 0] - low[0]) * size[1] + blocks[:, 1] - low[1]
+    rows = torch.searchsorted(row, torch.arange(int(size[0] * size[1]) + 1, device=blocks.device)).int()
+    table: Any = BlockTable()
+    set_array(table, "blocks", as_warp(blocks, wp.vec3i))
+    set_array(table, "rows", as_warp(rows, wp.int32))
+    table.low, table.size = wp.vec2i(*low.tolist()), wp.vec2i(*size.tolist())
+    return table, (blocks, rows)
+
+
+def _by_lines(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int32[Tensor, " n"]:
+    """Places of blocks, sorted by y, then z, then x."""
+    x, y, z = blocks.long().unbind(1)
+    keys: Int64[Tensor, " n"] = (y * count[2] + z) * count[0] + x
+    return keys.argsort().int()
+
+
+def _times(structure: AccelerationStructure, grid: Grid) -> Triple:
+    """Factors by which a dense map of this grid is measured with more slices."""
+    options = OPTIONS.get()
+    if structure.device.type != "cpu" or options.method == "search":
+        return AS_IT_IS
+    slices = Slices(grid.spacing, grid.shape, 0)
+    (scale,) = scales_of(structure.view.tree, 1)
+    return finer(slices, scale, structure.sizes.faces, options.slice_factors)
+
+
+def _measured_slices(grid: Grid, times: Triple) -> Slices:
+    """The grid that is measured, with `times` as many slices."""
+    if times == AS_IT_IS:
+        return Slices(grid.spacing, grid.shape, 0)
+    across = tuple(k * (n - 1) + 1 for k, n in zip(times[1:], grid.shape[1:], strict=True))
+    spacing = tuple(s / k for s, k in zip(grid.spacing, times, strict=True))
+    return Slices(spacing, (times[0] * grid.shape[0], *across), 0)
+
+
+def _clear_beyond(blocks: Tensor, values: Tensor, grid: Grid, width: float) -> None:
+    """The width in voxels of the outermost blocks that are beyond the grid."""
+    for axis, n in enumerate(grid.shape):
+        if n % BLOCK:
+            last = (blocks[:, axis] == n // BLOCK).nonzero()[:, 0]
+            outer = values[last]
+            outer.narrow(axis + 1, n % BLOCK, BLOCK - n % BLOCK).fill_(width)
+            values[last] = outer
