@@ -3,7 +3,6 @@
 The stages of the dense query run over the regions that have such voxels, with the same cells, witnesses, lists and
 arithmetic, so that each value has the dense map's bits. Only the first and the last stage are told of blocks.
 """
-# pyright: basic, reportGeneralTypeIssues=false
 
 from __future__ import annotations
 
