@@ -18,6 +18,7 @@ import hashlib
 import json
 import shutil
 import tempfile
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
+from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.errors import FormatError
 from sdm.io.files.atomic import own_name, put
 
@@ -220,6 +222,7 @@ def write_shard(
     transform: np.ndarray | None,
     maps: np.ndarray,
     scratch: Path,
+    pool: Executor,
 ) -> None:
     """Write a shard: each file whole or not at all, its checksum last.
 
@@ -231,30 +234,20 @@ def write_shard(
         transform: (n,4,4), for families that place meshes.
         maps: (n,nx,ny,nz) in the dataset's type.
         scratch: A folder on the same disk that nobody else uses.
+        pool: Threads that compress.
     """
     files = dict(zip(arrays_of(manifest), files_of(folder, manifest, number), strict=True))
     rows = {"theta": theta} if transform is None else {"theta": theta, "transform": transform}
-    # Zarr encodes each part as the only one of an array of its own; its file then takes its place in the dataset.
+    digest = hashlib.sha256()
     for name, values in rows.items():
-        alone = _emptied(scratch / name)
-        padded = _padded(values, manifest["shard"])
-        _rows_array(alone, padded.shape, DTYPES[name], manifest)[:] = padded
-        put(files[name], file_of(scratch, name, 0))
-    alone = _emptied(scratch / "sdm")
-    _sdm_array(alone, len(maps), maps.shape[1:], manifest)[:] = maps
-    put(files["sdm"], file_of(scratch, "sdm", 0))
-    for name in files:
-        shutil.rmtree(scratch / name)
-    put(checksum_file(folder, number), checksum(folder, manifest, number))
-
-
-def _emptied(store: Path) -> Path:
-    shutil.rmtree(store, ignore_errors=True)
-    return store
-
-
-def _padded(rows: np.ndarray, count: int) -> np.ndarray:
-    """A whole chunk: Zarr keeps the last one in full length."""
-    room = np.zeros((count, *rows.shape[1:]), dtype=rows.dtype)
-    room[: len(rows)] = rows
-    return room
+        content = rows_content(values, manifest, DTYPES[name])
+        digest.update(content)
+        put(files[name], content)
+    # Under another name until it is whole; its file then takes its place in the dataset.
+    part = scratch / str(number)
+    with part.open("wb") as file:
+        for piece in maps_content(maps, manifest, pool):
+            digest.update(piece)
+            file.write(piece)
+    put(files["sdm"], part)
+    put(checksum_file(folder, number), digest.digest())

@@ -9,19 +9,24 @@ from typing import Any
 
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
+from sdm.runtime.pipeline.stage_times import StageTimes
 
 # How often the processes are looked at while they say nothing [s].
 PATIENCE = 1.0
 
 
-def run_here(job: Job, shards: list[int], devices: list[str], done: Callable[[int], None]) -> None:
+def run_here(
+    job: Job, shards: list[int], devices: list[str], done: Callable[[int], None], times: StageTimes | None = None
+) -> None:
     """Make shards; `done(number)` is called for each that is on the disk.
+
+    `times` is the clock of the stages, where they are in this process.
 
     Raises:
         SDMError: A process failed or died.
     """
     if len(devices) == 1 or len(shards) == 1:
-        job.run(shards, job.maker(devices[0]), done)
+        job.run(shards, job.maker(devices[0]), done, times=times)
         return
     # A forked process cannot use CUDA.
     context = multiprocessing.get_context("spawn")

@@ -6,10 +6,10 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -19,9 +19,26 @@ from sdm.core.grid import Grid
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError
+from sdm.runtime.host_copy import HostRows
+from sdm.runtime.pipeline.outcome import Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
+from sdm.runtime.pipeline.threads import threads_beside
 from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler
+
+# Shards that are compressed and written at a time; each is 256 MiB of memory, if nobody says otherwise.
+WRITERS = 4
+
+
+class _Shard(NamedTuple):
+    """A shard on its way to the disk: the number, parameters (n,P), transforms (n,4,4), maps (n,nx,ny,nz)."""
+
+    number: int
+    theta: np.ndarray
+    transform: np.ndarray | None
+    maps: HostRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,48 +83,56 @@ class Job:
             hole_size=self.hole_size,
         )
 
-    def run(self, shards: Iterable[int], maker: Maker, done: Callable[[int], None]) -> None:
-        """Make and write shards; `done(number)` is called for each that is on the disk.
+    def run(
+        self, shards: Iterable[int], maker: Maker, done: Callable[[int], None], *, times: StageTimes | None = None
+    ) -> None:
+        """Make and write shards; `done(number)` is called for each that is on the disk, in their order.
 
-        While one shard is written, the next is made.
+        While some shards are compressed and written, the next is made.
 
         Raises:
             FormatError: The disk is full, or cannot be written.
         """
+        times = StageTimes() if times is None else times
         scratch = self.folder / f".{os.getpid()}-{secrets.token_hex(4)}.part"
+        threads = threads_beside(maker.device)
         try:
             scratch.mkdir()
-            with ThreadPoolExecutor(1, thread_name_prefix="sdm-shard") as writer:
-                waiting: tuple[int, Future[None]] | None = None
-                for number in shards:
-                    content = self._make(number, maker)
-                    if waiting is not None:
-                        waiting[1].result()
-                        done(waiting[0])
-                    waiting = number, writer.submit(self._write, number, *content, scratch)
-                    del content
-                if waiting is not None:
-                    waiting[1].result()
-                    done(waiting[0])
+            with ThreadPoolExecutor(threads, thread_name_prefix="sdm-compress") as pool:
+                made = one_by_one(
+                    numbered(shards), str(maker.device), lambda number: self._make(number, maker), times=times
+                )
+                written = in_threads(
+                    made,
+                    "write",
+                    lambda shard: self._write(shard, scratch, pool),
+                    workers=min(threads, WRITERS),
+                    ahead=min(threads, WRITERS),
+                    times=times,
+                )
+                for outcome in written:
+                    if isinstance(outcome, Failed):
+                        raise outcome.error
+                    done(outcome.value)
         except OSError as error:
             why = error.strerror or error
             raise FormatError(f"{self.folder} cannot be written: {why}; --resume goes on from there") from error
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
 
-    def _write(
-        self, number: int, theta: np.ndarray, transform: np.ndarray | None, maps: np.ndarray, scratch: Path
-    ) -> None:
-        write_shard(self.folder, self.manifest, number, theta, transform, maps, scratch)
+    def _write(self, shard: _Shard, scratch: Path, pool: Executor) -> int:
+        maps = shard.maps.wait()
+        write_shard(self.folder, self.manifest, shard.number, shard.theta, shard.transform, maps, scratch, pool)
+        return shard.number
 
-    def _make(self, number: int, maker: Maker) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    def _make(self, number: int, maker: Maker) -> _Shard:
         begin, end = rows_of(self.manifest, number)
         theta = maker.theta(_numbers(begin, end))
-        maps = torch.empty((end - begin, *self.grid.shape), dtype=self.dtype, device="cpu")
+        maps = HostRows((end - begin, *self.grid.shape), self.dtype, maker.device)
         for first, batch in self._batches(begin, end, maker):
-            maps[first - begin : first - begin + len(batch.index)] = batch.sdm[:, 0]
+            maps.put(first - begin, batch.sdm[:, 0])
         transform = self.family.sample_transforms(theta)
-        return theta.numpy(), None if transform is None else transform.numpy(), maps.numpy()
+        return _Shard(number, theta.numpy(), None if transform is None else transform.numpy(), maps)
 
     def _batches(self, begin: int, end: int, maker: Maker) -> Iterator[tuple[int, Batch]]:
         size = maker.at_once

@@ -20,6 +20,7 @@ from sdm.dataset.shard_job import Job
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
+from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker
@@ -46,6 +47,7 @@ def generate(
     resume: bool = False,
     source: dict[str, Any] | None = None,
     progress: Progress | None = None,
+    times: StageTimes | None = None,
 ) -> Path:
     """Write samples 0 to `count` - 1 of a stream to a Zarr 3 dataset: bit for bit what `SDMStream` yields.
 
@@ -67,6 +69,7 @@ def generate(
         resume: Finish an unfinished dataset of the same recipe; what is there stays.
         source: What the family was made from, kept in the manifest.
         progress: Called with the number of samples on the disk and `count`.
+        times: The clock of the stages, where one process makes all.
 
     Returns:
         The path.
@@ -120,7 +123,7 @@ def generate(
     manifest = begin(target, folder, manifest, wanted if resume else None)
     job = Job(folder, manifest, family, at, as_sampler(sampler), seed, dtype, truncate, sign, hole_size)
     with alone(folder):
-        fill(job, devices, ray, progress)
+        fill(job, devices, ray, progress, times)
         finish(folder, target)
     return target
 
@@ -165,14 +168,23 @@ def same(found: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
             )
 
 
-def fill(job: Job, devices: list[str], ray: str | None, progress: Progress | None) -> None:
+def fill(
+    job: Job, devices: list[str], ray: str | None, progress: Progress | None, times: StageTimes | None = None
+) -> None:
     """Make every shard that is missing."""
     count = layout.shard_count(job.manifest)
     missing = [n for n in range(count) if not layout.is_done(job.folder, job.manifest, n)]
-    remake(job, missing, devices, ray, progress)
+    remake(job, missing, devices, ray, progress, times)
 
 
-def remake(job: Job, shards: list[int], devices: list[str], ray: str | None, progress: Progress | None) -> None:
+def remake(
+    job: Job,
+    shards: list[int],
+    devices: list[str],
+    ray: str | None,
+    progress: Progress | None,
+    times: StageTimes | None = None,
+) -> None:
     """Make these shards, whatever is there."""
     rows = [end - begin for begin, end in (layout.rows_of(job.manifest, n) for n in shards)]
     sizes = dict(zip(shards, rows, strict=True))
@@ -192,7 +204,7 @@ def remake(job: Job, shards: list[int], devices: list[str], ray: str | None, pro
     if ray is not None:
         run_on_ray(job, shards, ray, done)
     else:
-        run_here(job, shards, devices, done)
+        run_here(job, shards, devices, done, times)
 
 
 def finish(folder: Path, target: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Generic, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -44,6 +45,41 @@ class HostCopy(Generic[T]):
         if self._done is not None:
             self._done.synchronize()
         return self._make(self._host)
+
+
+class HostRows:
+    """Rows on the host that are filled by copies from a device, which nobody waits for until they are read.
+
+    Args:
+        shape: Of all rows together.
+        dtype: Their type.
+        device: Where they come from. From a GPU they are copied into pinned memory by a stream of its own.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> None:
+        self._gpu = device if device.type == "cuda" else None
+        self._rows = torch.empty(shape, dtype=dtype, device="cpu", pin_memory=self._gpu is not None)
+        self._done: torch.cuda.Event | None = None
+
+    def put(self, begin: int, values: Tensor) -> None:
+        """Fill the rows from `begin` on with values (n,...) on the device."""
+        rows = self._rows[begin : begin + len(values)]
+        if self._gpu is None:
+            rows.copy_(values)
+            return
+        side = _copy_stream(self._gpu)
+        side.wait_stream(torch.cuda.current_stream(self._gpu))
+        with torch.cuda.stream(side):
+            rows.copy_(values, non_blocking=True)
+            self._done = torch.cuda.Event()
+            self._done.record(side)
+        values.record_stream(side)
+
+    def wait(self) -> np.ndarray:
+        """All rows, once they are there."""
+        if self._done is not None:
+            self._done.synchronize()
+        return self._rows.numpy()
 
 
 @cache

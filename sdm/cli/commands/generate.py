@@ -101,6 +101,7 @@ def generate(
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
     from sdm.errors import SDMError
+    from sdm.runtime.pipeline.stage_times import StageTimes
 
     options = {
         "open_meshes": open_meshes,
@@ -142,10 +143,10 @@ def generate(
     else:
         voxels = resolution if resolution is not None else 64 if begun is None else begun.shape[0]
         grid = family.grid(voxels, margin=0.05 if margin is None else margin)
-    with CountProgress("maps") as progress:
-        dataset.generate(
-            family, grid, count, out, device=device, ray=ray, resume=resume, source=known, progress=progress, **asked
-        )
+    times = StageTimes()
+    with CountProgress("maps", times) as progress:
+        where: dict[str, Any] = {"device": device, "ray": ray, "resume": resume}
+        dataset.generate(family, grid, count, out, source=known, progress=progress, times=times, **where, **asked)
     written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
     print(
         f"{out}: {count:,} maps of {family.name}, {' x '.join(map(str, grid.shape))} voxels of "

@@ -99,8 +99,7 @@ class FileProgress(_Bar):
         """The file is done."""
         self._done += 1
         pace = _pace(self._done, self._total - self._done, time.monotonic() - self._begun)
-        limit = None if self._times is None else self._times.limit()
-        self._more = f"{pace}{f', {limit} limits' if limit else ''}" if self._total > 1 else ""
+        self._more = f"{pace}{_limit(self._times)}" if self._total > 1 else ""
         self.draw(self._name, self._done, self._total)
 
     def print(self, line: str, *, warn: bool = False) -> None:
@@ -113,13 +112,14 @@ class CountProgress(_Bar):
 
     Args:
         unit: What is counted.
+        times: The clock of the pipeline behind it, to name the stage that the others wait for.
 
     What is done at the first call does not count for the rate.
     """
 
-    def __init__(self, unit: str) -> None:
+    def __init__(self, unit: str, times: StageTimes | None = None) -> None:
         super().__init__(elapsed=False, transient=False)
-        self._unit = unit
+        self._unit, self._times = unit, times
         self._start_of_rate: tuple[float, int] | None = None
         self._logged = 0.0
 
@@ -130,12 +130,19 @@ class CountProgress(_Bar):
             self._start_of_rate, self._logged = (now, done), now
             return
         start, first = self._start_of_rate
-        line = f"{done:,} of {total:,} {self._unit}{_pace(done - first, total - done, now - start)}"
+        line = (
+            f"{done:,} of {total:,} {self._unit}{_pace(done - first, total - done, now - start)}{_limit(self._times)}"
+        )
         if sys.stderr.isatty():
             self.draw(line, done, max(total, 1))
         elif now - self._logged >= LOG_INTERVAL:
             print(f"sdm: {line}", file=sys.stderr, flush=True)
             self._logged = now
+
+
+def _limit(times: StageTimes | None) -> str:
+    limit = None if times is None else times.limit()
+    return f", {limit} limits" if limit else ""
 
 
 def _pace(made: int, left: int, seconds: float) -> str:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
@@ -158,12 +157,3 @@ def _finished(task: MapTask, grid: Grid, digest: str) -> bool:
         return grid_like(task.target) == grid and made_from(task.target) == digest
     except SDMError:
         return False
-
-
-def threads_for(device: torch.device) -> int:
-    """Threads of a stage beside a device."""
-    import os
-
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    # The engine on a CPU has threads of its own.
-    return max(1, min(16, cores if device.type == "cuda" else cores // 2))

@@ -9,7 +9,7 @@ from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.full_disk import is_full_disk
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.map_stages import MapStages, threads_for
+from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.cli.maps.remarks import is_closed
 from sdm.cli.maps.work import MapTask, Written
@@ -17,6 +17,7 @@ from sdm.errors import FormatError
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
+from sdm.runtime.pipeline.threads import threads_beside
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
@@ -46,7 +47,7 @@ def run(
         A mesh that is alone raises its error.
     """
     times = StageTimes() if times is None else times
-    threads = min(threads_for(settings.device) if workers is None else workers, len(jobs))
+    threads = min(threads_beside(settings.device) if workers is None else workers, len(jobs))
     most = TOGETHER if settings.device.type == "cuda" else 1
     entries: list[MeshEntry] = []
     with FileProgress(len(jobs), times) as progress:

@@ -59,3 +59,21 @@ def test_in_a_pipe_there_is_no_bar():
     done = subprocess.run(program, check=True, capture_output=True, text=True)
     assert done.stdout.splitlines() == ["[a].ply is done", "b.ply is done"]
     assert done.stderr == ""
+
+
+def test_the_stage_that_limits_is_named():
+    body = """
+from sdm.cli.common import progress as module
+from sdm.runtime.pipeline.stage_times import StageTimes
+module.LOG_INTERVAL = 0.0
+times = StageTimes()
+times.declare("read", 1)
+with times.busy("read"):
+    pass
+with CountProgress("maps", times) as progress:
+    progress(0, 4)
+    progress(2, 4)
+"""
+    done = subprocess.run([sys.executable, "-c", PROGRAM.format(body=body)], check=True, capture_output=True, text=True)
+    assert done.stderr.startswith("sdm: 2 of 4 maps, ")
+    assert done.stderr.endswith(" left, read limits\n")

@@ -1,0 +1,45 @@
+"""Files of a shard are byte for byte those that Zarr itself writes."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from sdm.dataset import layout
+from sdm.dataset.shard_file import maps_content, rows_content
+
+
+@pytest.mark.parametrize("rows", [5, 3])
+@pytest.mark.parametrize("dtype", ["float32", "float16"])
+@pytest.mark.parametrize("compression", ["zstd", "none"])
+def test_bytes_are_those_of_zarr(rows, dtype, compression, tmp_path):
+    maps = np.random.default_rng(0).normal(size=(rows, 20, 21, 22)).astype(dtype)
+    # Of some, what compresses well, and what is all zeros.
+    maps[1] = np.round(maps[1])
+    maps[2] = 0
+    manifest = {
+        "version": 2,
+        "recipe": {"dtype": dtype, "grid": {"shape": list(maps.shape[1:])}},
+        "count": rows,
+        "shard": 5,
+        "compression": compression,
+    }
+    layout._sdm_array(tmp_path / "sdm", rows, maps.shape[1:], manifest)[:] = maps
+    expected = layout.file_of(tmp_path, "sdm", 0).read_bytes()
+    for threads in (1, 3):
+        with ThreadPoolExecutor(threads) as pool:
+            assert b"".join(maps_content(maps, manifest, pool)) == expected
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_rows_of_numbers_too(version, tmp_path):
+    manifest = {"version": version, "shard": 5}
+    for name, shape in (("theta", (3, 4)), ("transform", (5, 4, 4))):
+        values = np.random.default_rng(1).normal(size=shape).astype(layout.DTYPES[name])
+        padded = np.zeros((5, *shape[1:]), values.dtype)
+        padded[: len(values)] = values
+        layout._rows_array(tmp_path / name, padded.shape, layout.DTYPES[name], manifest)[:] = padded
+        expected = layout.file_of(tmp_path, name, 0).read_bytes()
+        assert rows_content(values, manifest, layout.DTYPES[name]) == expected
