@@ -23,7 +23,7 @@ from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.outcome import Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
-from sdm.runtime.pipeline.threads import threads_beside
+from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream import Batch, Maker, Sampler

@@ -17,7 +17,7 @@ from sdm.errors import FormatError
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
-from sdm.runtime.pipeline.threads import threads_beside
+from sdm.runtime.pipeline.thread_count import threads_beside
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
