@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from sdm.core.signed_distance_map import SDM
     from sdm.core.sparse_sdm import SparseSDM
     from sdm.dataset import SDMDataset
-    from sdm.engine.api import signed_distance, signed_distance_map, signed_distance_maps, signed_distances
+    from sdm.engine.api import signed_distance, signed_distance_map
     from sdm.engine.band.calls import narrow_band
     from sdm.engine.closest_points import Closest
     from sdm.engine.distance_transform import euclidean_distance_transform
+    from sdm.engine.many import signed_distance_maps, signed_distances
     from sdm.engine.mesh_index import MeshIndex
     from sdm.engine.orient import orient_faces
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
@@ -81,8 +82,8 @@ _HOMES = {
     "save_mesh": "io",
     "signed_distance": "engine.api",
     "signed_distance_map": "engine.api",
-    "signed_distance_maps": "engine.api",
-    "signed_distances": "engine.api",
+    "signed_distance_maps": "engine.many",
+    "signed_distances": "engine.many",
 }
 
 __all__ = [

@@ -23,7 +23,8 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import DeepSDF, decode_mesh, score_shape
 from sdm.deepsdf.samples import UnitSphere
-from sdm.engine.api import MeshIndex, signed_distance_maps
+from sdm.engine.many import signed_distance_maps
+from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea
 from sdm.shapes.sampling import uniform

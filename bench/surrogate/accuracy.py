@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sdm.bench.common.markdown import markdown_table
-from sdm.engine.api import signed_distance_maps
+from sdm.engine.many import signed_distance_maps
 from sdm.shapes import Cochlea
 from sdm.stream import SDMStream
 from sdm.surrogate import GRID, PODChebyshev, load_weights, measure, shipped_weights

@@ -18,7 +18,7 @@ from sdm.bench.peers.base import Peer
 from sdm.bench.peers.libigl import LibiglPseudonormal, LibiglWinding
 from sdm.bench.peers.warp import StockWarp
 from sdm.deepsdf import PublishedDecoder, published
-from sdm.engine.api import signed_distance_maps
+from sdm.engine.many import signed_distance_maps
 from sdm.shapes import Cochlea
 from sdm.surrogate import GRID, SDMNN, SDMNNPlus, load_weights, shipped_weights
 from sdm.surrogate.infer.runtime import available, runner

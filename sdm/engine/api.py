@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Literal, cast, overload
+from typing import Any, Literal, overload
 
 import torch
-from jaxtyping import Float32
 from torch import Tensor
 
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid
-from sdm.core.mesh import TriangleMesh, as_tensor
+from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.acceleration import build
 from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked
-from sdm.engine.maps import batch_maps, is_recordable, mesh_map, unsigned_mesh_map
+from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.mesh_lists import are_meshes, box_of, each_of
 from sdm.engine.points import at_points
-from sdm.engine.ragged.calls import distances_of, maps_of
 from sdm.engine.repeated_faces import may_be_crowded
-from sdm.errors import MeshError
 from sdm.runtime.operators import is_eager
 from sdm.topology.boundary_edges import boundary_edges
 
@@ -210,144 +204,3 @@ def signed_distance(
         if sign == "winding":
             structure = build(placed.vertices.detach()[None], placed.faces, edges)
     return at_points(placed, points, return_closest, structure, sign=sign)
-
-
-@overload
-def signed_distances(
-    meshes: list[MeshLike] | tuple[MeshLike, ...],
-    points: Any,
-    *,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> list[Tensor]: ...
-@overload
-def signed_distances(
-    meshes: Iterator[MeshLike],
-    points: Any,
-    *,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> Iterator[Tensor]: ...
-def signed_distances(
-    meshes: Iterable[MeshLike],
-    points: Any,
-    *,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> list[Tensor] | Iterator[Tensor]:
-    """Exact signed distances of points from many meshes: of each mesh its own points.
-
-    Args:
-        meshes: Any meshes, in a list, or an iterator of them.
-        points: For each mesh (...,3) coordinates, as `signed_distance` takes them: a list, an iterator, or (B,N,3).
-        device: Where to compute; by default of each mesh as in `signed_distance`.
-        max_bytes: Memory for the meshes that are built together, by default 1/24 of a GPU's.
-
-    Returns:
-        For each mesh what `signed_distance` gives, bit for bit: a list, or of an iterator an iterator, which takes as
-        many meshes as it needs for the next chunk.
-
-    Raises:
-        DeviceError: The device is not there.
-        MeshError: One is no mesh, or one that cannot be used: its number, from 0, comes first. Or there are not as many
-            sets of points as meshes.
-    """
-
-    def single(mesh: TriangleMesh, at: Any, structure: AccelerationStructure | None) -> Tensor:
-        # Without the closest points it is one tensor.
-        return cast(Tensor, at_points(mesh, at, False, structure))
-
-    meshes = each_of(meshes)
-    found = distances_of(meshes, points, single, device=device, max_bytes=max_bytes)
-    return found if isinstance(meshes, Iterator) else list(found)
-
-
-@overload
-def signed_distance_maps(
-    vertices: list[MeshLike] | tuple[MeshLike, ...],
-    faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
-    /,
-    *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> list[SDM]: ...
-@overload
-def signed_distance_maps(
-    vertices: Iterator[MeshLike],
-    faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
-    /,
-    *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> Iterator[SDM]: ...
-@overload
-def signed_distance_maps(
-    vertices: Any,
-    faces: Any,
-    grid: GridLike | None = None,
-    *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-) -> Float32[Tensor, "b nx ny nz"]: ...
-def signed_distance_maps(
-    vertices: Any,
-    faces: Any = None,
-    grid: GridLike | None = None,
-    *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    max_bytes: int | None = None,
-) -> Float32[Tensor, "b nx ny nz"] | list[SDM] | Iterator[SDM]:
-    """The exact signed distance maps of many meshes: of a batch that shares its faces, or of any meshes in a list.
-
-    Args:
-        vertices: (B,V,3) float32, one mesh each. Not checked for NaN: that would wait for the device.
-        faces: (F,3) int32.
-        grid: The voxel centres to measure at, the same for all, or voxels along each axis of a cube around all.
-        resolution: That number, by name.
-        margin: Room in that cube, as for `signed_distance_map`.
-        device: Where to compute; by default where the vertices are if they are a tensor, else a GPU if there is one.
-        max_bytes: Of meshes that differ, see below.
-
-    Returns:
-        (B,nx,ny,nz) float32, negative inside. Differentiable in `vertices`. Recorded and replayed as
-        `signed_distance_map`.
-
-    Meshes that differ: `signed_distance_maps([mesh, ...], grid)`, also of a batch of PyTorch3D or Kaolin, with one
-    grid, one for each mesh, or voxels along each axis of a cube around each, gives a list of maps, each bit for bit
-    that of `signed_distance_map`. Meshes are built and measured together, as many at a time as fit into `max_bytes`
-    beside their maps, by default 1/24 of a GPU's memory. An iterator of meshes gives an iterator of maps, which takes
-    as many meshes as it needs for the next chunk, and the same of grids. The maps of a chunk are parts of one tensor.
-    Errors name the mesh by its number, from 0.
-    """
-    if not isinstance(grid, Grid) and are_meshes(vertices):
-        options = {"resolution": resolution, "margin": margin, "device": device, "max_bytes": max_bytes}
-        vertices = each_of(vertices)
-        maps = maps_of(vertices, faces if grid is None else grid, _map_there, **options)
-        return list(maps) if isinstance(vertices, list | tuple) else maps
-    where = choose_device(device, vertices if isinstance(vertices, Tensor) else None)
-    batch, shared = vertices, faces
-    # A stream's are as they should be, batch after batch.
-    if not (isinstance(batch, Tensor) and batch.dtype == torch.float32 and batch.device == where):
-        batch = as_tensor(vertices, torch.float32, "the vertices", device=where)
-    if not (isinstance(shared, Tensor) and shared.dtype == torch.int32 and shared.device == where):
-        shared = as_tensor(faces, torch.int32, "the faces", device=where)
-    refuse_forward_mode(batch)
-    if batch.ndim != 3 or batch.shape[2] != 3 or batch.shape[0] == 0:
-        raise MeshError(f"the vertices have shape {tuple(batch.shape)}; (B, V, 3) is needed")
-    if shared.ndim != 2 or shared.shape[1] != 3 or shared.shape[0] == 0:
-        raise MeshError(f"the faces have shape {tuple(shared.shape)}; (F, 3) with F > 0 is needed")
-    if not isinstance(grid, Grid) or resolution is not None or margin is not None:
-        grid = as_grid(grid, box_of(batch, shared), resolution, margin)
-    with memory_guard(4 * batch.shape[0] * math.prod(grid.shape), where, f"{batch.shape[0]} maps"):
-        return batch_maps(batch, shared, grid, None)
-
-
-def _map_there(mesh: TriangleMesh, grid: Grid) -> SDM:
-    return signed_distance_map(mesh, grid, device=mesh.device)

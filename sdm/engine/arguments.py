@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -12,6 +13,7 @@ from torch.autograd.forward_ad import unpack_dual
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.signed_distance_map import SDM
 from sdm.engine.orient import orient_faces
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
@@ -60,6 +62,37 @@ class SignMethod:
         """True if winding numbers alone are wanted."""
         return self.sign == "winding" and not self.compare
 
+    @property
+    def needs_winding(self) -> bool:
+        """True if winding numbers are looked at."""
+        return self.sign == "winding" or self.compare
+
+    def field(
+        self, grid: Grid, distances: Tensor, winding: SDM | None, flood: Callable[[Tensor, float], Tensor]
+    ) -> SDM:
+        """The map by this method.
+
+        Args:
+            grid: Where.
+            distances: (nx,ny,nz), without a sign.
+            winding: The map by winding numbers, if they are needed.
+            flood: What gives distances the sign of a flood, for a width of gaps.
+        """
+        if self.is_default and winding is not None:
+            return winding
+        if self.sign == "none" and not self.compare:
+            return SDM(distances, grid, sign="none")
+        hole = self.hole_on(grid)
+        flooded = flood(distances, hole)
+        differ = None
+        if winding is not None and self.compare:
+            differ = int(((winding.values < 0) != (flooded < 0)).sum())
+        if self.sign == "flood":
+            return SDM(flooded, grid, sign="flood", hole_size=hole, sign_disagreements=differ)
+        if self.sign == "winding" and winding is not None:
+            return SDM(winding.values, grid, winding.ambiguous_voxels, sign="winding", sign_disagreements=differ)
+        return SDM(distances, grid, sign="none", sign_disagreements=differ)
+
     def hole_on(self, grid: Grid) -> float:
         """The width of gaps on a grid: what was given, or two of its longest voxel edges."""
         return DEFAULT_HOLE * max(grid.spacing) if self.hole_size is None else self.hole_size
@@ -68,10 +101,19 @@ class SignMethod:
 UNSIGNED = SignMethod("none")
 
 
-def oriented(mesh: TriangleMesh, orient: Orient, device: torch.device) -> TriangleMesh:
-    """The mesh, turned outward if that is wanted; what that takes is done on a device."""
+def check_orient(orient: str) -> None:
+    """Refuse another way to turn faces than there is.
+
+    Raises:
+        MeshError: It is one.
+    """
     if orient not in get_args(Orient):
         raise MeshError(f"orient is {orient!r}; use 'keep', 'auto' or 'parts'")
+
+
+def oriented(mesh: TriangleMesh, orient: Orient, device: torch.device) -> TriangleMesh:
+    """The mesh, turned outward if that is wanted; what that takes is done on a device."""
+    check_orient(orient)
     if orient == "parts":
         return orient_faces(mesh, device)
     return orient_outward(mesh) if orient == "auto" else mesh

@@ -17,9 +17,25 @@ from sdm.errors import MeshError
 CHUNK = 1 << 22
 
 
+@dataclass(frozen=True)
+class Layers:
+    """Layers of a grid, from `begin` to before `end`: the voxels of a slab."""
+
+    grid: Grid
+    begin: int
+    end: int
+
+    def points(self) -> Tensor:
+        """Voxel centres (n,ny,nz,3) on the host."""
+        return self.grid.points(self.begin, self.end)
+
+
 @dataclass(frozen=True, eq=False)
 class Closest:
-    """Closest points of a query: their places, faces and barycentric coordinates. Of a map, n is (nx,ny,nz).
+    """Closest points of a query: their places, faces and barycentric coordinates.
+
+    Of a map, n is (nx,ny,nz), of a slab (end - begin,ny,nz), and of a batch of meshes that share their faces
+    (B,nx,ny,nz).
 
     Args:
         points: (N,3) float32, in the mesh's unit.
@@ -30,14 +46,16 @@ class Closest:
             maps, faces that are equally near without a common edge or corner by their indices may stand for each other.
         barycentric: (N,3) float32, its barycentric coordinates on that face.
 
-    What a mesh's vertices or faces have, closest points have too: `interpolate` and `of_faces`.
+    What a mesh's vertices or faces have, closest points have too: `interpolate` and `of_faces`. Of a batch, values of
+    vertices may be (V,...), the same for all meshes, or (B,V,...), and those of faces likewise.
     """
 
     points: Float32[Tensor, "*n 3"]
     faces: Int32[Tensor, "*n"]
     barycentric: Float32[Tensor, "*n 3"]
     _mesh: TriangleMesh | None = field(default=None, repr=False)
-    _asked: Tensor | Grid | None = field(default=None, repr=False)
+    _asked: Tensor | Grid | Layers | None = field(default=None, repr=False)
+    _batch: int | None = field(default=None, repr=False)
 
     @property
     def directions(self) -> Float32[Tensor, "*n 3"]:
@@ -49,9 +67,10 @@ class Closest:
         if self._asked is None:
             raise MeshError("these closest points were made by hand, without the points that were asked about")
         asked = self._asked
-        if isinstance(asked, Grid):
-            asked = asked.points().to(self.points.device)
-        way = asked.reshape(self.points.shape) - self.points
+        if isinstance(asked, Tensor):
+            way = asked.reshape(self.points.shape) - self.points
+        else:
+            way = asked.points().to(self.points.device) - self.points
         # Scaled first, as squares leave float32's range before lengths do.
         way = way / way.abs().amax(-1, keepdim=True).clamp(min=torch.finfo(torch.float32).tiny)
         return torch.nn.functional.normalize(way, dim=-1)
@@ -70,7 +89,9 @@ class Closest:
             MeshError: There are not as many as the mesh's vertices.
         """
         mesh = self._of_mesh()
-        given = self._values(vertex_values, mesh.vertices.shape[0], "vertices")
+        given, meshes = self._values(vertex_values, mesh.vertices.shape[0], "vertices")
+        if meshes is not None:
+            return torch.stack([one.interpolate(own) for one, own in zip(meshes, given, strict=True)])
         values = given if given.is_floating_point() else given.float()
         ones = [1] * (values.ndim - 1)
         faces, weights = self.faces.reshape(-1).split(CHUNK), self.barycentric.reshape(-1, 3).split(CHUNK)
@@ -95,7 +116,9 @@ class Closest:
         Raises:
             MeshError: There are not as many as the mesh's faces.
         """
-        values = self._values(face_values, len(self._of_mesh()), "faces")
+        values, meshes = self._values(face_values, len(self._of_mesh()), "faces")
+        if meshes is not None:
+            return torch.stack([one.of_faces(own, missing) for one, own in zip(meshes, values, strict=True)])
         ones = [1] * (values.ndim - 1)
         found = [
             values[face.clamp(min=0).long()].masked_fill((face < 0).reshape(-1, *ones), missing)
@@ -110,11 +133,16 @@ class Closest:
             raise MeshError("these closest points were made by hand, without the mesh that has the values")
         return self._mesh
 
-    def _values(self, given: Any, count: int, what: str) -> Tensor:
+    def _values(self, given: Any, count: int, what: str) -> tuple[Tensor, list[Closest] | None]:
+        """The values, and of a batch with values of its own for each mesh the closest points of each."""
         values = torch.as_tensor(given, device=self.points.device)
+        if self._batch is not None and values.shape[:2] == (self._batch, count):
+            parts = zip(self.points, self.faces, self.barycentric, strict=True)
+            return values, [Closest(*part, self._mesh, self._asked) for part in parts]
         if values.ndim == 0 or values.shape[0] != count:
+            each = "" if self._batch is None else f" or ({self._batch}, {count}, ...)"
             raise MeshError(
                 f"values of shape {tuple(values.shape)} are not one for each of the mesh's {count} {what}; "
-                f"({count}, ...) is needed"
+                f"({count}, ...){each} is needed"
             )
-        return values
+        return values, None

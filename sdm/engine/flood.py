@@ -69,6 +69,22 @@ class Frame:
         return found
 
 
+def flooded(
+    distances: Tensor,
+    hole_size: float,
+    *,
+    grid: Grid,
+    structure: AccelerationStructure,
+    mesh: TriangleMesh,
+    rims: Tensor,
+    closed: bool,
+) -> Tensor:
+    """Distances with the sign of a flood, see `negate_inside`; the gradients of those inside are turned round too."""
+    values = distances.detach().clone()
+    negate_inside(values, grid, structure, mesh.vertices.detach(), mesh.faces, rims, closed, hole_size)
+    return torch.where(values < 0, -distances, distances) if distances.requires_grad else values
+
+
 def negate_inside(
     values: Tensor,
     grid: Grid,

@@ -2,7 +2,7 @@
 
 It costs nothing on the way: on a CPU it runs once a map is there, and for most meshes ends with a count of the negative
 values and a quick look, remembered from call to call; on a GPU it waits until something of the map is read on the host.
-Maps that gradients flow through, streams, batches and slabs are never checked.
+Maps that gradients flow through, streams, batches and slabs are never checked; of a list of meshes each is.
 """
 
 from __future__ import annotations
@@ -66,21 +66,21 @@ def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
     return [text]
 
 
-class _Quiet(threading.local):
-    on: bool = False
+class _Naming(threading.local):
+    prefix: str = ""
 
 
-_quiet = _Quiet()
+_naming = _Naming()
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Maps that this thread makes meanwhile are not checked."""
-    before, _quiet.on = _quiet.on, True
+def named(prefix: str) -> Iterator[None]:
+    """Warnings about maps that this thread makes meanwhile begin with this."""
+    before, _naming.prefix = _naming.prefix, prefix
     try:
         yield
     finally:
-        _quiet.on = before
+        _naming.prefix = before
 
 
 class MapCheck:
@@ -91,14 +91,9 @@ class MapCheck:
 
     def attach(self, field: SDM, mesh: TriangleMesh) -> SDM:
         """Check a map of a mesh now if it is on the host, else when it is read, and keep the mesh until then."""
-        if (
-            self._said
-            or _quiet.on
-            or not is_eager(mesh.vertices)
-            or any(t.is_inference() for t in (mesh.vertices, mesh.faces))
-        ):
+        if self._said or not is_eager(mesh.vertices) or any(t.is_inference() for t in (mesh.vertices, mesh.faces)):
             return field
-        sign = field.sign
+        sign, prefix = field.sign, _naming.prefix
         states = mesh.vertices._version, mesh.faces._version
 
         def check(grid: Grid, inside_voxels: int) -> None:
@@ -107,7 +102,7 @@ class MapCheck:
                 found = doubts_about(mesh, grid, inside_voxels, sign)
                 self._said = bool(found)
                 if found:
-                    warn(f"{mesh.name}: {'; '.join(found)}")
+                    warn(f"{prefix}{mesh.name}: {'; '.join(found)}")
 
         return field.checked_by(check)
 

@@ -47,39 +47,64 @@ class ClosestMap(NamedTuple):
     barycentric: Tensor
 
 
-def closest_map(mesh: TriangleMesh, structure: AccelerationStructure, grid: Grid) -> ClosestMap:
-    """The map of a mesh whose structure is built, with closest points; no gradients."""
+def closest_map(
+    mesh: TriangleMesh,
+    structure: AccelerationStructure,
+    grid: Grid,
+    layers: tuple[int, int] | None = None,
+    *,
+    known: Tensor | None = None,
+    around: Tensor | None = None,
+) -> ClosestMap:
+    """The map of a mesh whose structure is built, with closest points; no gradients.
+
+    Args:
+        mesh: The mesh.
+        structure: Its structure.
+        grid: Where.
+        layers: The first of the grid's layers and one past the last; by default all.
+        known: The values of the map itself, if they are there: then nobody looks at a sign, and none is ambiguous.
+        around: The neighbours (F,4) of its faces, if they are there.
+    """
     faces = mesh.faces.contiguous()
-    inputs = faces, neighbours(faces, mesh.vertices.shape[0])
-    if is_recordable(mesh.vertices, VOXEL_BYTES // 4 * grid.nbytes + structure.nbytes):
+    inputs = faces, neighbours(faces, mesh.vertices.shape[0]) if around is None else around
+    begin, end = layers or (0, grid.shape[0])
+    # One whose arrays lie in one block, as that of a mesh by itself.
+    alone = layers is None and known is None and len(structure.memory) == 1
+    if alone and is_recordable(mesh.vertices, VOXEL_BYTES // 4 * grid.nbytes + structure.nbytes):
         key = "closest", structure.sizes, grid, OPTIONS.get()
         call = Call(key, partial(_queue_recordable, structure.sizes, grid), (*structure.memory, *inputs))
         found = ClosestMap(*graphs.run(call))
     else:
-        found = _queue(structure, grid, *inputs)
-    if COMPARED[structure.device.type]:
-        return _compared(found, mesh, structure, grid)
-    if structure.device.type == "cpu" and _is_refined(structure, grid):
-        # Thick slices, whose map is measured on a finer grid and rounded otherwise.
-        values, ambiguous = structure_slab(structure, grid, 0, grid.shape[0])
-        return found._replace(values=values[0], ambiguous=ambiguous)
-    return found
+        found = _queue(structure, grid, *inputs, begin, end, signed=known is None)
+    compared = COMPARED[structure.device.type]
+    ambiguous = found.ambiguous
+    # Thick slices have a map that is measured on a finer grid and rounded otherwise.
+    if known is None and (compared or (structure.device.type == "cpu" and _is_refined(structure, grid))):
+        slabs = [structure_slab(structure, grid, *some) for some in slabs_of(grid, LARGEST_SLAB, begin, end)]
+        known = torch.cat([slab[0][0] for slab in slabs])
+        ambiguous = torch.stack([slab[1].reshape(1) for slab in slabs]).sum(0, dtype=torch.int32)
+    if known is None:
+        return found
+    if compared:
+        _ask_again(found, known, mesh, structure, grid, begin)
+    return found._replace(values=known, ambiguous=ambiguous)
 
 
-def _compared(found: ClosestMap, mesh: TriangleMesh, structure: AccelerationStructure, grid: Grid) -> ClosestMap:
-    """The values of the map itself; voxels that had others are asked about as scattered points. Waits for them."""
-    slabs = [structure_slab(structure, grid, begin, end) for begin, end in slabs_of(grid, LARGEST_SLAB)]
-    values = torch.cat([slab[0][0] for slab in slabs])
-    other = torch.nonzero(values != found.values)
-    if len(other):
-        affine = torch.from_numpy(grid.affine).to(other.device)
-        at = (other.double() @ affine[:3, :3].T + affine[:3, 3]).float()
-        _, *hits = points_closest(mesh.vertices.detach(), mesh.faces, at, structure)
-        i, j, k = other.unbind(1)
-        for whole, part in zip(found[2:], hits, strict=True):
-            whole[i, j, k] = part.to(whole.dtype)
-    ambiguous = torch.stack([slab[1].reshape(1) for slab in slabs]).sum(0, dtype=torch.int32)
-    return found._replace(values=values, ambiguous=ambiguous)
+def _ask_again(
+    found: ClosestMap, values: Tensor, mesh: TriangleMesh, structure: AccelerationStructure, grid: Grid, begin: int
+) -> None:
+    """Ask about voxels that have other distances than the map's `values` as scattered points. Waits for them."""
+    other = torch.nonzero(values.abs() != found.values.abs())
+    if not len(other):
+        return
+    affine = torch.from_numpy(grid.affine).to(other.device)
+    at = other.double() + torch.tensor([begin, 0, 0], dtype=torch.float64, device=other.device)
+    at = (at @ affine[:3, :3].T + affine[:3, 3]).float()
+    _, *hits = points_closest(mesh.vertices.detach(), mesh.faces, at, structure)
+    i, j, k = other.unbind(1)
+    for whole, part in zip(found[2:], hits, strict=True):
+        whole[i, j, k] = part.to(whole.dtype)
 
 
 def _is_refined(structure: AccelerationStructure, grid: Grid) -> bool:
@@ -93,17 +118,28 @@ def _is_refined(structure: AccelerationStructure, grid: Grid) -> bool:
 def _queue_recordable(
     sizes: Sizes, grid: Grid, verify: Verify, block: Tensor, faces: Tensor, around: Tensor
 ) -> ClosestMap:
-    return _queue(AccelerationStructure.in_block(sizes, block.device, block), grid, faces, around)
+    structure = AccelerationStructure.in_block(sizes, block.device, block)
+    return _queue(structure, grid, faces, around, 0, grid.shape[0])
 
 
-def _queue(structure: AccelerationStructure, grid: Grid, faces: Tensor, around: Tensor) -> ClosestMap:
-    device = structure.device
+def _queue(
+    structure: AccelerationStructure,
+    grid: Grid,
+    faces: Tensor,
+    around: Tensor,
+    begin: int,
+    end: int,
+    *,
+    signed: bool = True,
+) -> ClosestMap:
+    """The layers from `begin` to `end`; without a sign if nobody looks at it."""
+    device, shape = structure.device, (end - begin, *grid.shape[1:])
     found = ClosestMap(
-        torch.empty(grid.shape, dtype=torch.float32, device=device),
+        torch.empty(shape, dtype=torch.float32, device=device),
         torch.zeros(1, dtype=torch.int32, device=device),
-        torch.empty((*grid.shape, 3), dtype=torch.float32, device=device),
-        torch.empty(grid.shape, dtype=torch.int32, device=device),
-        torch.empty((*grid.shape, 3), dtype=torch.float32, device=device),
+        torch.empty((*shape, 3), dtype=torch.float32, device=device),
+        torch.empty(shape, dtype=torch.int32, device=device),
+        torch.empty((*shape, 3), dtype=torch.float32, device=device),
     )
     with on_current_stream(faces, structure.memory[0], faces, around) as warp_device:
         memory = memory_of(warp_device.alias)
@@ -113,8 +149,10 @@ def _queue(structure: AccelerationStructure, grid: Grid, faces: Tensor, around: 
         set_array(meeting, "rows", as_warp(rows, wp.int32))
         set_array(meeting, "normals", as_warp(normals, wp.float32))
         look_around(structure.view.tree, as_warp(faces, wp.int32), as_warp(around, wp.int32), meeting)
-        for begin, end in slabs_of(grid, LARGEST_SLAB):
-            _queue_slab(structure, grid, begin, end, meeting, memory, found)
+        for first, last in slabs_of(grid, LARGEST_SLAB, begin, end):
+            part = slice(first - begin, last - begin)
+            some = ClosestMap(*(whole if whole is found.ambiguous else whole[part] for whole in found))
+            _queue_slab(structure, grid, first, last, meeting, memory, some, signed)
     return found
 
 
@@ -126,23 +164,24 @@ def _queue_slab(
     meeting: Any,
     memory: int | None,
     found: ClosestMap,
+    signed: bool,
 ) -> None:
-    values = found.values[begin:end]
+    values = found.values
     tree, winding, frames, features, cones = structure.view
     direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
     slab = slab_view(grid.origin, grid.spacing, (end - begin, *grid.shape[1:]), begin, direction)
     work = Workload(structure.sizes.faces, tree.depth, 1, values.shape, grid.spacing, bool(slab.turned))
     hits: Any = Hits()
     hits.wanted = 1
-    set_array(hits, "points", as_warp(found.points[begin:end].reshape(-1, 3), wp.vec3))
-    set_array(hits, "faces", as_warp(found.faces[begin:end].reshape(-1), wp.int32))
-    set_array(hits, "barycentric", as_warp(found.barycentric[begin:end].reshape(-1, 3), wp.vec3))
+    set_array(hits, "points", as_warp(found.points.reshape(-1, 3), wp.vec3))
+    set_array(hits, "faces", as_warp(found.faces.reshape(-1), wp.int32))
+    set_array(hits, "barycentric", as_warp(found.barycentric.reshape(-1, 3), wp.vec3))
     slot = current_slot()
     searched = torch.zeros(1, dtype=torch.int32, device=values.device)
     plan = make_plan(work, memory, replace(OPTIONS.get(), split_length=NO_SPLITS))
     dense.query_slab(
         dense.Surface(tree, frames, features, cones),
-        winding,
+        winding if signed else None,
         slab,
         dense.Target(
             as_warp(values[None], wp.float32),

@@ -42,8 +42,8 @@ USE_CLASSES = True
 LARGEST_RECORDED = 1 << 29
 
 
-def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
-    """Layers (begin, end) of slabs with about as many voxels.
+def slabs_of(grid: Grid, voxels: int, first: int = 0, last: int | None = None) -> Iterator[tuple[int, int]]:
+    """Layers (begin, end) of slabs with about as many voxels, from layer `first` to before `last`.
 
     Raises:
         GridError: The thinnest slab has more voxels than a launch can count.
@@ -54,8 +54,9 @@ def slabs_of(grid: Grid, voxels: int) -> Iterator[tuple[int, int]]:
             "split it along y or z, or let x be its longest axis"
         )
     layers = max(THINNEST_SLAB, voxels // (grid.shape[1] * grid.shape[2]) // THINNEST_SLAB * THINNEST_SLAB)
-    for begin in range(0, grid.shape[0], layers):
-        yield begin, min(begin + layers, grid.shape[0])
+    last = grid.shape[0] if last is None else last
+    for begin in range(first, last, layers):
+        yield begin, min(begin + layers, last)
 
 
 def _thinnest(grid: Grid) -> int:

@@ -25,6 +25,16 @@ def as_points(points: Any, device: torch.device) -> Tensor:
     return at
 
 
+def check_sign_at_points(sign: Sign) -> None:
+    """Refuse a sign that points have not.
+
+    Raises:
+        SDMError: It is "flood", or none at all.
+    """
+    if SignMethod(sign).sign == "flood":
+        raise SDMError("a flood needs the voxels of a grid to go through: sign='flood' is for maps, not for points")
+
+
 def at_points(
     mesh: TriangleMesh,
     points: Any,
@@ -48,8 +58,7 @@ def at_points(
     Raises:
         SDMError: Another sign.
     """
-    if SignMethod(sign).sign == "flood":
-        raise SDMError("a flood needs the voxels of a grid to go through: sign='flood' is for maps, not for points")
+    check_sign_at_points(sign)
     if sign == "none":
         found = _signed(mesh, points, return_closest, structure or unbounded(mesh), repeated, whole)
         return found.abs() if isinstance(found, Tensor) else (found[0].abs(), found[1])

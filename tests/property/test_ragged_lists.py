@@ -75,16 +75,76 @@ def test_maps_are_those_of_single_calls(seed, count, options, max_bytes):
         assert_same(sdm.signed_distance_maps(meshes, grids, device="cpu", max_bytes=max_bytes), meshes, grids)
 
 
+def assert_same_closest(hit: sdm.Closest, other: sdm.Closest, of_vertices: torch.Tensor, where: object) -> None:
+    for one, two in (
+        (hit.points, other.points),
+        (hit.faces, other.faces),
+        (hit.barycentric, other.barycentric),
+        (hit.directions, other.directions),
+        (hit.interpolate(of_vertices), other.interpolate(of_vertices)),
+    ):
+        assert torch.equal(one.nan_to_num(), two.nan_to_num()), where
+
+
+SIGNS = [
+    {"sign": "none"},
+    {"sign": "flood"},
+    {"sign": "flood", "hole_size": 0.3},
+    {"compare_signs": True},
+    {"sign": "none", "compare_signs": True, "hole_size": 0.2},
+    {"orient": "auto"},
+    {"orient": "parts"},
+    {"orient": "parts", "sign": "flood", "compare_signs": True},
+]
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+@settings(deadline=None, max_examples=20)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(2, 5),
+    options=st.sampled_from(SIGNS),
+    closest=st.booleans(),
+    max_bytes=st.sampled_from([None, 1 << 20]),
+)
+def test_maps_by_every_method_are_those_of_single_calls(seed, count, options, closest, max_bytes):
+    rng = np.random.default_rng(seed)
+    meshes = [random_mesh(rng) for _ in range(count)]
+    grids = [sdm.Grid.around(mesh, int(rng.integers(3, 14))) for mesh in meshes]
+    asked = {**options, "return_closest": closest, "device": "cpu"}
+    found = sdm.signed_distance_maps(meshes, grids, max_bytes=max_bytes, **asked)
+    for i, (made, mesh, grid) in enumerate(zip(found, meshes, grids, strict=True)):
+        alone = sdm.signed_distance_map(mesh, grid, **asked)
+        field, own = (made[0], alone[0]) if closest else (made, alone)
+        assert torch.equal(field.values, own.values), (i, mesh, grid)
+        for name in ("ambiguous_voxels", "sign", "hole_size", "sign_disagreements"):
+            assert getattr(field, name) == getattr(own, name), (i, name)
+        if closest:
+            assert_same_closest(made[1], alone[1], mesh.vertices, (i, mesh, grid))
+
+
 @pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
 @settings(deadline=None, max_examples=15)
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6))
-def test_distances_are_those_of_single_calls(seed, count):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(1, 6),
+    sign=st.sampled_from(["winding", "none"]),
+    closest=st.booleans(),
+)
+def test_distances_are_those_of_single_calls(seed, count, sign, closest):
     rng = np.random.default_rng(seed)
     meshes = [random_mesh(rng) for _ in range(count)]
     points = [torch.from_numpy(rng.normal(size=(rng.integers(0, 60), 3)).astype(np.float32)) for _ in meshes]
-    found = sdm.signed_distances(meshes, points, device="cpu")
-    for values, mesh, at in zip(found, meshes, points, strict=True):
-        assert torch.equal(values, sdm.signed_distance(mesh, at, device="cpu"))
+    for i, at in enumerate(points):
+        at[: i % 3] = np.nan
+    asked = {"device": "cpu", "sign": sign, "return_closest": closest}
+    found = sdm.signed_distances(meshes, points, **asked)
+    for i, (made, mesh, at) in enumerate(zip(found, meshes, points, strict=True)):
+        alone = sdm.signed_distance(mesh, at, **asked)
+        values, own = (made[0], alone[0]) if closest else (made, alone)
+        assert torch.equal(values.nan_to_num(), own.nan_to_num()), (i, mesh)
+        if closest:
+            assert_same_closest(made[1], alone[1], mesh.vertices, (i, mesh))
 
 
 @pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
@@ -115,5 +175,5 @@ def test_lists_made_in_other_shares_each(shares):
             # Kept by the job, so that the others' do not matter to it.
             assert (job.plan.region_shares, job.plan.cell_shares) == own
             alone.append(sdm.signed_distance_map(job.mesh, job.grid, device="cpu"))
-    for (values, _), field in zip(ragged_maps(jobs), alone, strict=True):
+    for (values, _), field in zip(ragged_maps(jobs).maps, alone, strict=True):
         assert torch.equal(values, field.values)

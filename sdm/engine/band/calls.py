@@ -20,7 +20,7 @@ from sdm.engine.band.block_distances import measured_blocks
 from sdm.engine.band.from_slabs import blocks_of_slabs
 from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.mesh_lists import are_meshes
+from sdm.engine.ragged.lists import are_meshes
 from sdm.errors import GridError, SDMError
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.

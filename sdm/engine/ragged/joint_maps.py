@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from sdm.engine.acceleration import AccelerationStructure, KernelView
 from sdm.engine.ops import slab_view, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.chunks import voxels_of
-from sdm.engine.ragged.structure import RaggedBuild
+from sdm.engine.ragged.structure import RaggedBuild, RaggedStructure
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
 from sdm.kernels.bvh.tree import depth_for
@@ -58,6 +58,7 @@ class MapJob:
     number: int  # of the mesh in the whole list
     mesh: TriangleMesh
     grid: Grid
+    given: TriangleMesh | None = None  # the mesh where it was before, if that is elsewhere
 
     @cached_property
     def turned(self) -> bool:
@@ -76,13 +77,22 @@ class MapJob:
         return make_plan(self.work, memory_of(wp.device_from_torch(self.mesh.device).alias), OPTIONS.get())
 
 
-def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
-    """The maps (nx,ny,nz) of meshes on one device, and how many voxels of each are ambiguous.
+class JointMaps(NamedTuple):
+    """Maps (nx,ny,nz) of some meshes, how many voxels of each are ambiguous, and the meshes' structures.
 
-    None in place of one of a mesh with many copies of a triangle, which is left to its own call.
+    None in place of the map of a mesh with many copies of a triangle, which is left to its own call.
+    """
+
+    maps: list[tuple[Tensor, int] | None]
+    structure: RaggedStructure
+
+
+def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
+    """The maps of meshes on one device.
 
     Args:
         jobs: Their plans are for cells. Either all grids are turned, or none is.
+        signed: By winding numbers; else all values are distances of at least 0.
 
     Raises:
         MeshError: A face index out of range.
@@ -93,7 +103,8 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
     build.leave_out([plan.levels_left_out for plan in plans])
     device = build.memory[0].device
     starts = np.concatenate([[0], np.cumsum([voxels_of(job.grid.shape) for job in jobs])]).tolist()
-    values = torch.empty(starts[-1], dtype=torch.float32, device=device)
+    # Without a sign, those of points outside.
+    values = (torch.empty if signed else torch.zeros)(starts[-1], dtype=torch.float32, device=device)
     ambiguous = torch.zeros(len(jobs), dtype=torch.int32, device=device)
     thick = _with_thick_slices(jobs, build.view)
     groups = _groups(jobs, plans, set(range(len(jobs))) - thick)
@@ -102,7 +113,8 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
     with on_current_stream(values, values, rows, *build.memory):
         whole = as_warp(values, wp.float32)
         # Whole numbers, which are those of closed meshes.
-        slab_winding(surface.tree, surface.winding, _slab(jobs, rows[0]), whole, empty, options.most_columns)
+        if signed:
+            slab_winding(surface.tree, surface.winding, _slab(jobs, rows[0]), whole, empty, options.most_columns)
     structure = build.finish([job.number for job in jobs])
     maps = [
         values[start : start + math.prod(job.grid.shape)].view(job.grid.shape)
@@ -114,19 +126,19 @@ def ragged_maps(jobs: Sequence[MapJob]) -> list[tuple[Tensor, int] | None]:
         groups = _groups(jobs, plans, set(range(len(jobs))) - thick - crowded)
         rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
     with on_current_stream(values, values, rows, *build.memory):
-        for i in structure.topologies.keys() - thick - crowded:
+        for i in structure.topologies.keys() - thick - crowded if signed else ():
             _fill_open(structure.of_mesh(i), jobs[i].grid, maps[i])
         target = Target(whole, as_warp(ambiguous, wp.int32), None)
         parts = [(_slab(jobs, table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
         tree, _, frames, features, cones = surface
         query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, values))
     for i in thick:
-        own, unclear = structure_slab(structure.of_mesh(i), jobs[i].grid, 0, maps[i].shape[0])
+        own, unclear = structure_slab(structure.of_mesh(i), jobs[i].grid, 0, maps[i].shape[0], signed=signed)
         maps[i], ambiguous[i] = own[0], unclear[0]
     # Of closed meshes it is known without a look at the device, which would wait for it.
-    counts = ambiguous.tolist() if structure.topologies else []
+    counts = ambiguous.tolist() if structure.topologies and signed else [0] * len(jobs)
     found = [(values, counts[i] if i in structure.topologies else 0) for i, values in enumerate(maps)]
-    return [None if i in crowded else pair for i, pair in enumerate(found)]
+    return JointMaps([None if i in crowded else pair for i, pair in enumerate(found)], structure)
 
 
 def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:

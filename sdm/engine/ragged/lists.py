@@ -2,20 +2,73 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
+from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
+from sdm.engine.arguments import refuse_forward_mode
+from sdm.engine.repeated_faces import CROWDED
 from sdm.errors import GridError, MeshError, SDMError
+from sdm.runtime.operators import is_eager
 
 T = TypeVar("T")
 
+# Parts of a batch of vertices.
+_ARRAYS = (Tensor, np.ndarray, list, int, float, np.number)
+# What is gone through otherwise than as meshes one by one, and by what arrays and meshes of other libraries are known.
+_SINGLE = (str, bytes, os.PathLike, TriangleMesh, Tensor, np.ndarray)
+_SINGLE_HAS = ("__array__", "__array_interface__", "__dlpack__", "vertices", "points")
 _END: Any = object()
 _WANTED = "give one grid, or one for each mesh"
+
+
+def are_meshes(given: Any) -> bool:
+    """True for meshes in a list, or one by one from an iterable, and not for arrays that are a batch of vertices.
+
+    A batch of PyTorch3D or Kaolin is a list too: see `as_sequence`.
+    """
+    if isinstance(given, list | tuple):
+        return not given or any(not isinstance(each, _ARRAYS) for each in given if not _is_row(each))
+    if hasattr(given, "faces_list") or hasattr(given, "batching"):
+        return True
+    if not isinstance(given, Iterable) or isinstance(given, _SINGLE):
+        return False
+    return isinstance(given, Iterator) or not any(hasattr(given, name) for name in _SINGLE_HAS)
+
+
+def _is_row(each: Any) -> bool:
+    # A pair may be (vertices, faces); other tuples are rows of nested ones.
+    return isinstance(each, tuple) and len(each) != 2
+
+
+def as_sequence(given: Any) -> Any:
+    """The meshes of an iterable in a list, those of another library's batch as (vertices, faces); an iterator as is."""
+    if hasattr(given, "faces_list"):
+        return list(zip(given.verts_list(), given.faces_list(), strict=True))
+    if hasattr(given, "batching"):
+        vertices, faces = given.vertices, given.faces
+        if not isinstance(vertices, list | tuple) and vertices.ndim == 2:
+            return [(vertices, faces)]
+        is_shared = not isinstance(faces, list | tuple) and faces.ndim == 2
+        return list(zip(vertices, [faces] * len(vertices) if is_shared else faces, strict=True))
+    return list(given) if are_meshes(given) and not isinstance(given, list | tuple | Iterator) else given
+
+
+def is_crowded(mesh: TriangleMesh) -> bool:
+    """True for a mesh of copies of few triangles, on the host."""
+    return mesh.device.type == "cpu" and len(mesh) >= CROWDED * mesh.vertices.shape[0]
+
+
+def is_plain(mesh: TriangleMesh) -> bool:
+    """True for a mesh that no gradients flow to, with nothing else of torch's in the way."""
+    refuse_forward_mode(mesh.vertices)
+    return is_eager(mesh.vertices)
 
 
 def numbered(number: int, make: Callable[[], T]) -> T:

@@ -69,6 +69,7 @@ class RaggedStructure:
         view: The arrays for kernels: of the winding numbers, as if all meshes were closed.
         bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
         topologies: Of each open mesh, by its place.
+        neighbours: (F,4) of all faces, see `sdm.kernels.topology.edge_pairing`.
     """
 
     meshes: list[TriangleMesh]
@@ -78,6 +79,16 @@ class RaggedStructure:
     view: KernelView
     bounds: Tensor
     topologies: dict[int, MeshTopology]
+    neighbours: Tensor
+
+    def neighbours_of(self, mesh: int) -> Tensor:
+        """The neighbours (F,4) of one mesh's faces, by their own numbers."""
+        return _own_neighbours(self.neighbours, self.sizes[mesh].slots, len(self.meshes[mesh]))
+
+    def boundary_of(self, mesh: int) -> Tensor:
+        """The boundary edges (E,2) of one mesh."""
+        topology = self.topologies.get(mesh)
+        return self.meshes[mesh].faces.new_empty((0, 2)) if topology is None else topology.boundary
 
     def of_mesh(self, mesh: int) -> AccelerationStructure:
         """The structure of one mesh, over the same memory; what only an open mesh has is made here."""
@@ -162,7 +173,9 @@ class RaggedBuild:
         if bool(self._out_of_range):
             _refuse_out_of_range(self._meshes, numbers)
         topologies = _open_topologies(self._meshes, self._rows, pairing)
-        return RaggedStructure(self._meshes, self._sizes, *self.memory, self.view, self._bounds, topologies)
+        return RaggedStructure(
+            self._meshes, self._sizes, *self.memory, self.view, self._bounds, topologies, pairing.neighbours
+        )
 
 
 def _joined_faces(meshes: Sequence[TriangleMesh], table: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -188,6 +201,14 @@ def _refuse_out_of_range(meshes: Sequence[TriangleMesh], numbers: Sequence[int])
             )
 
 
+def _own_neighbours(neighbours: Tensor, first: int, count: int) -> Tensor:
+    """Rows of `count` faces from `first` on, with edges counted from there."""
+    around = neighbours[first : first + count].clone()
+    edges = around[:, :3]
+    edges.copy_(torch.where(edges < 0, edges, edges - 3 * first))
+    return around
+
+
 def _open_topologies(
     meshes: Sequence[TriangleMesh], rows: Sequence[tuple[int, ...]], pairing: Pairing
 ) -> dict[int, MeshTopology]:
@@ -201,9 +222,7 @@ def _open_topologies(
         first_face, count, *_, first_vertex, vertices = rows[mesh]
         unmatched = pairing.unmatched[owners == mesh]
         unmatched[:, :2] -= first_vertex
-        around = pairing.neighbours[first_face : first_face + count].clone()
-        edges = around[:, :3]
-        edges.copy_(torch.where(edges < 0, edges, edges - 3 * first_face))
+        around = _own_neighbours(pairing.neighbours, first_face, count)
         faces = meshes[mesh].faces
         remember(faces, vertices, Pairing(unmatched, around))
         topology = topology_for(meshes[mesh].vertices.detach()[None].contiguous(), faces)

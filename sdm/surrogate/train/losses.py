@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from sdm.engine.api import signed_distance_maps
+from sdm.engine.many import signed_distance_maps
 from sdm.shapes import Family
 from sdm.surrogate.networks.grid import GRID, SPACING_MM
 

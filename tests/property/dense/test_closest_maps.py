@@ -155,8 +155,8 @@ def test_what_is_recorded_does_the_same():
 def test_voxels_with_other_values_than_the_map_are_asked_about_as_points(monkeypatch):
     plain = map_closest._queue
 
-    def damaged(*args):
-        found = plain(*args)
+    def damaged(*args, **kwargs):
+        found = plain(*args, **kwargs)
         for whole in (found.values, found.points, found.barycentric, found.faces):
             whole[3:6, 2:4] = 0
         return found

@@ -73,13 +73,29 @@ def test_what_was_probably_not_meant_is_said_once(name):
     assert found_by(lambda: [index.signed_distance_map(grid) for _ in range(2)]) == messages
 
 
+def test_of_a_list_each_mesh_is_named_by_its_number():
+    mesh, grid, _ = CASES["inside out"]
+    (alone,) = found_by(lambda: sdm.signed_distance_map(mesh, grid, device="cpu"))
+    gradients = TriangleMesh(mesh.vertices.clone().requires_grad_(), mesh.faces)
+    meshes = [mesh, ball(), gradients, mesh]
+    assert found_by(lambda: sdm.signed_distance_maps(meshes, grid, device="cpu")) == [
+        f"mesh 0: {alone}",
+        f"mesh 3: {alone}",
+    ]
+    # One that is made by itself is named alike.
+    assert found_by(lambda: list(sdm.signed_distance_maps(iter(meshes[:2]), grid, device="cpu", max_bytes=1))) == [
+        f"mesh 0: {alone}"
+    ]
+    assert found_by(lambda: sdm.signed_distance_maps(meshes, grid, device="cpu", orient="auto")) == []
+    assert found_by(lambda: sdm.signed_distance_maps(meshes, grid, device="cpu", sign="none")) == []
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_nothing_is_said_of_slabs_batches_gradients_or_where_it_is_turned_off(name):
     mesh, grid, _ = CASES[name]
     moving = TriangleMesh(mesh.vertices.clone().requires_grad_(), mesh.faces)
     assert found_by(lambda: list(sdm.MeshIndex(mesh, "cpu").slabs(grid))) == []
     assert found_by(lambda: sdm.signed_distance_maps(mesh.vertices[None], mesh.faces, grid, device="cpu")) == []
-    assert found_by(lambda: sdm.signed_distance_maps([mesh, mesh], grid, device="cpu")) == []
     assert found_by(lambda: sdm.MeshIndex(mesh, "cpu", warn=False).signed_distance_map(grid)) == []
     assert found_by(lambda: sdm.signed_distance_map(moving, grid, device="cpu")) == []
 

@@ -31,7 +31,12 @@ def test_no_meshes():
 
 def test_meshes_are_made_together(monkeypatch):
     together = []
-    monkeypatch.setattr(calls, "ragged_maps", lambda jobs: together.append(len(jobs)) or joint_maps.ragged_maps(jobs))
+
+    def made(jobs, *, signed):
+        together.append(len(jobs))
+        return joint_maps.ragged_maps(jobs, signed=signed)
+
+    monkeypatch.setattr(calls, "ragged_maps", made)
     assert len(sdm.signed_distance_maps(MESHES, GRID, device="cpu")) == 3
     assert together == [3]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.engine.api import signed_distance_maps
+from sdm.engine.many import signed_distance_maps
 from sdm.shapes import Cochlea
 from sdm.surrogate import GRID, measure
 from sdm.surrogate.train.accuracy import crossings, interpolated

@@ -188,7 +188,7 @@ def test_losses_are_zero_for_exact_maps_alone():
         factor = 1.0
 
         def forward(self, at):
-            from sdm.engine.api import signed_distance_maps
+            from sdm.engine.many import signed_distance_maps
 
             maps = signed_distance_maps(family.vertices(at), family.faces, GRID, device="cpu")[:, None]
             return self.factor * maps
