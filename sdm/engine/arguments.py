@@ -20,6 +20,7 @@ from sdm.inspect import orient_outward
 
 Orient = Literal["keep", "auto", "parts"]
 Sign = Literal["winding", "flood", "none"]
+ORIENTS, SIGNS = get_args(Orient), get_args(Sign)
 
 # Voxels that a gap is wide which a flood just passes, if nobody says otherwise.
 DEFAULT_HOLE = 2.0
@@ -43,7 +44,7 @@ class SignMethod:
     compare: bool = False
 
     def __post_init__(self) -> None:
-        if self.sign not in get_args(Sign):
+        if self.sign not in SIGNS:
             raise SDMError(f"sign is {self.sign!r}; use 'winding', 'flood' or 'none'")
         if self.hole_size is None:
             return
@@ -107,16 +108,16 @@ def check_orient(orient: str) -> None:
     Raises:
         MeshError: It is one.
     """
-    if orient not in get_args(Orient):
+    if orient not in ORIENTS:
         raise MeshError(f"orient is {orient!r}; use 'keep', 'auto' or 'parts'")
 
 
 def oriented(mesh: TriangleMesh, orient: Orient, device: torch.device) -> TriangleMesh:
     """The mesh, turned outward if that is wanted; what that takes is done on a device."""
+    if orient == "keep":
+        return mesh
     check_orient(orient)
-    if orient == "parts":
-        return orient_faces(mesh, device)
-    return orient_outward(mesh) if orient == "auto" else mesh
+    return orient_faces(mesh, device) if orient == "parts" else orient_outward(mesh)
 
 
 def described(grid: Grid) -> str:

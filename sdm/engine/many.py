@@ -234,12 +234,13 @@ def signed_distance_maps(
         `signed_distance_map`. With `return_closest` also a `Closest` of all: points (B,nx,ny,nz,3), ...
 
     Meshes that differ: `signed_distance_maps([mesh, ...], grid)`, also of a batch of PyTorch3D or Kaolin, with one
-    grid, one for each mesh, or voxels along each axis of a cube around each, gives a list of maps, each bit for bit that of `signed_distance_map` with the same
-    options; with `return_closest` a list of pairs (SDM, Closest). Meshes are built and measured together, as many at a
-    time as fit into `max_bytes` beside their maps, by default 1/24 of a GPU's memory; floods, closest points and the
-    turning of faces are done mesh by mesh. An iterator of meshes gives an iterator of maps, which takes as many meshes
-    as it needs for the next chunk, and the same of grids; any other iterable a list. The maps of a chunk are parts of
-    one tensor. Errors and warnings name the mesh by its number, from 0.
+    grid, one for each mesh, or voxels along each axis of a cube around each, gives a list of maps, each bit for bit
+    that of `signed_distance_map` with the same options; with `return_closest` a list of pairs (SDM, Closest). Meshes
+    are built and measured together, as many at a time as fit into `max_bytes` beside their maps, by default 1/24 of a
+    GPU's memory; floods, closest points and the turning of faces are done mesh by mesh. An iterator of meshes gives an
+    iterator of maps, which takes as many meshes as it needs for the next chunk, and the same of grids; any other
+    iterable a list. The maps of a chunk are parts of one tensor. Errors and warnings name the mesh by its number,
+    from 0.
     """
     method = SignMethod(sign, hole_size, compare_signs)
     check_orient(orient)
