@@ -99,7 +99,7 @@ class SignMethod:
         return DEFAULT_HOLE * max(grid.spacing) if self.hole_size is None else self.hole_size
 
 
-UNSIGNED = SignMethod("none")
+WINDING, UNSIGNED = SignMethod(), SignMethod("none")
 
 
 def check_orient(orient: str) -> None:

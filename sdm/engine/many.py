@@ -19,7 +19,7 @@ from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.api import signed_distance, signed_distance_map
-from sdm.engine.arguments import Orient, Sign, SignMethod, check_orient, refuse_forward_mode
+from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import batch_maps
@@ -242,8 +242,10 @@ def signed_distance_maps(
     iterable a list. The maps of a chunk are parts of one tensor. Errors and warnings name the mesh by its number,
     from 0.
     """
-    method = SignMethod(sign, hole_size, compare_signs)
-    check_orient(orient)
+    plain = sign == "winding" and hole_size is None and not compare_signs
+    method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)
+    if orient != "keep":
+        check_orient(orient)
     if not isinstance(grid, Grid) and are_meshes(vertices):
         meshes = as_sequence(vertices)
         single = partial(

@@ -15,8 +15,8 @@ from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.api import signed_distance_maps
 from sdm.engine.arguments import oriented
+from sdm.engine.many import signed_distance_maps
 from sdm.engine.map_check import quiet
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
