@@ -66,21 +66,32 @@ def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
     return [text]
 
 
-class _Naming(threading.local):
+class _Warnings(threading.local):
+    are_off: bool = False
     prefix: str = ""
 
 
-_naming = _Naming()
+_warnings = _Warnings()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Maps that this thread makes meanwhile are not checked."""
+    before, _warnings.are_off = _warnings.are_off, True
+    try:
+        yield
+    finally:
+        _warnings.are_off = before
 
 
 @contextmanager
 def named(prefix: str) -> Iterator[None]:
     """Warnings about maps that this thread makes meanwhile begin with this."""
-    before, _naming.prefix = _naming.prefix, prefix
+    before, _warnings.prefix = _warnings.prefix, prefix
     try:
         yield
     finally:
-        _naming.prefix = before
+        _warnings.prefix = before
 
 
 class MapCheck:
@@ -93,7 +104,7 @@ class MapCheck:
         """Check a map of a mesh now if it is on the host, else when it is read, and keep the mesh until then."""
         if self._said or not is_eager(mesh.vertices) or any(t.is_inference() for t in (mesh.vertices, mesh.faces)):
             return field
-        sign, prefix = field.sign, _naming.prefix
+        sign, prefix = field.sign, _warnings.prefix
         states = mesh.vertices._version, mesh.faces._version
 
         def check(grid: Grid, inside_voxels: int) -> None:

@@ -61,14 +61,18 @@ class MapStages:
         """The maps of some meshes, by one call where that is possible."""
         start, settings = time.perf_counter(), self._settings
         wanted = [read for read in group if not read.there]
-        joint = len(wanted) > 1 and settings.sign == "winding" and not any(map(self._is_by_itself, wanted))
+        joint = len(wanted) > 1 and not any(map(self._is_by_itself, wanted))
         made: list[Measured] = []
         if joint:
             for read in wanted:
                 require_memory_to_write(format_of(read.task.target), read.grid, settings.device)
             with quiet():
                 maps = signed_distance_maps(
-                    [read.measured for read in wanted], [read.grid for read in wanted], device=settings.device
+                    [read.measured for read in wanted],
+                    [read.grid for read in wanted],
+                    device=settings.device,
+                    sign=settings.sign,
+                    hole_size=settings.hole_size,
                 )
             made = [self._on_the_way(read, found) for read, found in zip(wanted, maps, strict=True)]
         else:
