@@ -1,0 +1,82 @@
+"""Narrow bands: seconds and memory against resolution, ours and OpenVDB's, each with its errors beside it.
+
+    python -m sdm.bench.band --device cpu --out band-cpu.json
+
+For each mesh and resolution (voxels along the longest axis of a cube around it) the band of `--half-width` voxels is
+made `--runs` times by turns: by `sdm.narrow_band` from vertices and faces in new memory, structure and signs included,
+and by OpenVDB's `meshToLevelSet` (see `sdm.bench.peers.openvdb`), on as many cores. `seconds` are medians, `cpu` those
+of all cores together: on a machine that others use too, only these compare. Before that both are compared with a
+float64 brute force at `--samples` voxels of the band: `error` is the largest, in voxels, `signs` how many are on the
+wrong side. `peak` is what a process that makes one band has more in memory than before it, `bytes` what the band
+itself takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sdm.bench.band.figures import draw
+from sdm.bench.band.job import measure
+from sdm.bench.common import json_file
+from sdm.bench.common.machine import describe
+from sdm.bench.common.meshes import load_case, missing_note
+from sdm.bench.peers import openvdb
+
+MESHES = ("fandisk", "rocker-arm", "nefertiti", "torus-1000000")
+RESOLUTIONS = (256, 512, 1024)
+
+
+def line(name: str, resolution: int, found: dict[str, Any]) -> str:
+    """One line of the table that is printed."""
+    return (
+        f"{name:16}{resolution:>6}^3  {found['library']:8}{found['seconds']:>9.3f}{found['cpu']:>9.3f}"
+        f"{found['error']:>11.2e}{found['signs']:>7}{found['active_voxels']:>13,}"
+        f"{found['bytes'] / 2**20:>9.1f}{found['peak'] / 2**20:>9.1f}"
+    )
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--meshes", nargs="*", default=list(MESHES), help="names, torus-N, or files")
+    parser.add_argument("--resolutions", type=int, nargs="*", default=list(RESOLUTIONS))
+    parser.add_argument("--half-width", type=float, default=3.0)
+    parser.add_argument("--samples", type=int, default=2000, help="voxels of the band that are compared")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--alone", action="store_true", help="without OpenVDB")
+    parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
+    given = parser.parse_args()
+    note = "OpenVDB was not asked for" if given.alone else openvdb.missing()
+    if note:
+        print(note)
+    print(
+        f"{'':36}{'seconds':>5}{'cpu':>9}{'error':>11}{'signs':>7}{'active voxels':>13}{'MiB':>9}{'peak':>9}",
+        flush=True,
+    )
+    rows = []
+    for name in given.meshes:
+        if (why := missing_note(name)) is not None:
+            print(why)
+            continue
+        case = load_case(name)
+        for resolution in given.resolutions:
+            found = measure(
+                case, given.device, resolution, given.half_width, given.samples, given.runs, with_peer=note is None
+            )
+            for one in found:
+                print(line(name, resolution, one), flush=True)
+            rows += found
+    if given.out:
+        packages = ("warp-lang", "torch", "numpy")
+        report = {"machine": describe(given.device, packages), "half_width": given.half_width, "rows": rows}
+        json_file.write(given.out, report | {"note": note})
+        draw(report, given.out.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
