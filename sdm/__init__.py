@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sdm import compat as compat
     from sdm import dataset as dataset
     from sdm import deepsdf as deepsdf
     from sdm import fit as fit
@@ -40,6 +41,7 @@ __version__ = "0.1.0"
 
 # Packages that are part of the library's face, imported when they are first used.
 _PACKAGES = {
+    "compat": "compat",
     "cuda_graphs": "runtime.graphs",
     "dataset": "dataset",
     "deepsdf": "deepsdf",

@@ -16,7 +16,7 @@ from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend, Distances
 from sdm.fit.model.jacobian import with_jacobian
 from sdm.fit.solve.initial import middle_of
-from sdm.fit.solve.threads import threads
+from sdm.runtime.threads import threads
 from sdm.shapes import Parameter, families
 
 # How far a surrogate may be off near the surface before the search for the surface's band misses some of it [mm].

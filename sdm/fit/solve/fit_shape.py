@@ -28,7 +28,7 @@ from sdm.fit.solve.initial import candidates, coarser, middle_of
 from sdm.fit.solve.posterior import Posterior
 from sdm.fit.solve.result import FitResult
 from sdm.fit.solve.solver import Outcome, Point, Render, minimise
-from sdm.fit.solve.threads import one_thread_for
+from sdm.runtime.threads import one_thread_for
 
 LARGEST_IMAGE = 1 << 23
 SMALLEST_AXIS = 8

@@ -9,7 +9,7 @@ from sdm.core.grid import Grid
 from sdm.fit import ExactBackend
 from sdm.fit.model.backend import rough_of
 from sdm.fit.model.spline_backend import GridBackend
-from sdm.fit.solve.threads import SMALLEST_SHARED, one_thread_for
+from sdm.runtime.threads import SMALLEST_SHARED, one_thread_for
 from sdm.shapes import Cochlea, Parameter
 
 THETA = torch.tensor([3.6, 0.5, 0.14, -0.2], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Torch's threads while a fit runs on a CPU."""
+"""Number of torch threads, one for work of many small operations on a CPU."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ SMALLEST_SHARED = 1 << 19
 def one_thread_for(voxels: int, device: torch.device) -> Iterator[None]:
     """One torch thread for small images on a CPU; as many as before for others, and afterwards.
 
-    A fit does thousands of small operations, between which the engine uses all cores. Torch's idle threads keep theirs
-    busy waiting for the next operation, which slows the engine down, and many times so where other programs run too.
+    A fit, for example, does thousands of small operations, between which the engine uses all cores. Torch's idle
+    threads keep theirs busy waiting for the next operation, which slows the engine down, and many times so where other
+    programs run too.
     """
     share = device.type != "cpu" or voxels >= SMALLEST_SHARED
     with threads(torch.get_num_threads() if share else 1):

@@ -1,0 +1,56 @@
+"""libigl: `signed_distance`. Negative inside, float64, int64 faces."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+
+from sdm.compat.closest_in_float64 import ClosestInFloat64
+
+
+def signed_distance(
+    P: Any,  # noqa: N803
+    V: Any,  # noqa: N803
+    F: Any,  # noqa: N803
+    sign_type: Any = None,
+    lower_bound: float = -math.inf,
+    upper_bound: float = math.inf,
+    *,
+    device: str | torch.device | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """`igl.signed_distance` of libigl's Python bindings since 2.6.
+
+    Args:
+        P: (N,3) points.
+        V: (V,3) vertices.
+        F: (F,3) faces.
+        sign_type: One of libigl's, or its name. Unsigned distances where it is that; of all others inside is where the
+            winding number is above 0.5.
+        lower_bound: Of the distances that are wanted, as libigl understands it: both bounds finite, the unsigned ones
+            below the larger of their absolute values, and above that less their difference. Others are NaN.
+        upper_bound: See there.
+        device: Where to compute; by default a GPU if there is one.
+
+    Returns:
+        S (N,) distances float64, negative inside; I (N,) faces int64; C (N,3) closest points; N (N,3) normals of those
+        faces, or (0,3) but for the sign type "pseudonormal". Where S is NaN the face is F's length + 1, and the closest
+        point 0, as in libigl.
+    """
+    distance, closest, face, normal = ClosestInFloat64(V, F, device).query(P)
+    kind = str(getattr(sign_type, "name", sign_type)).lower()
+    if "unsigned" in kind:
+        distance = np.abs(distance)
+    unwanted = _beyond(np.abs(distance), lower_bound, upper_bound)
+    distance[unwanted], face[unwanted], closest[unwanted] = np.nan, len(F) + 1, 0.0
+    return distance, face, closest, normal if "pseudonormal" in kind else np.zeros((0, 3))
+
+
+def _beyond(distance: np.ndarray, lower: float, upper: float) -> np.ndarray:
+    most = max(abs(lower), abs(upper))
+    if math.isinf(most):
+        return np.zeros(len(distance), bool)
+    least = max(most - (upper - lower), 0.0)
+    return (distance >= most) | (distance <= least)

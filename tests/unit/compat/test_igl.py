@@ -1,0 +1,45 @@
+"""igl.signed_distance: the same call and answers as libigl's, where its own method is right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sdm.compat import igl as ours
+from sdm.compat.closest_in_float64 import closest_on_triangles
+
+igl = pytest.importorskip("igl", reason="needs libigl, an extra")
+BALL = trimesh.creation.icosphere(2)
+V, F = np.array(BALL.vertices), np.array(BALL.faces, np.int64)
+P = np.random.default_rng(0).uniform(-1.5, 1.5, (400, 3))
+
+
+def closest_on(faces: np.ndarray) -> np.ndarray:
+    return closest_on_triangles(torch.from_numpy(V[F[faces]]), torch.from_numpy(P)).numpy()
+
+
+@pytest.mark.parametrize("kind", ["PSEUDONORMAL", "WINDING_NUMBER", "UNSIGNED", "DEFAULT"])
+def test_equals_libigl(kind):
+    sign = getattr(igl, f"SIGNED_DISTANCE_TYPE_{kind}")
+    theirs = igl.signed_distance(P, V, F, sign)
+    found = ours.signed_distance(P, V, F, sign, device="cpu")
+    np.testing.assert_allclose(found[0], theirs[0], atol=1e-10)
+    np.testing.assert_allclose(found[2], theirs[2], atol=1e-9)
+    # On an edge or a corner libigl names any face.
+    apart = np.linalg.norm(closest_on(found[1]) - found[2], axis=1)
+    assert apart.max() < 1e-9
+    for mine, other in zip(found[:3], theirs[:3], strict=True):
+        assert (mine.dtype, mine.shape) == (other.dtype, other.shape)
+    assert len(found[3]) == len(theirs[3])
+    assert ours.signed_distance(P, V, F, kind.lower(), device="cpu")[0].tolist() == found[0].tolist()
+
+
+@pytest.mark.parametrize("bounds", [(-0.2, 0.3), (0.1, 0.3), (-np.inf, 0.3)])
+def test_bounds(bounds):
+    theirs = igl.signed_distance(P, V, F, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL, *bounds)
+    found = ours.signed_distance(P, V, F, None, *bounds, device="cpu")
+    np.testing.assert_array_equal(np.isnan(found[0]), np.isnan(theirs[0]))
+    np.testing.assert_array_equal(found[1][np.isnan(found[0])], theirs[1][np.isnan(theirs[0])])
+    np.testing.assert_array_equal(found[2][np.isnan(found[0])], theirs[2][np.isnan(theirs[0])])
