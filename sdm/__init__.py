@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sdm import io as io
     from sdm import losses as losses
     from sdm import metrics as metrics
+    from sdm import sampling as sampling
     from sdm import segmentation as segmentation
     from sdm import shapes as shapes
     from sdm import stream as stream
@@ -50,6 +51,7 @@ _PACKAGES = {
     "io": "io",
     "losses": "losses",
     "metrics": "metrics",
+    "sampling": "sampling",
     "segmentation": "segmentation",
     "shapes": "shapes",
     "stream": "stream",

@@ -10,8 +10,8 @@ from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import box_diagonal
 from sdm.deepsdf.infer.scores import POINTS
 from sdm.deepsdf.samples import UnitSphere
-from sdm.deepsdf.samples.surface_points import triangle_areas
 from sdm.errors import FormatError
+from sdm.sampling.surface_points import triangle_areas
 
 # The floor is a mean over 30,000 points, so it is near what the area says; another shape's is not.
 SAME = 0.05

@@ -69,7 +69,7 @@ def run(
                 progress.begin(jobs[outcome.number + 1][0].name)
     if report is not None:
         write_report(entries, report, seconds_of_stages=times.seconds)
-    return _sum_up(entries, skip_bad)
+    return sum_up(entries, skip_bad)
 
 
 def _entry(
@@ -113,7 +113,8 @@ def _tell(found: Written, settings: Settings, progress: FileProgress) -> None:
         progress.print(f"sdm: warning: {name}{warning}", warn=True)
 
 
-def _sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
+def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:
+    """Say which meshes failed; the exit code."""
     failed = [entry for entry in entries if entry.state == "failed"]
     if skip_bad:
         for line in failures_table(entries):

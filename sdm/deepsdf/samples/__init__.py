@@ -3,7 +3,7 @@
 from sdm.deepsdf.samples.batch import Samples, SampleSource
 from sdm.deepsdf.samples.distribution import SampleDistribution
 from sdm.deepsdf.samples.shape_set import ShapeSet
-from sdm.deepsdf.samples.surface_points import surface_points
 from sdm.deepsdf.samples.unit_sphere import UnitSphere
+from sdm.sampling.surface_points import surface_points
 
 __all__ = ["SampleDistribution", "SampleSource", "Samples", "ShapeSet", "UnitSphere", "surface_points"]

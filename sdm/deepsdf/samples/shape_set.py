@@ -15,13 +15,13 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.deepsdf.samples.batch import Samples
 from sdm.deepsdf.samples.distribution import REACH, SampleDistribution
-from sdm.deepsdf.samples.surface_points import triangle_areas
 from sdm.deepsdf.samples.unit_sphere import UnitSphere
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
 from sdm.kernels.shapes.surface_samples import Law, Scene, draw
 from sdm.runtime.torch_warp import as_warp, on_current_stream
+from sdm.sampling.surface_points import triangle_areas
 
 # Samples, which reach to REACH along each axis, are at most sqrt(3) REACH + 1 from their own shape. With this step
 # between the centres they are at least sqrt((STEP - REACH)^2 + 2 REACH^2) - 1, which is more, from any other.

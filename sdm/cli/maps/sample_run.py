@@ -1,0 +1,146 @@
+"""`sdm sample` over its meshes: names, recipe, what is said about each mesh, and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sdm.cli.common.error_sentence import sentence_of
+from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.common.output_files import inputs_of, places_in
+from sdm.cli.common.progress import FileProgress
+from sdm.cli.maps.mesh_report import MeshEntry, write_report
+from sdm.cli.maps.run import sum_up
+from sdm.core.device import choose_device
+from sdm.core.normalization import Normal
+from sdm.engine.arguments import Sign, SignMethod
+from sdm.errors import FormatError, MeshError, SDMError
+from sdm.runtime.pipeline.outcome import Done, Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.sampling.folder import FolderSampling, SampledMesh
+from sdm.sampling.law import PAPER, RELEASED, SampleLaw
+from sdm.sampling.layouts.instance import instances_of
+from sdm.sampling.layouts.layout import Layout
+from sdm.sampling.layouts.registry import layout_called
+from sdm.sampling.recipe import Recipe
+
+REPORT = "report.json"
+LAWS = {"paper": PAPER, "released": RELEASED}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """Options of `sdm sample`; None where the law or the layout says."""
+
+    law: str
+    shares: tuple[int | None, int | None, int | None]
+    deviations: tuple[float, ...] | None
+    box: float | None
+    normalize: str | None
+    count: int | None
+    closest: bool
+    sign: Sign
+    hole_size: float | None
+    open_meshes: str
+    seed: int
+
+    def recipe(self, name: str, layout: Layout) -> Recipe:
+        """All that samples depend on, for a layout."""
+        SignMethod(self.sign, self.hole_size)
+        count = layout.count if self.count is None else self.count
+        if count < 1:
+            raise SDMError(f"--count is {count}; give 1 or more samples")
+        if name == "occupancy" and self.sign == "none":
+            raise SDMError("the layout occupancy tells what is inside, and --sign none does not")
+        if self.closest and name != "webdataset":
+            raise SDMError(f"the layout {name} has no place for closest points: use --layout webdataset")
+        normal = layout.normalize if self.normalize is None else self.normalize
+        kinds: dict[str, Normal | None] = {"sphere": "sphere", "cube": "cube", "none": None}
+        return Recipe(
+            layout=name,
+            law=self._law(layout.law if name == "occupancy" else LAWS[self.law]),
+            count=count,
+            normalize=kinds[normal],
+            seed=self.seed,
+            sign=self.sign,
+            hole_size=self.hole_size,
+            closest=self.closest,
+            open_meshes=self.open_meshes,
+        )
+
+    def _law(self, law: SampleLaw) -> SampleLaw:
+        given = dict(zip(("near", "uniform", "surface"), self.shares, strict=True))
+        shares = {name: getattr(law, name) if value is None else value for name, value in given.items()}
+        return replace(
+            law,
+            **shares,
+            deviations=law.deviations if self.deviations is None else self.deviations,
+            box=law.box if self.box is None else self.box,
+        )
+
+
+def run(
+    meshes: list[Path],
+    out: Path,
+    layout_name: str,
+    options: SampleOptions,
+    *,
+    dataset: str | None = None,
+    device: str = "auto",
+    resume: bool = False,
+    skip_bad: bool = False,
+    workers: int | None = None,
+    times: StageTimes | None = None,
+) -> int | None:
+    """Sample each mesh into the folder; 2 if some failed and are not to be skipped."""
+    found = inputs_of(meshes)
+    if not found:
+        where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
+        raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
+    sources, instances = list(found), instances_of(places_in(found))
+    roots = [path for path in meshes if path.is_dir()]
+    layout = layout_called(layout_name, dataset or (roots[0].resolve().name if roots else "meshes"))
+    recipe, where = options.recipe(layout_name, layout), choose_device(device)
+    times = StageTimes() if times is None else times
+    entries: list[MeshEntry] = []
+    try:
+        recipe.claim(out, [instance.path for instance in instances], resume=resume)
+        sampling = FolderSampling(sources, instances, out, layout, recipe, where, workers=workers, times=times)
+        with FileProgress(len(sources), times) as progress:
+            progress.begin(sources[0].name)
+            for outcome in sampling.run():
+                entries.append(_entry(outcome, sources[outcome.number], options.sign))
+                progress.end()
+                if outcome.number + 1 < len(sources):
+                    progress.begin(sources[outcome.number + 1].name)
+    except OSError as error:
+        raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
+    write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
+    done = sum(entry.state != "failed" for entry in entries)
+    print(f"{out}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
+    return sum_up(entries, skip_bad)
+
+
+def _entry(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> MeshEntry:
+    if isinstance(outcome, Failed):
+        sentence = sentence_of(outcome.error)
+        if sentence is None:
+            raise outcome.error
+        if is_full_disk(outcome.error):
+            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
+        return MeshEntry(mesh=str(source), state="failed", reason=sentence)
+    found = outcome.value
+    if found.there:
+        return MeshEntry(mesh=str(source), state="there already", sign=sign)
+    unsure = [f"the flood does not prove the sign of {found.unsure:,} samples"] if found.unsure else []
+    return MeshEntry(
+        mesh=str(source),
+        state="done",
+        output=None if found.path is None else str(found.path),
+        triangles=found.triangles,
+        closed=found.closed,
+        sign=sign,
+        inside=found.inside,
+        warnings=unsure,
+        seconds=round(found.seconds, 4),
+    )

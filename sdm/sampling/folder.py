@@ -1,0 +1,193 @@
+"""Samples of many meshes, from files to files: reading and writing beside the device's work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from sdm.core.mesh import TriangleMesh
+from sdm.core.normalization import Normalization
+from sdm.core.random import derive_seed
+from sdm.engine.arguments import oriented
+from sdm.engine.mesh_index import MeshIndex
+from sdm.errors import MeshError
+from sdm.inspect.quick_look import look_at
+from sdm.io import load_mesh
+from sdm.runtime.host_copy import HostCopy
+from sdm.runtime.pipeline.outcome import Done, Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
+from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.sampling.layouts.instance import Instance
+from sdm.sampling.layouts.layout import Layout
+from sdm.sampling.recipe import Recipe
+from sdm.sampling.sample import PointSamples, draw_points, measure
+from sdm.topology.boundary_edges import boundary_edges
+
+
+@dataclass(frozen=True)
+class SampledMesh:
+    """A mesh whose samples are there.
+
+    Args:
+        path: The file of its samples, if it has one of its own.
+        there: Whether they were there before.
+        triangles: Of the mesh, if it was read.
+        closed: Whether it has no boundary.
+        inside: How many samples are inside.
+        unsure: Of a flood, how many have a sign that it does not prove.
+        seconds: That it took in all stages.
+    """
+
+    path: Path | None = None
+    there: bool = False
+    triangles: int | None = None
+    closed: bool | None = None
+    inside: int | None = None
+    unsure: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Task:
+    number: int
+    source: Path
+    instance: Instance
+
+
+@dataclass(frozen=True)
+class _Read:
+    task: _Task
+    mesh: TriangleMesh
+    normalization: Normalization | None
+    closed: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class _Measured:
+    read: _Read
+    rows: HostCopy[PointSamples]
+    seconds: float
+
+
+class FolderSampling:
+    """Samples of meshes into a folder.
+
+    Args:
+        sources: Mesh files.
+        instances: Their names in the dataset.
+        out: The folder.
+        layout: How it is laid out.
+        recipe: What is sampled.
+        device: Where to compute.
+        workers: Threads that read, and as many that write; by default what the machine has.
+        times: The pipeline's clock.
+
+    Files do not depend on the number of threads: a sample depends on the seed, the mesh's place in its folder, its own
+    number, and the kind of device.
+    """
+
+    def __init__(
+        self,
+        sources: list[Path],
+        instances: list[Instance],
+        out: Path,
+        layout: Layout,
+        recipe: Recipe,
+        device: torch.device,
+        *,
+        workers: int | None = None,
+        times: StageTimes | None = None,
+    ) -> None:
+        self._tasks = [_Task(n, *pair) for n, pair in enumerate(zip(sources, instances, strict=True))]
+        self._layout, self._recipe, self._device = layout, recipe, device
+        self._times = StageTimes() if times is None else times
+        self._threads = min(threads_beside(device) if workers is None else workers, len(sources))
+        self._numbers = torch.arange(recipe.count, dtype=torch.int64, device=device)
+        layout.begin(out, instances, recipe.count)
+
+    def run(self) -> Iterator[Done[SampledMesh] | Failed]:
+        """Sample all meshes whose samples are not there yet; what became of each, in order."""
+        times, threads = self._times, self._threads
+        nbytes = 40 * self._recipe.count
+        read = in_threads(numbered(self._tasks), "read", self._read, workers=threads, times=times)
+        measured = one_by_one(read, str(self._device), self._measure, times=times)
+        written = in_threads(measured, "write", self._write, workers=threads, times=times, nbytes=lambda _: nbytes)
+        done = [False] * len(self._tasks)
+        for outcome in written:
+            done[outcome.number] = isinstance(outcome, Done)
+            if isinstance(outcome, Failed):
+                self._layout.failed(outcome.number)
+            yield outcome
+        self._layout.end(done)
+
+    def _read(self, task: _Task) -> _Read | None:
+        if self._layout.is_done(task.number):
+            return None
+        start = time.perf_counter()
+        mesh = load_mesh(task.source)
+        by = None if self._recipe.normalize is None else Normalization.of(mesh, self._recipe.normalize)
+        mesh = mesh if by is None else by.normalised(mesh)
+        if self._recipe.sign != "winding":
+            closed = boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
+            return _Read(task, mesh, by, closed, time.perf_counter() - start)
+        mesh = oriented(mesh, "auto", self._device)
+        closed = boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
+        if not closed and self._recipe.open_meshes == "reject":
+            raise MeshError(
+                f"{task.source} is not closed, so its inside is not defined: --sign flood closes it, --open-meshes "
+                "keep goes by its winding number"
+            )
+        if doubts := look_at(mesh).problems(mesh):
+            raise MeshError(f"{task.source}: {doubts[0]}")
+        return _Read(task, mesh, by, closed, time.perf_counter() - start)
+
+    def _measure(self, read: _Read | None) -> _Measured | None:
+        if read is None:
+            return None
+        start, recipe = time.perf_counter(), self._recipe
+        index = MeshIndex(read.mesh, self._device, warn=False)
+        seed = derive_seed(recipe.seed, "samples of a mesh", read.task.instance.path)
+        points, normals = draw_points(index.mesh, recipe.law, seed, self._numbers)
+        kinds = recipe.law.kinds(self._numbers)
+        closest = recipe.closest or self._layout.with_normals
+        found = measure(
+            index,
+            self._layout.rounded(points),
+            kinds,
+            normals,
+            read.normalization,
+            sign=recipe.sign,
+            hole_size=recipe.hole_size,
+            closest=closest,
+        )
+        parts = [found.points, found.distances[:, None]]
+        parts += [part for part in (found.closest, found.normals) if part is not None]
+        make = partial(_samples_of, kinds=kinds, normalization=read.normalization, unsure=found.unsure)
+        rows = HostCopy(torch.cat(parts, 1), make)
+        return _Measured(read, rows, read.seconds + time.perf_counter() - start)
+
+    def _write(self, found: _Measured | None) -> SampledMesh:
+        if found is None:
+            return SampledMesh(there=True)
+        start, read = time.perf_counter(), found.read
+        samples = found.rows.wait()
+        inside = int(samples.occupancies.sum())
+        if self._recipe.sign != "none" and inside == 0:
+            raise MeshError(f"none of the samples of {read.task.source} is inside: it encloses nothing, or has gaps")
+        path = self._layout.write(read.task.number, samples)
+        seconds = found.seconds + time.perf_counter() - start
+        return SampledMesh(path, False, len(read.mesh), read.closed, inside, samples.unsure, seconds)
+
+
+def _samples_of(rows: Tensor, kinds: Tensor, normalization: Normalization | None, unsure: int) -> PointSamples:
+    whole = rows.shape[1] > 4
+    more = (rows[:, 4:7], rows[:, 7:10]) if whole else (None, None)
+    return PointSamples(rows[:, :3], rows[:, 3], kinds.cpu(), normalization, *more, unsure)

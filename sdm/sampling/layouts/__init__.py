@@ -1,0 +1,1 @@
+"""Layouts of sample folders: what trainings of others read."""

@@ -1,0 +1,105 @@
+"""Tar files as WebDataset reads them, each with the samples of many meshes: `samples-000000.tar`, ...
+
+Of each mesh `KEY.samples.npz` (points (N,3), distances (N,), and closest points and normals where they were wanted) and
+`KEY.json` (path, class, instance, normalisation). The same samples make the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from sdm.core.normalization import Normal
+from sdm.io.files.atomic import replacing
+from sdm.sampling.law import PAPER, SampleLaw
+from sdm.sampling.layouts.instance import Instance
+from sdm.sampling.sample import PointSamples
+
+# Bytes of a tar file, about.
+SHARD_BYTES = 1 << 28
+
+
+class WebDatasetLayout:
+    """See above. A tar file is written once all of its meshes are done."""
+
+    law: SampleLaw = PAPER
+    normalize: Normal = "sphere"
+    count, with_normals = 500_000, False
+
+    def begin(self, folder: Path, instances: list[Instance], count: int) -> None:
+        """See `Layout`."""
+        self._folder, self._instances = folder, instances
+        self._each = max(1, min(len(instances), SHARD_BYTES // (16 * count)))
+        self._lock = threading.Lock()
+        self._waiting: dict[int, dict[int, list[tuple[str, bytes]]]] = {}
+        self._there = {n for n in range(-(-len(instances) // self._each)) if self._file(n).is_file()}
+
+    def is_done(self, number: int) -> bool:
+        """See `Layout`. A mesh is lost with its tar file."""
+        return number // self._each in self._there
+
+    def write(self, number: int, samples: PointSamples) -> Path | None:
+        """See `Layout`."""
+        return self._add(number, self._members(number, samples))
+
+    def failed(self, number: int) -> None:
+        """See `Layout`."""
+        if not self.is_done(number):
+            self._add(number, [])
+
+    def rounded(self, points: Tensor) -> Tensor:
+        """See `Layout`."""
+        return points
+
+    def end(self, done: list[bool]) -> None:
+        """See `Layout`."""
+        names = "".join(
+            f"{self._file(n).name}\n" for n in range(-(-len(done) // self._each)) if self._file(n).is_file()
+        )
+        (self._folder / "shards.lst").write_text(names)
+
+    def _members(self, number: int, samples: PointSamples) -> list[tuple[str, bytes]]:
+        instance = self._instances[number]
+        arrays = {"points": samples.points, "distances": samples.distances}
+        arrays |= {} if samples.closest is None else {"closest": samples.closest}
+        arrays |= {} if samples.normals is None else {"normals": samples.normals}
+        packed = io.BytesIO()
+        contents: dict[str, Any] = {name: values.cpu().numpy() for name, values in arrays.items()}
+        np.savez(packed, **contents)
+        by = samples.normalization
+        told = {
+            "path": instance.path,
+            "class": instance.category,
+            "instance": instance.name,
+            "normalization": None if by is None else {"kind": by.kind, "centre": by.centre, "length": by.length},
+        }
+        # A key ends at its first dot.
+        key = f"{instance.category}/{instance.name}".replace(".", "_")
+        return [(f"{key}.json", json.dumps(told).encode()), (f"{key}.samples.npz", packed.getvalue())]
+
+    def _add(self, number: int, members: list[tuple[str, bytes]]) -> Path | None:
+        shard = number // self._each
+        size = min(self._each, len(self._instances) - shard * self._each)
+        with self._lock:
+            held = self._waiting.setdefault(shard, {})
+            held[number] = members
+            if len(held) < size:
+                return None
+            del self._waiting[shard]
+        with replacing(self._file(shard)) as part, tarfile.open(part, "w", format=tarfile.PAX_FORMAT) as tar:
+            for _, own in sorted(held.items()):
+                for name, content in own:
+                    info = tarfile.TarInfo(name)
+                    info.size, info.mode = len(content), 0o644
+                    tar.addfile(info, io.BytesIO(content))
+        return self._file(shard)
+
+    def _file(self, shard: int) -> Path:
+        return self._folder / f"samples-{shard:06}.tar"

@@ -1,0 +1,257 @@
+"""`sdm sample`: layouts as their own readers read them; the same bytes when resumed, and by any number of threads."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+import sdm
+from sdm.cli import main
+from sdm.cli.maps.sample_run import SampleOptions
+from sdm.cli.maps.sample_run import run as run_sampling
+from sdm.core.normalization import Normalization
+from sdm.sampling import sample
+from sdm.sampling.layouts.zarr import read_zarr
+
+COUNT = 400
+PLACES = ("02691156/aa", "02691156/bb", "03001627/cc")
+
+
+@pytest.fixture(scope="module")
+def shapes(tmp_path_factory) -> Path:
+    """A folder as ShapeNet has it, with one mesh that has a hole."""
+    root = tmp_path_factory.mktemp("shapes") / "ShapeNetV2"
+    for number, place in enumerate((*PLACES, "03001627/open")):
+        folder = root / place / "models"
+        folder.mkdir(parents=True)
+        ball = trimesh.creation.icosphere(2)
+        ball.apply_transform(np.diag([1.0, 1 + 0.3 * number, 2, 1]))
+        ball.apply_translation([5, -3, number])
+        if place.endswith("open"):
+            ball = trimesh.Trimesh(ball.vertices, ball.faces[:-1], process=False)
+        ball.export(folder / "model_normalized.obj")
+    return root
+
+
+def run(*words: object) -> int:
+    return main(["sample", *map(str, words), "--device", "cpu", "--count", str(COUNT)])
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """All files but the report, which has times."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != "report.json")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def unpack_sdf_samples(filename: Path, subsample: int) -> torch.Tensor:
+    """The function of facebookresearch/DeepSDF's deep_sdf/data.py, word for word."""
+    npz = np.load(filename)
+    pos_tensor = remove_nans(torch.from_numpy(npz["pos"]))
+    neg_tensor = remove_nans(torch.from_numpy(npz["neg"]))
+    half = int(subsample / 2)
+    random_pos = (torch.rand(half) * pos_tensor.shape[0]).long()
+    random_neg = (torch.rand(half) * neg_tensor.shape[0]).long()
+    sample_pos = torch.index_select(pos_tensor, 0, random_pos)
+    sample_neg = torch.index_select(neg_tensor, 0, random_neg)
+    return torch.cat([sample_pos, sample_neg], 0)
+
+
+def remove_nans(tensor: torch.Tensor) -> torch.Tensor:
+    tensor_nan = torch.isnan(tensor[:, 3])
+    return tensor[~tensor_nan, :]
+
+
+def test_deepsdf_reads_its_layout(shapes, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(shapes, "-o", out, "--skip-bad") == 0
+    said = capsys.readouterr().out
+    assert "400 samples of each of 3 meshes" in said
+    assert "is not closed" in said
+    split = json.loads((out / "splits" / "all.json").read_text())
+    assert split == {"ShapeNetV2": {"02691156": ["aa", "bb"], "03001627": ["cc"]}}
+    # As deep_sdf.data.get_instance_filenames puts names together.
+    for dataset, classes in split.items():
+        for category, instances in classes.items():
+            for instance in instances:
+                name = os.path.join(dataset, category, instance + ".npz")
+                rows = unpack_sdf_samples(out / "SdfSamples" / name, 100)
+                assert rows.shape == (100, 4)
+                assert rows.dtype == torch.float32
+                assert (rows[:50, 3] >= 0).all()
+                assert (rows[50:, 3] < 0).all()
+                # As deep_sdf.workspace and evaluate.py undo the normalisation: p / scale - offset.
+                by = np.load(out / "NormalizationParameters" / name)
+                points = rows[:, :3].numpy() / by["scale"] - by["offset"]
+                mesh = sdm.load_mesh(shapes / category / instance / "models" / "model_normalized.obj")
+                exact = sdm.signed_distance(mesh, points, device="cpu").numpy() * by["scale"]
+                np.testing.assert_allclose(exact, rows[:, 3], atol=3e-6)
+    report = json.loads((out / "report.json").read_text())["meshes"]
+    assert [entry["state"] for entry in report] == ["done", "done", "done", "failed"]
+    assert report[0]["inside"] > 0
+    alone = sample(
+        shapes / "02691156/aa/models/model_normalized.obj",
+        COUNT,
+        name="02691156/aa/models/model_normalized",
+        device="cpu",
+    )
+    rows = torch.cat([alone.points, alone.distances[:, None]], 1)
+    kept = np.load(out / "SdfSamples/ShapeNetV2/02691156/aa.npz")
+    np.testing.assert_array_equal(kept["neg"], rows[rows[:, 3] < 0].numpy())
+    np.testing.assert_array_equal(kept["pos"], rows[rows[:, 3] >= 0].numpy())
+
+
+def test_occupancy_networks_read_theirs(shapes, tmp_path):
+    out = tmp_path / "out"
+    assert run(shapes, "-o", out, "--layout", "occupancy", "--open-meshes", "keep") == 0
+    assert (out / "03001627" / "all.lst").read_text() == "cc\nopen\n"
+    # As im2mesh.data.fields: PointsField.load and PointCloudField.load.
+    points_dict = np.load(out / "02691156" / "bb" / "points.npz")
+    points = points_dict["points"]
+    assert points.dtype == np.float16
+    occupancies = np.unpackbits(points_dict["occupancies"])[: points.shape[0]]
+    loc, scale = points_dict["loc"].astype(np.float32), points_dict["scale"].astype(np.float32)
+    assert points.shape == (COUNT // 2, 3)
+    assert np.abs(points).max() <= 0.55
+    mesh = sdm.load_mesh(shapes / "02691156/bb/models/model_normalized.obj")
+    at = points.astype(np.float32) * scale + loc
+    inside = sdm.signed_distance(mesh, at, device="cpu").numpy() < 0
+    np.testing.assert_array_equal(inside, occupancies.astype(bool))
+    cloud = np.load(out / "02691156" / "bb" / "pointcloud.npz")
+    on = cloud["points"].astype(np.float32) * scale + loc
+    assert np.abs(sdm.signed_distance(mesh, on, device="cpu").numpy()).max() < 2e-3 * scale
+    assert np.allclose(np.linalg.norm(cloud["normals"].astype(np.float32), axis=1), 1, atol=2e-3)
+    middle = Normalization.of(mesh, "cube")
+    assert (cloud["normals"].astype(np.float32) * (on - np.float32(middle.centre))).sum(1).min() > 0
+
+
+def test_zarr_and_webdataset_hold_the_same(shapes, tmp_path):
+    assert run(shapes, "-o", tmp_path / "z", "--layout", "zarr", "--skip-bad") == 0
+    more = ["--layout", "webdataset", "--skip-bad", "--closest"]
+    assert run(shapes, "-o", tmp_path / "w", *more) == 0
+    names = (tmp_path / "w" / "shards.lst").read_text().split()
+    found: dict[str, dict[str, bytes]] = {}
+    for name in names:
+        with tarfile.open(tmp_path / "w" / name) as tar:
+            # As WebDataset groups: by what is before the first dot.
+            for member in tar:
+                key, _, ending = member.name.partition(".")
+                file = tar.extractfile(member)
+                assert file is not None
+                found.setdefault(key, {})[ending] = file.read()
+    assert list(found) == list(PLACES)
+    for number, key in enumerate(PLACES):
+        told = json.loads(found[key]["json"])
+        assert told["path"] == f"{key}/models/model_normalized"
+        arrays = np.load(io.BytesIO(found[key]["samples.npz"]))
+        points, distances = read_zarr(tmp_path / "z", number)
+        np.testing.assert_array_equal(arrays["points"], points)
+        np.testing.assert_array_equal(arrays["distances"], distances)
+        length = np.linalg.norm(arrays["closest"] - points, axis=1)
+        np.testing.assert_allclose(length, np.abs(distances), atol=1e-6)
+    assert np.isnan(read_zarr(tmp_path / "z", 3)[1]).all()
+
+
+@pytest.mark.parametrize("layout", ["deepsdf", "occupancy", "zarr", "webdataset"])
+def test_any_number_of_threads_and_a_resume_make_the_same_bytes(layout, shapes, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sdm.sampling.layouts.webdataset.SHARD_BYTES", 16 * COUNT * 2)
+    options = SampleOptions(
+        law="paper", shares=(None,) * 3, deviations=None, box=None, normalize=None, count=COUNT, closest=False,
+        sign="winding", hole_size=None, open_meshes="keep", seed=5,
+    )  # fmt: skip
+    for workers in (1, 3):
+        run_sampling([shapes], tmp_path / str(workers), layout, options, device="cpu", workers=workers)
+    whole = files(tmp_path / "1")
+    assert files(tmp_path / "3") == whole
+    # Without some of the files, as after a kill.
+    lost = [path for path in (tmp_path / "3").rglob("*") if path.suffix in (".npz", ".tar") or path.name == "0"]
+    max(path for path in lost if path.is_file()).unlink()
+    run_sampling([shapes], tmp_path / "3", layout, options, device="cpu", resume=True)
+    assert files(tmp_path / "3") == whole
+    report = json.loads((tmp_path / "3" / "report.json").read_text())["meshes"]
+    assert {entry["state"] for entry in report} == {"done", "there already"}
+    capsys.readouterr()
+    assert run(shapes, "-o", tmp_path / "3", "--layout", layout) == 2
+    assert "--resume goes on" in capsys.readouterr().err
+    assert run(shapes, "-o", tmp_path / "3", "--layout", layout, "--resume", "--seed", "6") == 2
+    assert "of another seed" in capsys.readouterr().err
+
+
+def test_other_meshes_in_the_folder_change_nothing(shapes, tmp_path):
+    alone = tmp_path / "ShapeNetV2"
+    (alone / "02691156" / "bb" / "models").mkdir(parents=True)
+    (alone / "02691156" / "zz" / "models").mkdir(parents=True)
+    source = shapes / "02691156/bb/models/model_normalized.obj"
+    for name in ("bb", "zz"):
+        (alone / "02691156" / name / "models" / "model_normalized.obj").write_bytes(source.read_bytes())
+    assert run(alone, "-o", tmp_path / "a") == 0
+    assert run(shapes, "-o", tmp_path / "b", "--skip-bad") == 0
+    own, other = files(tmp_path / "a"), files(tmp_path / "b")
+    # Two of one class: the class is no part of what tells them apart, but their places are the same.
+    bb = next(name for name in own if name.startswith("SdfSamples") and "bb" in name)
+    zz = next(name for name in own if name.startswith("SdfSamples") and "zz" in name)
+    assert own[bb] == other["SdfSamples/ShapeNetV2/02691156/bb.npz"]
+    assert own[zz] != own[bb]
+
+
+def test_sheets_by_a_flood_and_unsigned(shapes, tmp_path):
+    assert run(shapes / "03001627", "-o", tmp_path / "f", "--sign", "flood", "--hole-size", "0.3") == 0
+    assert json.loads((tmp_path / "f" / "report.json").read_text())["meshes"][1]["closed"] is False
+    assert run(shapes / "03001627", "-o", tmp_path / "n", "--sign", "none", "--law", "released") == 0
+    rows = np.load(next((tmp_path / "n" / "SdfSamples").rglob("open.npz")))
+    assert len(rows["neg"]) == 0
+
+
+def test_bad_input_is_one_sentence(shapes, tmp_path, capsys):
+    for words, said in (
+        ([tmp_path], "no mesh was found"),
+        ([shapes, "--near", "0", "--uniform", "0"], "is no law"),
+        ([shapes, "--closest"], "no place for closest points"),
+        ([shapes, "--layout", "occupancy", "--sign", "none"], "tells what is inside"),
+        ([shapes, "--hole-size", "1"], "hole_size"),
+    ):
+        assert run(*words, "-o", tmp_path / "out") == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+    assert not (tmp_path / "out").exists()
+
+
+CHILD = """
+import sys
+from sdm.cli import main
+sys.exit(main())
+"""
+
+
+def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
+    many = tmp_path / "many"
+    many.mkdir()
+    source = shapes / "02691156/bb/models/model_normalized.obj"
+    for number in range(60):
+        (many / f"{number:02}.obj").write_bytes(source.read_bytes())
+    words = ["sample", str(many), "--device", "cpu", "--count", "3000", "-o"]
+    child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", CHILD, *words, str(tmp_path / "d")])
+    deadline = time.monotonic() + 90
+    while len(list((tmp_path / "d").glob("SdfSamples/*/*/*.npz"))) < 3:
+        assert time.monotonic() < deadline
+        assert child.poll() is None
+        time.sleep(0.005)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    for path in (tmp_path / "d").glob("SdfSamples/*/*/[!.]*.npz"):
+        assert len(np.load(path)["pos"]) > 0
+    assert main([*words, str(tmp_path / "d"), "--resume"]) == 0
+    assert main([*words, str(tmp_path / "whole")]) == 0
+    kept = {name: content for name, content in files(tmp_path / "d").items() if not name.endswith(".part")}
+    assert kept == files(tmp_path / "whole")
