@@ -17,12 +17,12 @@ from sdm.engine.arguments import Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.sampling.folder import FolderSampling, SampledMesh
 from sdm.sampling.law import PAPER, RELEASED, SampleLaw
+from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import instances_of
-from sdm.sampling.layouts.layout import Layout
-from sdm.sampling.layouts.registry import layout_called
+from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
+from sdm.sampling.sample_folder import FolderSampling, SampledMesh
 
 REPORT = "report.json"
 LAWS = {"paper": PAPER, "released": RELEASED}

@@ -23,7 +23,7 @@ from sdm.cli.maps.sample_run import SampleOptions
 from sdm.cli.maps.sample_run import run as run_sampling
 from sdm.core.normalization import Normalization
 from sdm.sampling import sample
-from sdm.sampling.layouts.zarr import read_zarr
+from sdm.sampling.layouts.zarr_samples import read_zarr
 
 COUNT = 400
 PLACES = ("02691156/aa", "02691156/bb", "03001627/cc")

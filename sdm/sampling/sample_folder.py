@@ -25,7 +25,7 @@ from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
 from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.sampling.layouts.instance import Instance
-from sdm.sampling.layouts.layout import Layout
+from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
 from sdm.sampling.sample import PointSamples, draw_points, measure
 from sdm.topology.boundary_edges import boundary_edges

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sdm.errors import SDMError
-from sdm.sampling.layouts.layout import Layout
+from sdm.sampling.layouts.sample_layout import Layout
 
 LAYOUTS = ("deepsdf", "occupancy", "zarr", "webdataset")
 
@@ -23,7 +23,7 @@ def layout_called(name: str, dataset: str) -> Layout:
 
         return OccupancyLayout()
     if name == "zarr":
-        from sdm.sampling.layouts.zarr import ZarrLayout
+        from sdm.sampling.layouts.zarr_samples import ZarrLayout
 
         return ZarrLayout()
     if name == "webdataset":
