@@ -9,7 +9,7 @@ from sdm.bench.fuzz.__main__ import PARTS, fuzz, run_trial
 from sdm.bench.fuzz.trial import Finding, one_sentence
 from sdm.errors import FormatError
 
-# Half a minute together on an idle core.
+# A quarter of a minute together on an idle core.
 TRIALS = {
     "numerics": 20,
     "near_degenerate": 25,
