@@ -122,7 +122,7 @@ def test_all_ways_agree(mesh, share, meshes, seed):
     assert _both(batch, faces).tolist() == [list(edge) for edge in _plain(batch, faces)]
 
 
-@pytest.mark.parametrize("name", ["open hemisphere", "torus"])
+@pytest.mark.parametrize("name", ["open hemisphere", "torus-1000"])
 @pytest.mark.parametrize("meshes", [1, 12])
 def test_torn_meshes(name, meshes):
     case = load_case(name)

@@ -5,14 +5,21 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
+import pytest
 import torch
 
+import sdm.fit.study.simulate
 from sdm.bench.fit.coverage import coverage, summarise
 from sdm.fit import ExactBackend, Scanner, random_state, simulate
 from sdm.shapes import Cochlea
 
 
-def test_cases_are_pure_functions_of_their_seed() -> None:
+@pytest.fixture
+def coarse_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sdm.fit.study.simulate, "FINE", 0.2)
+
+
+def test_cases_are_pure_functions_of_their_seed(coarse_simulation: None) -> None:
     backend = ExactBackend(Cochlea(1_000), "cpu")
     scanner = Scanner(spacing=0.8, blur=0.3, noise=100.0)
     first, again, other = (random_state(backend, seed) for seed in (4, 4, 5))
@@ -24,7 +31,7 @@ def test_cases_are_pure_functions_of_their_seed() -> None:
     assert images[0].grid.origin != images[2].grid.origin
 
 
-def test_the_noise_is_the_scanners() -> None:
+def test_the_noise_is_the_scanners(coarse_simulation: None) -> None:
     backend = ExactBackend(Cochlea(1_000), "cpu")
     state = random_state(backend, 4)
     quiet, noisy = (

@@ -12,7 +12,7 @@ from sdm.fit.solve.fit_shape import prior_of
 from sdm.fit.solve.solver import Outcome
 from sdm.shapes import Cochlea
 
-OPTIONS = FitOptions(starts=1, fine=0.2)
+OPTIONS = FitOptions(starts=1, fine=0.25)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def backend() -> ExactBackend:
 def test_good_images_have_an_answer(backend: ExactBackend, noise: float, blur: float, tolerance: float):
     truth = random_state(backend, 0, edge=0.1)
     finer = ExactBackend(Cochlea(8_000), "cpu")
-    image = simulate(finer, truth, Scanner(spacing=0.4, blur=blur, noise=noise), seed=0)
+    image = simulate(finer, truth, Scanner(spacing=0.5, blur=blur, noise=noise), seed=0)
     found = fit_shape(image.values, image.grid, backend, options=OPTIONS)
     assert found.diagnosis.converged, found.diagnosis
     assert found.trusted, found.diagnosis.problems
@@ -35,7 +35,7 @@ def test_good_images_have_an_answer(backend: ExactBackend, noise: float, blur: f
 
 def test_as_assumed_there_is_no_warning(backend: ExactBackend):
     truth = random_state(backend, 5, edge=0.25)
-    image = simulate(backend, truth, Scanner(spacing=0.4, blur=0.2, noise=100.0), seed=1)
+    image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.2, noise=100.0), seed=1)
     found = fit_shape(image.values, image.grid, backend, options=OPTIONS)
     assert found.trusted
     assert not found.diagnosis.warnings
@@ -48,7 +48,7 @@ def test_a_search_that_stops_nearby_is_trusted(backend: ExactBackend):
     from sdm.fit.solve.solver import evaluate
 
     truth = random_state(backend, 5, edge=0.25)
-    image = simulate(backend, truth, Scanner(spacing=0.4, blur=0.2, noise=100.0), seed=1)
+    image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.2, noise=100.0), seed=1)
     values, prior = image.values.double(), prior_of(image.grid, backend, OPTIONS)
     renderer = renderer_of(image.grid, backend, OPTIONS)
     share = renderer(truth, derivatives=False).share

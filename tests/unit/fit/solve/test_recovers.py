@@ -15,8 +15,8 @@ from sdm.fit import ExactBackend, FitOptions, FitResult, Image, Scanner, State, 
 from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import Cochlea
 
-SCANNER = Scanner(spacing=0.4, blur=0.25, noise=200.0)
-OPTIONS = FitOptions(blur=SCANNER.blur, starts=2, fine=0.2)
+SCANNER = Scanner(spacing=0.5, blur=0.25, noise=200.0)
+OPTIONS = FitOptions(blur=SCANNER.blur, starts=2, fine=0.25)
 TRIANGLES = 2_000
 
 
