@@ -11,6 +11,7 @@ Coordinates are scaled by a power of two, which is exact, so that squares neithe
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import warp as wp
@@ -58,6 +59,7 @@ class Tree:
     root: wp.int32  # and its first node
 
 
+@lru_cache(maxsize=4096)
 def depth_for(faces: int) -> int:
     """Levels below the root for a mesh of `faces` triangles."""
     return max(0, math.ceil(math.log2(max(1, faces) / TRIANGLES_PER_LEAF)))

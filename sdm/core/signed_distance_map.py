@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -74,9 +74,47 @@ class SDM:
             values = torch.from_numpy(np.array(values, np.float32))
         if tuple(values.shape) != grid.shape:
             raise GridError(f"values of shape {tuple(values.shape)} do not fit a grid of shape {grid.shape}")
-        given = (values, grid, ambiguous_voxels, sign, hole_size, sign_disagreements, truncated, normalization)
-        for field, value in zip(fields(self), given, strict=True):
-            object.__setattr__(self, field.name, value)
+        self.__dict__.update(
+            values=values,
+            grid=grid,
+            ambiguous_voxels=ambiguous_voxels,
+            sign=sign,
+            hole_size=hole_size,
+            sign_disagreements=sign_disagreements,
+            truncated=truncated,
+            normalization=normalization,
+        )
+
+    @classmethod
+    def later(
+        cls,
+        make: Callable[[], Tensor],
+        grid: Grid,
+        ambiguous_voxels: int | None,
+        *,
+        sign: str,
+        check: Callable[[Grid, int], None] | None = None,
+    ) -> SDM:
+        """A map on a GPU whose values `make` gives when they are first asked for; with a `check`, see `checked_by`.
+
+        Of hundreds of small maps in one tensor the host would take longer to make views than the device to fill them.
+        """
+        field = cls.__new__(cls)
+        field.__dict__.update(_make=make, grid=grid, ambiguous_voxels=ambiguous_voxels, sign=sign)
+        if check is not None:
+            field.__dict__["_pending"] = check
+        return field
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            # Only of what is not there: values that are to be made.
+            make = self.__dict__.get("_make") if name == "values" else None
+            if make is None:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            values = self.__dict__["values"] = make()
+            self.__dict__.pop("_make", None)
+            return values
 
     def with_values(self, values: Tensor) -> SDM:
         """A map with other values, and all else as it is."""

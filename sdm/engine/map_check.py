@@ -10,8 +10,9 @@ from __future__ import annotations
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from sdm.core.grid import Grid
@@ -116,6 +117,23 @@ class MapCheck:
                     warn(f"{prefix}{mesh.name}: {'; '.join(found)}")
 
         return field.checked_by(check)
+
+
+def later_check(mesh: TriangleMesh, prefix: str, sign: str) -> Callable[[Grid, int], None] | None:
+    """What `MapCheck` makes of one map of a mesh that nobody watches, for a map that is read on the host later."""
+    vertices, faces = mesh.vertices, mesh.faces
+    if _warnings.are_off or vertices.is_inference() or faces.is_inference():
+        return None
+    return partial(_look, mesh, prefix, sign, vertices._version, faces._version)
+
+
+def _look(
+    mesh: TriangleMesh, prefix: str, sign: str, vertices: int, faces: int, grid: Grid, inside_voxels: int
+) -> None:
+    if (vertices, faces) == (mesh.vertices._version, mesh.faces._version):
+        found = doubts_about(mesh, grid, inside_voxels, sign)
+        if found:
+            warn(f"{prefix}{mesh.name}: {'; '.join(found)}")
 
 
 def checked(check: MapCheck | None, field: SDM, mesh: TriangleMesh) -> SDM:

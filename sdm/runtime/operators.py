@@ -7,7 +7,7 @@ map. Here the compiler is told to leave an implementation alone once it is there
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -50,6 +50,9 @@ def differentiate(name: str, backward: Callable[..., Any], setup_context: Callab
     torch.library.register_autograd(f"sdm::{name}", backward, setup_context=setup_context, lib=_LIBRARY)
 
 
+_PLAIN = (Tensor, torch.nn.Parameter)
+
+
 def is_eager(*tensors: Tensor) -> bool:
     """True if nobody watches what happens to these tensors: no gradients, no compiler, no transform, no mode.
 
@@ -59,12 +62,18 @@ def is_eager(*tensors: Tensor) -> bool:
         return False
     if maybe_current_level() is not None:
         return False
+    return all(_none_watch(tensors))
+
+
+def are_eager(tensors: Sequence[Tensor]) -> list[bool]:
+    """`is_eager` of each of many tensors."""
+    return _none_watch(tensors) if is_eager() else [False] * len(tensors)
+
+
+def _none_watch(tensors: Sequence[Tensor]) -> list[bool]:
     gradients = torch.is_grad_enabled()
-    for tensor in tensors:
-        # Subclasses only look like tensors.
-        if type(tensor) not in (Tensor, torch.nn.Parameter) or (gradients and tensor.requires_grad):
-            return False
-    return True
+    # Subclasses only look like tensors.
+    return [type(tensor) in _PLAIN and not (gradients and tensor.requires_grad) for tensor in tensors]
 
 
 def _hidden_from_compilers(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,17 +16,18 @@ from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.arguments import Orient, SignMethod, oriented
+from sdm.engine.arguments import Orient, SignMethod, has_forward_mode, oriented, refuse_forward_mode
 from sdm.engine.closest_points import Closest
 from sdm.engine.flood import flooded, rims_of
-from sdm.engine.map_check import MapCheck, checked, named
+from sdm.engine.map_check import MapCheck, checked, later_check, named
 from sdm.engine.map_closest import closest_map
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.boxes import with_known_boxes
-from sdm.engine.ragged.chunks import Load, bytes_for, in_chunks, voxels_of
+from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_maps import JointMaps, MapJob, ragged_maps
-from sdm.engine.ragged.lists import each_grid, in_pairs, is_crowded, is_plain, numbered
+from sdm.engine.ragged.lists import each_grid, in_pairs, is_crowded, numbered
 from sdm.kernels.dense.cost_model import search_is_faster
+from sdm.runtime.operators import are_eager
 
 # A map of more voxels fills a device by itself.
 LARGEST_JOINED = 1 << 27
@@ -69,61 +69,77 @@ def maps_of(
         device: Where to compute.
         max_bytes: Memory of a chunk.
     """
-
-    def jobs() -> Iterator[MapJob]:
-        def is_around(grid: Any) -> bool:
-            return not isinstance(grid, Grid) or resolution is not None or margin is not None
-
-        pairs: Iterable[tuple[int, TriangleMesh, Any]] = in_pairs(meshes, each_grid(meshes, grids), "grids")
-        boxes: Sequence[TriangleMesh] = ()
-        # Files are read as they are needed.
-        if isinstance(meshes, list | tuple) and all(isinstance(mesh, TriangleMesh) for mesh in meshes):
-            pairs = list(pairs)
-            if any(is_around(grid) for _, _, grid in pairs):
-                boxes = with_known_boxes([mesh for _, mesh, _ in pairs])
-        for number, mesh, asked in pairs:
-            given, grid, where = mesh, asked, choose_device(device, mesh.vertices)
-            if is_around(asked):
-                box = boxes[number] if boxes else mesh
-                grid = numbered(number, partial(as_grid, asked, box, resolution, margin))
-            if wanted.orient != "keep":
-                given = numbered(number, partial(oriented, mesh, wanted.orient, where))
-            yield MapJob(number, given.to(where), grid, given)
-
-    def load(job: MapJob) -> Load:
-        return Load(len(job.mesh), voxels_of(job.grid.shape))
-
-    for chunk in in_chunks(jobs(), load, lambda job: max_bytes or bytes_for(job.mesh.device)):
+    jobs = _jobs(meshes, grids, wanted, resolution, margin, device)
+    for chunk in in_chunks(jobs, _load, lambda job: max_bytes or bytes_for(job.mesh.device)):
         yield from _maps_of_chunk(chunk, single, wanted)
+
+
+def _load(job: MapJob) -> tuple[int, int]:
+    return job.triangles, job.voxels
+
+
+def _jobs(
+    meshes: Iterable[MeshLike],
+    grids: Any,
+    wanted: Wanted,
+    resolution: int | None,
+    margin: float | None,
+    device: str | torch.device | None,
+) -> Iterator[MapJob]:
+    around = resolution is not None or margin is not None
+    pairs: Iterable[tuple[int, TriangleMesh, Any]] = in_pairs(meshes, each_grid(meshes, grids), "grids")
+    boxes: Sequence[TriangleMesh] = ()
+    # Files are read as they are needed.
+    if isinstance(meshes, list | tuple) and {TriangleMesh}.issuperset(map(type, meshes)):
+        pairs = list(pairs)
+        if around or not {Grid}.issuperset([type(grid) for _, _, grid in pairs]):
+            boxes = with_known_boxes([mesh for _, mesh, _ in pairs])
+    places: dict[torch.device, torch.device] = {}
+    for number, mesh, asked in pairs:
+        given, grid, there = mesh, asked, mesh.vertices.device
+        where = places.get(there)
+        if where is None:
+            where = places[there] = choose_device(device, mesh.vertices)
+        if around or not isinstance(asked, Grid):
+            box = boxes[number] if boxes else mesh
+            grid = numbered(number, partial(as_grid, asked, box, resolution, margin))
+        if wanted.orient != "keep":
+            given = numbered(number, partial(oriented, mesh, wanted.orient, where))
+        yield MapJob(number, given if there == where else given.to(where), grid, given)
 
 
 def _maps_of_chunk(
     chunk: Sequence[MapJob], single: Callable[[TriangleMesh, Grid, torch.device], Found], wanted: Wanted
 ) -> list[Found]:
     found: dict[int, Found] = {}
-    alike: dict[tuple[torch.device, bool], list[MapJob]] = {}
-    for job in chunk:
-        if _can_join(job):
-            alike.setdefault((job.mesh.device, job.turned), []).append(job)
-    for (where, _), jobs in alike.items():
-        if len(jobs) > 1:
-            nbytes = sum(job.grid.nbytes for job in jobs)
-            with torch.no_grad(), memory_guard(nbytes, where, f"{len(jobs)} maps"):
-                joint = ragged_maps(jobs, signed=wanted.method.needs_winding)
-                for place, (job, made) in enumerate(zip(jobs, joint.maps, strict=True)):
-                    if made is not None:
-                        found[job.number] = numbered(job.number, partial(_result, job, joint, place, *made, wanted))
+    for jobs in _joinable(chunk):
+        nbytes = sum([job.grid.nbytes for job in jobs])
+        with torch.no_grad(), memory_guard(nbytes, jobs[0].mesh.device, f"{len(jobs)} maps"):
+            joint = ragged_maps(jobs, signed=wanted.method.needs_winding)
+            simple = wanted.method.is_default and not wanted.closest and is_read_later(jobs[0].mesh.device)
+            for place, job in enumerate(jobs):
+                if simple and place not in joint.left:
+                    check = later_check(job.given, f"mesh {job.number}: ", "winding")
+                    make = partial(joint.values, place)
+                    found[job.number] = SDM.later(make, job.grid, joint.counts[place], sign="winding", check=check)
+                elif place not in joint.left:
+                    found[job.number] = numbered(job.number, partial(_result, job, joint, place, wanted))
     for job in chunk:
         if job.number not in found:
             with named(f"mesh {job.number}: "):
-                make = partial(single, job.given or job.mesh, job.grid, job.mesh.device)
+                make = partial(single, job.given, job.grid, job.mesh.device)
                 found[job.number] = numbered(job.number, make)
     return [found[job.number] for job in chunk]
 
 
-def _result(job: MapJob, joint: JointMaps, place: int, values: Tensor, ambiguous: int, wanted: Wanted) -> Found:
+def is_read_later(device: torch.device) -> bool:
+    """True if maps on a device are read on the host later than they are made: nobody looks at them before."""
+    return device.type == "cuda"
+
+
+def _result(job: MapJob, joint: JointMaps, place: int, wanted: Wanted) -> Found:
     """The result of a mesh whose map was made with others': with the sign and the closest points that are wanted."""
-    grid, structure = job.grid, joint.structure
+    grid, structure, values = job.grid, joint.structure, joint.values(place)
 
     def flood(distances: Tensor, hole: float) -> Tensor:
         edges = structure.boundary_of(place)
@@ -138,13 +154,16 @@ def _result(job: MapJob, joint: JointMaps, place: int, values: Tensor, ambiguous
         )
 
     method = wanted.method
-    if method.is_default:
-        field = SDM(values, grid, ambiguous, sign="winding")
+    winding = SDM(values, grid, joint.counts[place], sign="winding") if method.needs_winding else None
+    if method.is_default and winding is not None:
+        field = winding
     else:
-        winding = SDM(values, grid, ambiguous, sign="winding") if method.needs_winding else None
         field = method.field(grid, values if winding is None else values.abs(), winding, flood)
+    if field.sign == "winding" and not values.is_cuda:
+        # The check asks for it.
+        structure.remember_pairing(place)
     with named(f"mesh {job.number}: "):
-        checked(MapCheck(), field, job.given or job.mesh)
+        checked(MapCheck(), field, job.given)
     if not wanted.closest:
         return field
     around = structure.neighbours_of(place)
@@ -152,16 +171,22 @@ def _result(job: MapJob, joint: JointMaps, place: int, values: Tensor, ambiguous
     return field, Closest(hit.points, hit.faces, hit.barycentric, job.mesh, grid)
 
 
-def _can_join(job: MapJob) -> bool:
-    return (
-        is_plain(job.mesh)
-        and math.prod(job.grid.shape) <= LARGEST_JOINED
-        and not _is_searched(job)
-        and not is_crowded(job.mesh)
-    )
-
-
-def _is_searched(job: MapJob) -> bool:
-    """True for the plain path. Without a plan, as the device waits until there are jobs."""
-    gpu, method = job.mesh.device.type == "cuda", OPTIONS.get().method
-    return method == "search" or (method == "auto" and search_is_faster(len(job.mesh), job.grid.shape, gpu))
+def _joinable(chunk: Sequence[MapJob]) -> list[list[MapJob]]:
+    """Those that can be measured together, two or more at a time: on one device, turned or not."""
+    if has_forward_mode():
+        for job in chunk:
+            refuse_forward_mode(job.mesh.vertices)
+    method = OPTIONS.get().method
+    if method == "search":
+        return []
+    alike: dict[tuple[torch.device, bool], list[MapJob]] = {}
+    for job, eager in zip(chunk, are_eager([job.mesh.vertices for job in chunk]), strict=True):
+        shape, device = job.grid.shape, job.mesh.vertices.device
+        gpu = device.type == "cuda"
+        if not eager or shape[0] * shape[1] * shape[2] > LARGEST_JOINED or (not gpu and is_crowded(job.mesh)):
+            continue
+        # Without a plan, as the device waits until there are jobs.
+        if method == "auto" and search_is_faster(job.triangles, shape, gpu):
+            continue
+        alike.setdefault((device, job.turned), []).append(job)
+    return [jobs for jobs in alike.values() if len(jobs) > 1]

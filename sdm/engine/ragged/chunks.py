@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 
@@ -21,8 +20,7 @@ TRIANGLE_BYTES, VOXEL_BYTES = 1000, 8
 MOST_MESHES, MOST_TRIANGLES, MOST_VOXELS = 1 << 12, 1 << 26, 1 << 29
 
 
-@dataclass(frozen=True)
-class Load:
+class Load(NamedTuple):
     """Share of a chunk that one mesh takes."""
 
     triangles: int
@@ -39,26 +37,27 @@ def bytes_for(device: torch.device) -> int:
     return total_memory(device) // GPU_SHARE if device.type == "cuda" else CPU_BYTES
 
 
-def in_chunks(items: Iterable[T], load: Callable[[T], Load], limit: Callable[[T], int]) -> Iterator[list[T]]:
+def in_chunks(items: Iterable[T], load: Callable[[T], tuple[int, int]], limit: Callable[[T], int]) -> Iterator[list[T]]:
     """The items in order, as many at a time as fit: at least one.
 
     Args:
         items: Taken as they are needed.
-        load: What an item adds.
+        load: What an item adds: a `Load`, or as much.
         limit: Bytes of a chunk that begins with this item.
     """
     chunk: list[T] = []
     nbytes = triangles = voxels = most = 0
     for item in items:
-        more = load(item)
-        full = len(chunk) == MOST_MESHES or nbytes + more.nbytes > most
-        if chunk and (full or triangles + more.triangles > MOST_TRIANGLES or voxels + more.voxels > MOST_VOXELS):
+        its_triangles, its_voxels = load(item)
+        its_bytes = TRIANGLE_BYTES * its_triangles + VOXEL_BYTES * its_voxels
+        full = len(chunk) == MOST_MESHES or nbytes + its_bytes > most
+        if chunk and (full or triangles + its_triangles > MOST_TRIANGLES or voxels + its_voxels > MOST_VOXELS):
             yield chunk
             chunk, nbytes, triangles, voxels = [], 0, 0, 0
         if not chunk:
             most = limit(item)
         chunk.append(item)
-        nbytes, triangles, voxels = nbytes + more.nbytes, triangles + more.triangles, voxels + more.voxels
+        nbytes, triangles, voxels = nbytes + its_bytes, triangles + its_triangles, voxels + its_voxels
     if chunk:
         yield chunk
 

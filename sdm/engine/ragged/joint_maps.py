@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +32,6 @@ from sdm.kernels.dense.query import Surface, Target, query_slabs
 from sdm.kernels.geometry.voxel_grid import (
     AXES,
     CELL_SHARES,
-    LAYER,
     ORIGIN,
     REGION,
     REGION_SHARES,
@@ -45,46 +44,70 @@ from sdm.kernels.geometry.voxel_grid import (
 from sdm.kernels.launch import set_array
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs.branches import kernels_beside
-from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, workspace
+from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, warp_name, workspace
 
 # Most times the shares of another of a group that a map's lists are made in: for the other they are idle work.
 MOST_SHARES = 2
 
 
-@dataclass(frozen=True)
 class MapJob:
-    """A mesh, on its device, and the grid of its map."""
+    """A mesh, on its device, and the grid of its map.
 
-    number: int  # of the mesh in the whole list
-    mesh: TriangleMesh
-    grid: Grid
-    given: TriangleMesh | None = None  # the mesh where it was before, if that is elsewhere
+    Args:
+        number: Of the mesh in the whole list.
+        mesh: The mesh.
+        grid: The grid.
+        given: The mesh where it was before, if that is elsewhere.
+    """
 
-    @cached_property
-    def turned(self) -> bool:
-        """True if the grid's axes are not x, y and z."""
-        return self.grid.direction != IDENTITY
+    __slots__ = ("_plan", "given", "grid", "mesh", "number", "triangles", "turned", "voxels")
 
-    @cached_property
-    def work(self) -> Workload:
-        """Workload of the map by itself."""
-        count = len(self.mesh)
-        return Workload(count, depth_for(count), 1, self.grid.shape, self.grid.spacing, self.turned)
+    def __init__(self, number: int, mesh: TriangleMesh, grid: Grid, given: TriangleMesh | None = None) -> None:
+        self.number, self.mesh, self.grid = number, mesh, grid
+        self.given = mesh if given is None else given
+        self.triangles, self.voxels = mesh.faces.shape[0], voxels_of(grid.shape)
+        # True if the grid's axes are not x, y and z.
+        self.turned = grid.direction != IDENTITY
+        self._plan: tuple[Workload, Plan] | None = None
 
-    @cached_property
-    def plan(self) -> Plan:
-        """The plan of the map by itself."""
-        return make_plan(self.work, memory_of(wp.device_from_torch(self.mesh.device).alias), OPTIONS.get())
+    @property
+    def plan(self) -> tuple[Workload, Plan]:
+        """The workload of the map by itself, and the plan of that."""
+        if self._plan is None:
+            grid, count = self.grid, self.triangles
+            work = Workload(count, depth_for(count), 1, grid.shape, grid.spacing, self.turned)
+            self._plan = work, make_plan(work, memory_of(warp_name(self.mesh.vertices.device)), OPTIONS.get())
+        return self._plan
 
 
 class JointMaps(NamedTuple):
-    """Maps (nx,ny,nz) of some meshes, how many voxels of each are ambiguous, and the meshes' structures.
+    """Maps of some meshes: parts of one tensor, save some that were made by themselves.
 
-    None in place of the map of a mesh with many copies of a triangle, which is left to its own call.
+    Args:
+        whole: The tensor.
+        jobs: What was asked.
+        starts: Of each map its first place in the tensor.
+        alone: The maps (nx,ny,nz) that were made by themselves, by the meshes' places.
+        left: Places of meshes with many copies of a triangle, which are left to calls of their own.
+        counts: Of each map how many voxels are ambiguous.
+        structure: The meshes' structures.
     """
 
-    maps: list[tuple[Tensor, int] | None]
+    whole: Tensor
+    jobs: Sequence[MapJob]
+    starts: Sequence[int]
+    alone: dict[int, Tensor]
+    left: set[int]
+    counts: Sequence[int]
     structure: RaggedStructure
+
+    def values(self, place: int) -> Tensor:
+        """A map (nx,ny,nz)."""
+        own = self.alone.get(place)
+        if own is not None:
+            return own
+        shape, start = self.jobs[place].grid.shape, self.starts[place]
+        return self.whole[start : start + math.prod(shape)].view(shape)
 
 
 def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
@@ -100,45 +123,46 @@ def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
     # The device is at work on the build while the host plans what comes after.
     build, options = RaggedBuild([job.mesh for job in jobs]), OPTIONS.get()
     plans = [job.plan for job in jobs]
-    build.leave_out([plan.levels_left_out for plan in plans])
     device = build.memory[0].device
-    starts = np.concatenate([[0], np.cumsum([voxels_of(job.grid.shape) for job in jobs])]).tolist()
+    starts = [0, *accumulate([job.voxels for job in jobs])]
     # Without a sign, those of points outside.
-    values = (torch.empty if signed else torch.zeros)(starts[-1], dtype=torch.float32, device=device)
+    whole = (torch.empty if signed else torch.zeros)(starts[-1], dtype=torch.float32, device=device)
     ambiguous = torch.zeros(len(jobs), dtype=torch.int32, device=device)
     thick = _with_thick_slices(jobs, build.view)
-    groups = _groups(jobs, plans, set(range(len(jobs))) - thick)
-    rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
+    groups = _groups(plans, [i for i in range(len(jobs)) if i not in thick], device)
+    rows, levels = _to_device(_slab_rows(jobs, plans, starts, groups), plans, device)
+    build.leave_out(levels)
     empty, surface = workspace(device), build.view
-    with on_current_stream(values, values, rows, *build.memory):
-        whole = as_warp(values, wp.float32)
+    largest = wp.vec3i(*(max(axis) for axis in zip(*[job.grid.shape for job in jobs], strict=True)))
+    slab = partial(_slab, jobs, largest)
+    with on_current_stream(whole, whole, rows, *build.memory):
+        values = as_warp(whole, wp.float32)
         # Whole numbers, which are those of closed meshes.
         if signed:
-            slab_winding(surface.tree, surface.winding, _slab(jobs, rows[0]), whole, empty, options.most_columns)
+            slab_winding(surface.tree, surface.winding, slab(rows[0]), values, empty, options.most_columns)
     structure = build.finish([job.number for job in jobs])
-    maps = [
-        values[start : start + math.prod(job.grid.shape)].view(job.grid.shape)
-        for start, job in zip(starts, jobs, strict=False)
-    ]
     crowded = {i for i, topology in structure.topologies.items() if may_be_crowded(jobs[i].mesh, topology.boundary)}
+    found = JointMaps(whole, jobs, starts, {}, crowded, [0] * len(jobs), structure)
     if crowded:
         thick -= crowded
-        groups = _groups(jobs, plans, set(range(len(jobs))) - thick - crowded)
-        rows = to_device(torch.from_numpy(_slab_rows(jobs, plans, starts, groups)), device)
-    with on_current_stream(values, values, rows, *build.memory):
+        groups = _groups(plans, [i for i in range(len(jobs)) if i not in thick and i not in crowded], device)
+        rows, _ = _to_device(_slab_rows(jobs, plans, starts, groups), plans, device)
+    with on_current_stream(whole, whole, rows, *build.memory):
         for i in structure.topologies.keys() - thick - crowded if signed else ():
-            _fill_open(structure.of_mesh(i), jobs[i].grid, maps[i])
-        target = Target(whole, as_warp(ambiguous, wp.int32), None)
-        parts = [(_slab(jobs, table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
+            _fill_open(structure.of_mesh(i), jobs[i].grid, found.values(i))
+        target = Target(values, as_warp(ambiguous, wp.int32), None)
+        parts = [(slab(table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
         tree, _, frames, features, cones = surface
-        query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, values))
+        query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, whole))
     for i in thick:
-        own, unclear = structure_slab(structure.of_mesh(i), jobs[i].grid, 0, maps[i].shape[0], signed=signed)
-        maps[i], ambiguous[i] = own[0], unclear[0]
-    # Of closed meshes it is known without a look at the device, which would wait for it.
-    counts = ambiguous.tolist() if structure.topologies and signed else [0] * len(jobs)
-    found = [(values, counts[i] if i in structure.topologies else 0) for i, values in enumerate(maps)]
-    return JointMaps([None if i in crowded else pair for i, pair in enumerate(found)], structure)
+        grid = jobs[i].grid
+        own, unclear = structure_slab(structure.of_mesh(i), grid, 0, grid.shape[0], signed=signed)
+        found.alone[i], ambiguous[i] = own[0], unclear[0]
+    if not (structure.topologies and signed):
+        # Of closed meshes it is known without a look at the device, which would wait for it.
+        return found
+    counts = ambiguous.tolist()
+    return found._replace(counts=[counts[i] if i in structure.topologies else 0 for i in range(len(jobs))])
 
 
 def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:
@@ -150,61 +174,77 @@ def _with_thick_slices(jobs: Sequence[MapJob], view: KernelView) -> set[int]:
     return {
         i
         for i, (job, scale) in enumerate(zip(jobs, scales, strict=True))
-        if finer(Slices(job.grid.spacing, job.grid.shape, 0), scale, len(job.mesh), factors) != AS_IT_IS
+        if finer(Slices(job.grid.spacing, job.grid.shape, 0), scale, job.triangles, factors) != AS_IT_IS
     }
 
 
-def _groups(jobs: Sequence[MapJob], plans: Sequence[Plan], together: set[int]) -> list[tuple[list[int], Plan]]:
+def _groups(
+    plans: Sequence[tuple[Workload, Plan]], together: list[int], device: torch.device
+) -> list[tuple[list[int], Plan]]:
     """The maps whose plans agree in cells, and nearly in shares, and one plan for each such group."""
     groups: list[list[int]] = []
     first = None
-    for i in sorted(together, key=lambda i: (plans[i].cell, plans[i].cell_shares, plans[i].region_shares)):
+    keys = [(plan.cell, plan.cell_shares, plan.region_shares) for _, plan in plans]
+    for i in sorted(together, key=keys.__getitem__):
+        plan = plans[i][1]
         if (
             first is None
-            or plans[i].cell != first.cell
-            or plans[i].cell_shares > MOST_SHARES * first.cell_shares
-            or plans[i].region_shares > MOST_SHARES * first.region_shares
+            or plan.cell != first.cell
+            or plan.cell_shares > MOST_SHARES * first.cell_shares
+            or plan.region_shares > MOST_SHARES * first.region_shares
         ):
-            first = plans[i]
+            first = plan
             groups.append([])
         groups[-1].append(i)
-    memory = memory_of(wp.device_from_torch(jobs[0].mesh.device).alias)
+    memory, options = memory_of(warp_name(device)), OPTIONS.get()
     return [
-        (group, joint_plan([jobs[i].work for i in group], [plans[i] for i in group], memory, OPTIONS.get()))
+        (group, joint_plan([plans[i][0] for i in group], [plans[i][1] for i in group], memory, options))
         for group in groups
     ]
 
 
 def _slab_rows(
-    jobs: Sequence[MapJob], plans: Sequence[Plan], starts: Sequence[int], groups: Sequence[tuple[list[int], Plan]]
+    jobs: Sequence[MapJob],
+    plans: Sequence[tuple[Workload, Plan]],
+    starts: Sequence[int],
+    groups: Sequence[tuple[list[int], Plan]],
 ) -> np.ndarray:
     """Rows of the slabs (groups, meshes, SLAB_ROW) float64: in each group's the other meshes have no regions."""
+    own = np.zeros((len(jobs), SLAB_ROW))
+    grids = [job.grid for job in jobs]
+    own[:, ORIGIN : ORIGIN + 3] = [grid.origin for grid in grids]
+    own[:, SPACING : SPACING + 3] = [grid.spacing for grid in grids]
+    own[:, SHAPE : SHAPE + 3] = [grid.shape for grid in grids]
+    own[:, VOXEL] = starts[: len(jobs)]
+    own[:, REGION_SHARES] = [plan.region_shares for _, plan in plans]
+    own[:, CELL_SHARES] = [plan.cell_shares for _, plan in plans]
+    if jobs[0].turned:
+        axes = np.array([grid.direction for grid in grids]) * own[:, None, SPACING : SPACING + 3]
+        own[:, AXES : AXES + 9] = axes.reshape(-1, 9)
     # One at least: all slabs in the count of voxels.
-    rows = np.zeros((max(1, len(groups)), len(jobs), SLAB_ROW))
-    for i, job in enumerate(jobs):
-        grid, row = job.grid, rows[:, i]
-        row[:, ORIGIN : ORIGIN + 3] = grid.origin
-        row[:, SPACING : SPACING + 3] = grid.spacing
-        row[:, SHAPE : SHAPE + 3] = grid.shape
-        row[:, LAYER], row[:, VOXEL] = 0, starts[i]
-        row[:, REGION_SHARES], row[:, CELL_SHARES] = plans[i].region_shares, plans[i].cell_shares
-        if job.turned:
-            row[:, AXES : AXES + 9] = [
-                d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)
-            ]
+    rows = np.repeat(own[None], max(1, len(groups)), axis=0)
     for (group, _plan), table in zip(groups, rows, strict=False):
         regions = np.zeros(len(jobs))
-        regions[group] = [plans[i].total for i in group]
+        regions[group] = [plans[i][1].total for i in group]
         table[1:, REGION] = np.cumsum(regions)[:-1]
     return rows
 
 
-def _slab(jobs: Sequence[MapJob], rows: Tensor) -> Any:
-    """All slabs, as kernels take them."""
+def _to_device(
+    rows: np.ndarray, plans: Sequence[tuple[Workload, Plan]], device: torch.device
+) -> tuple[Tensor, Tensor | None]:
+    """The rows on a device, and by one copy how many levels each mesh's lists do without; None if none does."""
+    levels = [plan.levels_left_out for _, plan in plans]
+    if not any(levels):
+        return to_device(torch.from_numpy(rows), device), None
+    both = to_device(torch.from_numpy(np.concatenate([rows.reshape(-1), levels])), device)
+    return both[: rows.size].view(rows.shape), both[rows.size :]
+
+
+def _slab(jobs: Sequence[MapJob], largest: wp.vec3i, rows: Tensor) -> Any:
+    """All slabs, as kernels take them; `largest` is the longest shape along each axis."""
     slab = Slab()
-    slab.turned = int(jobs[0].turned)
-    slab.shape = wp.vec3i(*(max(job.grid.shape[axis] for job in jobs) for axis in range(3)))
-    slab.meshes = len(jobs)
+    slab.turned, slab.shape, slab.meshes = int(jobs[0].turned), largest, len(jobs)
     set_array(slab, "rows", as_warp(rows.view(-1), wp.float64))
     return slab
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import repeat
 from typing import Any, TypeVar
 
@@ -90,7 +91,7 @@ def each_mesh(meshes: Iterable[MeshLike]) -> Iterator[tuple[int, TriangleMesh]]:
         MeshError: One that is none.
     """
     for number, mesh in enumerate(meshes):
-        yield number, numbered(number, lambda mesh=mesh: as_mesh(mesh))
+        yield number, mesh if isinstance(mesh, TriangleMesh) else numbered(number, partial(as_mesh, mesh))
 
 
 def each_grid(meshes: Iterable[MeshLike], grids: Any) -> Iterator[Any]:
@@ -126,10 +127,9 @@ def in_pairs(meshes: Iterable[MeshLike], others: Iterator[T], what: str) -> Iter
     """
     number = -1
     for number, mesh in each_mesh(meshes):
-        try:
-            other = next(others)
-        except StopIteration:
-            raise MeshError(f"{what} ended before mesh {number}: give one for each mesh") from None
+        other = next(others, _END)
+        if other is _END:
+            raise MeshError(f"{what} ended before mesh {number}: give one for each mesh")
         yield number, mesh, other
     if not isinstance(others, repeat) and next(others, _END) is not _END:
         raise MeshError(f"{number + 1} meshes came, and more {what}: give one for each mesh")

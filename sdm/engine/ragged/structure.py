@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple, cast
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -29,11 +31,11 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.errors import MeshError
-from sdm.kernels.bvh.tree import LEFT_OUT, PART_SIZE, coarser, depth_for
+from sdm.kernels.bvh.tree import COUNT, LEFT_OUT, PART_SIZE, coarser, depth_for
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device
 from sdm.topology.boundary_edges import MeshTopology
-from sdm.topology.face_pairing import Pairing, PairingUnderWay, remember
+from sdm.topology.face_pairing import Pairing, PairingUnderWay, is_known, remember
 
 # What only an open mesh has.
 OF_BOUNDARY = ("boundary", "caps tree", "caps", "winding")
@@ -42,19 +44,14 @@ OF_BOUNDARY = ("boundary", "caps tree", "caps", "winding")
 class JoinedSizes(NamedTuple):
     """Sizes that the shapes of all arrays follow from, as `Sizes` of meshes that differ: without boundaries."""
 
-    meshes: int = 0
-    faces: int = 0  # of the largest mesh
-    slots: int = 0  # triangles of all
-    nodes: int = 0  # of all hierarchies
+    meshes: int
+    faces: int  # of the largest mesh
+    slots: int  # triangles of all
+    nodes: int  # of all hierarchies
 
     # Of no mesh the boundary is among the arrays.
     edges = visited_edges = caps = all_caps = cap_nodes = dipole_nodes = 0
     kind = MeshKind.CLOSED
-
-    def with_mesh(self, faces: int) -> JoinedSizes:
-        """The sizes with one more mesh of so many faces."""
-        nodes = self.nodes + (2 << depth_for(faces))
-        return JoinedSizes(self.meshes + 1, max(self.faces, faces), self.slots + faces, nodes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class RaggedStructure:
 
     Args:
         meshes: They themselves, on their device.
-        sizes: Of the arrays up to each mesh, and of all.
+        rows: (meshes, 7) of each where it begins, see `RaggedBuild`.
         memory: The tensor that all arrays are parts of.
         parts: Where each mesh begins, see `sdm.kernels.bvh.tree`.
         view: The arrays for kernels: of the winding numbers, as if all meshes were closed.
@@ -73,7 +70,8 @@ class RaggedStructure:
     """
 
     meshes: list[TriangleMesh]
-    sizes: list[JoinedSizes]
+    sizes: JoinedSizes
+    rows: list[list[int]]
     memory: Tensor
     parts: Tensor
     view: KernelView
@@ -83,16 +81,23 @@ class RaggedStructure:
 
     def neighbours_of(self, mesh: int) -> Tensor:
         """The neighbours (F,4) of one mesh's faces, by their own numbers."""
-        return _own_neighbours(self.neighbours, self.sizes[mesh].slots, len(self.meshes[mesh]))
+        return _own_neighbours(self.neighbours, *self.rows[mesh][: COUNT + 1])
 
     def boundary_of(self, mesh: int) -> Tensor:
         """The boundary edges (E,2) of one mesh."""
         topology = self.topologies.get(mesh)
         return self.meshes[mesh].faces.new_empty((0, 2)) if topology is None else topology.boundary
 
+    def remember_pairing(self, mesh: int) -> None:
+        """Let others know what the faces of one mesh say, who would find it anew."""
+        faces, count = self.meshes[mesh].faces, self.meshes[mesh].vertices.shape[0]
+        if mesh not in self.topologies and not is_known(faces, count):
+            remember(faces, count, Pairing(faces.new_empty((0, 3)), self.neighbours_of(mesh)))
+
     def of_mesh(self, mesh: int) -> AccelerationStructure:
         """The structure of one mesh, over the same memory; what only an open mesh has is made here."""
-        count, begin = len(self.meshes[mesh]), self.sizes[mesh]
+        first_slot, count, _, first_node, *_ = self.rows[mesh]
+        begin = JoinedSizes(mesh, 0, first_slot, first_node)
         topology = self.topologies.get(mesh)
         edges = 0 if topology is None else topology.boundary.shape[0]
         sizes, tensors = Sizes(1, count, edges, kind_of(edges, count)), []
@@ -112,7 +117,7 @@ class RaggedStructure:
 
     @cached_property
     def _tensors(self) -> list[Tensor]:
-        return AccelerationStructure.in_block(cast(Sizes, self.sizes[-1]), self.memory.device, self.memory).tensors
+        return AccelerationStructure.in_block(cast(Sizes, self.sizes), self.memory.device, self.memory).tensors
 
 
 class RaggedBuild:
@@ -127,17 +132,20 @@ class RaggedBuild:
     """
 
     def __init__(self, meshes: Sequence[TriangleMesh]) -> None:
-        device, self._meshes, self._sizes = meshes[0].device, list(meshes), [JoinedSizes()]
-        self._rows: list[tuple[int, ...]] = []
-        first_vertex = 0
-        for mesh in meshes:
-            count, vertex_count, begin = len(mesh), mesh.vertices.shape[0], self._sizes[-1]
-            self._rows.append((begin.slots, count, depth_for(count), begin.nodes, 0, first_vertex, vertex_count))
-            self._sizes.append(begin.with_mesh(count))
-            first_vertex += vertex_count
-        sizes = self._sizes[-1]
-        table = to_device(torch.tensor(self._rows, dtype=torch.int32), device)
-        vertices = torch.cat([mesh.vertices.detach() for mesh in meshes])
+        device, self._meshes = meshes[0].device, list(meshes)
+        counts = [mesh.faces.shape[0] for mesh in meshes]
+        vertex_counts = [mesh.vertices.shape[0] for mesh in meshes]
+        depths = [depth_for(count) for count in counts]
+        slots, nodes = [0, *accumulate(counts)], [0, *accumulate([2 << depth for depth in depths])]
+        first_vertices = [0, *accumulate(vertex_counts)]
+        first_vertex, left_out = first_vertices[-1], [0] * len(counts)
+        columns = slots[:-1], counts, depths, nodes[:-1], left_out, first_vertices[:-1], vertex_counts
+        rows = np.array(columns, np.int32).T.copy()
+        self._rows: list[list[int]] = rows.tolist()
+        self._sizes = sizes = JoinedSizes(len(counts), max(counts), slots[-1], nodes[-1])
+        table = to_device(torch.from_numpy(rows), device)
+        with torch.no_grad():
+            vertices = torch.cat([mesh.vertices for mesh in meshes])
         faces, self._out_of_range = _joined_faces(meshes, table, sizes.slots)
         self._parts = table[:, :PART_SIZE].contiguous()
         # Typed for meshes that share faces, but only these attributes are looked at.
@@ -154,10 +162,10 @@ class RaggedBuild:
             bounds = as_warp(self._bounds, wp.float32)
             fill_surface(self.view, vertices[None], faces, self._pairing.neighbours, bounds)
 
-    def leave_out(self, levels: Sequence[int]) -> None:
-        """Have candidate lists do without so many last levels of each tree."""
-        if any(levels):
-            self._parts[:, LEFT_OUT] = to_device(torch.tensor(levels, dtype=torch.int32), self._parts.device)
+    def leave_out(self, levels: Tensor | None) -> None:
+        """Have candidate lists do without so many last levels of each tree, if not None: (meshes,), on the device."""
+        if levels is not None:
+            self._parts[:, LEFT_OUT] = levels
 
     def finish(self, numbers: Sequence[int]) -> RaggedStructure:
         """The structures, once the device has found the boundaries.
@@ -174,7 +182,7 @@ class RaggedBuild:
             _refuse_out_of_range(self._meshes, numbers)
         topologies = _open_topologies(self._meshes, self._rows, pairing)
         return RaggedStructure(
-            self._meshes, self._sizes, *self.memory, self.view, self._bounds, topologies, pairing.neighbours
+            self._meshes, self._sizes, self._rows, *self.memory, self.view, self._bounds, topologies, pairing.neighbours
         )
 
 
@@ -210,7 +218,7 @@ def _own_neighbours(neighbours: Tensor, first: int, count: int) -> Tensor:
 
 
 def _open_topologies(
-    meshes: Sequence[TriangleMesh], rows: Sequence[tuple[int, ...]], pairing: Pairing
+    meshes: Sequence[TriangleMesh], rows: Sequence[list[int]], pairing: Pairing
 ) -> dict[int, MeshTopology]:
     """Topology of each mesh with a boundary; what its faces say by themselves is taken from the pairing of all."""
     if pairing.unmatched.shape[0] == 0:
