@@ -120,7 +120,7 @@ class MapCheck:
 
 
 def later_check(mesh: TriangleMesh, prefix: str, sign: str) -> Callable[[Grid, int], None] | None:
-    """What `MapCheck` makes of one map of a mesh that nobody watches, for a map that is read on the host later."""
+    """Check of one map of a mesh that nobody watches, for a map that is read on the host later."""
     vertices, faces = mesh.vertices, mesh.faces
     if _warnings.are_off or vertices.is_inference() or faces.is_inference():
         return None
