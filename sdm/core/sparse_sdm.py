@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -124,8 +125,9 @@ class SparseSDM:
 
     def background(self, blocks: Any) -> Float[Tensor, "*m"]:
         """The value (...) of all voxels of blocks (...,3) that are not stored: the width, or minus the width inside."""
-        wanted = torch.as_tensor(blocks, device=self.device)
-        inside = are_in_runs(self.inside, keys_of(wanted, blocks_along(self.shape)), blocks_along(self.shape))
+        wanted, count = torch.as_tensor(blocks, device=self.device), blocks_along(self.shape)
+        within = ((wanted >= 0) & (wanted < torch.tensor(count, device=self.device))).all(-1)
+        inside = within & are_in_runs(self.inside, keys_of(wanted, count), count)
         return torch.where(inside, -self.width, self.width).to(self.values.dtype)
 
     def at(self, voxels: Any) -> Float[Tensor, "*m"]:
@@ -156,15 +158,14 @@ class SparseSDM:
         origin = matrix[:3, 3] + matrix[:3, :3] @ begin
         shape = [high - low for low, high in zip(begin, end, strict=True)]
         grid = self.grid if box is None else Grid(origin, self.grid.spacing, shape, self.grid.direction)
-        return SDM(values, grid, self.ambiguous_voxels if box is None else None, sign=self.sign)
+        return SDM(values, grid, sign=self.sign, truncated=self.width)
 
     def sample(self, points: Any, order: Literal[1, 3] = 1) -> Float[Tensor, "*n"]:
-        """Interpolation of the band: trilinear (`order=1`), or by cubic convolution of 4^3 voxels (`order=3`).
+        """Interpolation of the band, as `SDM.sample` interpolates the clamped map.
 
         Args:
             points: (...,3) coordinates in the mesh's unit, NumPy or torch.
-            order: 1, exact for linear maps and continuous; 3, exact for quadratic ones, with continuous derivatives
-                (Keys 1981).
+            order: 1 for trilinear, from the eight voxels around; 3 for tricubic (`sdm.core.tricubic`), from 64.
 
         Returns:
             (...) on the band's device, NaN beyond the outermost voxel centres. Differentiable in `points` and in the
@@ -194,6 +195,22 @@ class SparseSDM:
             keep = self.values.requires_grad
             (slope,) = torch.autograd.grad(found.nansum(), at, create_graph=keep)
         return slope.to(self.values.dtype).masked_fill(found.isnan()[..., None], torch.nan)
+
+    def save(self, path: str | Path) -> None:
+        """Write to `.npz`, `.zarr` or `.nvdb`, as the name ends; atomic. `sdm.load` reads it."""
+        from sdm.io import save
+
+        save(self, path)
+
+    def to_warp(self) -> Any:
+        """A `warp.Volume` (NanoVDB) on the band's device: a level set whose active voxels are those of the band.
+
+        Values are copied once, on the device, as NanoVDB's leaves have them between other things. Blocks that are not
+        stored are tiles with the width, or minus the width inside.
+        """
+        from sdm.io.bands.volume import volume_of
+
+        return volume_of(self)
 
 
 _PLAIN = ("grid", "width", "ambiguous_voxels", "sign")

@@ -25,7 +25,7 @@ def tricubic(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tensor
     place = (points.double() - origin) @ turn / step
     # False for NaN too.
     beyond = ~((place >= -SLACK) & (place <= size - 1 + SLACK)).all(1)
-    axes = [_weights(place[:, axis], count) for axis, count in enumerate(grid.shape)]
+    axes = [cubic_weights(place[:, axis], count) for axis, count in enumerate(grid.shape)]
     (x, x_share), (y, y_share), (z, z_share) = axes
     flat = values.reshape(-1)
     _, ny, nz = grid.shape
@@ -38,7 +38,7 @@ def tricubic(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tensor
     return found.to(values.dtype).masked_fill(beyond, torch.nan)
 
 
-def _weights(place: Float[Tensor, " n"], count: int) -> tuple[Tensor, Tensor]:
+def cubic_weights(place: Float[Tensor, " n"], count: int) -> tuple[Tensor, Tensor]:
     """The four voxels (N,4) around each place along an axis of `count`, and their weights (N,4)."""
     low = place.detach().nan_to_num().floor().long().clamp(0, max(count - 2, 0))
     t = place - low

@@ -5,7 +5,7 @@ superior (RAS+) by its standard; an NRRD file is written with the same numbers i
 mesh in another space (LPS, as some medical software exports) has to be turned before it meets such an image.
 """
 
-from sdm.io.maps.api import grid_like, load, save, write_streamed
+from sdm.io.maps.api import grid_like, load, load_band, save, write_streamed
 from sdm.io.maps.formats import FORMATS, check_target
 from sdm.io.meshes.load import load_mesh, mesh_files
 from sdm.io.meshes.mesh_tree import mesh_tree
@@ -16,6 +16,7 @@ __all__ = [
     "check_target",
     "grid_like",
     "load",
+    "load_band",
     "load_mesh",
     "mesh_files",
     "mesh_tree",

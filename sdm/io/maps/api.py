@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 
@@ -14,7 +14,9 @@ from sdm.core.device import require_memory
 from sdm.core.grid import Grid
 from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
+from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError, GridError, SDMError
+from sdm.io.bands.api import is_band, read_band, save_band
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
 from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
@@ -34,11 +36,11 @@ class VoxelCounts(NamedTuple):
     ambiguous: int
 
 
-def save(field: SDM, path: str | Path) -> None:
+def save(field: SDM | SparseSDM, path: str | Path) -> None:
     """Write a map to `.npz`, `.nii`, `.nii.gz`, `.nrrd`, `.zarr` or `.nvdb`, as the name ends.
 
     Args:
-        field: The map, on any device; values are written as float32.
+        field: The map, on any device; values are written as float32. A narrow band goes to `.npz`, `.zarr` or `.nvdb`.
         path: Where to. What is there is replaced once the new file is whole.
 
     `load` gives the same values and, to the last bit, the same geometry. A process killed on the way leaves what was
@@ -47,6 +49,9 @@ def save(field: SDM, path: str | Path) -> None:
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
     """
+    if isinstance(field, SparseSDM):
+        save_band(field, Path(path))
+        return
     save_made_from(field, Path(path), None)
 
 
@@ -60,15 +65,34 @@ def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
 def load(path: str | Path) -> SDM:
     """Read a map that `save` wrote, or any NIfTI or NRRD image of three dimensions, onto the host.
 
+    A file of a narrow band gives a `SparseSDM`; `load_band` takes no other files, and is typed so.
+
     Raises:
         FormatError: No such file, an ending that is not known, or a file that is damaged or not a map.
     """
     source = Path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):
+        if is_band(source):
+            # Most files hold maps, and most callers would have to ask which they have.
+            return cast("SDM", read_band(source))
         grid = chosen.module.read_grid(source)
         require_memory(grid.nbytes, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")
         return chosen.module.read(source)
+
+
+def load_band(path: str | Path) -> SparseSDM:
+    """Read a narrow band that `save` wrote, onto the host.
+
+    Raises:
+        FormatError: As `load`, or a file of a map.
+    """
+    source = Path(path)
+    _readable(source, FORMATS)
+    with _reading(source):
+        if not is_band(source):
+            raise FormatError(f"{source} has no narrow band; sdm.load reads maps")
+        return read_band(source)
 
 
 def grid_like(path: str | Path | Any) -> Grid:

@@ -14,7 +14,7 @@ from sdm.core.device import free_memory, require_memory
 from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
 from sdm.io.files.atomic import try_to_write
-from sdm.io.maps.record import KEY
+from sdm.io.maps.record import BAND_KEY, KEY
 
 # Bytes that are always there; asking takes time.
 SMALL = 1 << 26
@@ -112,7 +112,8 @@ def _is_map(path: Path) -> bool:
     """True if a Zarr folder is a map that `sdm.io.maps.zarr` wrote: nothing else is to be replaced."""
     try:
         found = json.loads((path / METADATA).read_bytes())
-        return found["node_type"] == "array" and KEY in found["attributes"]
+        # A narrow band is a group of arrays.
+        return (KEY if found["node_type"] == "array" else BAND_KEY) in found["attributes"]
     except (OSError, ValueError, TypeError, KeyError):
         return False
 

@@ -64,14 +64,14 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     for begin in range(0, len(values), LAYERS):
         slab = np.ascontiguousarray(values[begin : begin + LAYERS])
         store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False))
-    _complete_header(volume.array().numpy().view(np.uint8), field, made_from)
+    complete_header(volume.array().numpy().view(np.uint8), field, made_from)
     volume.save_to_nvdb(str(path))
-    _compress(path)
+    compress(path)
 
 
 def read(path: Path) -> SDM:
     """Read a map that sdm wrote."""
-    grid, count = _geometry(path)
+    grid, count = geometry(path)
     with path.open("rb") as file:
         volume = wp.Volume.load_from_nvdb(file, device="cpu")
     values = np.empty(grid.shape, dtype=np.float32)
@@ -83,12 +83,12 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
-    return _geometry(path)[0]
+    return geometry(path)[0]
 
 
-def read_record(path: Path) -> Any:
+def read_record(path: Path, pattern: re.Pattern[str] = NAME) -> Any:
     """Read what is kept beside the values, but for the geometry."""
-    *_, packed, digest, letter, differ = _named(path)
+    *_, packed, digest, letter, differ = _named(path, pattern)
     numbers = np.frombuffer(base64.b64decode(packed), "<f8").tolist()
     hole = numbers[HOLE] if len(numbers) > HOLE and not math.isnan(numbers[HOLE]) else None
     cut = numbers[CUT] if len(numbers) > CUT else None
@@ -120,7 +120,7 @@ def _least_of_blocks(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def _compress(path: Path) -> None:
+def compress(path: Path) -> None:
     """Compress the volume in a file that Warp wrote, whose own way to do it takes ten times as long."""
     data = path.read_bytes()
     at = FILE_NAME_AT + struct.unpack_from("<I", data, FILE_NAME_SIZE_AT)[0]
@@ -134,8 +134,8 @@ def _compress(path: Path) -> None:
             file.write(part)
 
 
-def _complete_header(data: np.ndarray, field: SDM, made_from: str | None) -> None:
-    """Write name, class and double-precision transform into a volume's own bytes."""
+def complete_header(data: np.ndarray, field: SDM, made_from: str | None, word: str = "sdm") -> None:
+    """Write name, which begins with a word, class and double-precision transform into a volume's own bytes."""
     grid = field.grid
     numbers = struct.pack("<15d", *grid.origin, *grid.spacing, *np.ravel(grid.direction))
     if field.hole_size is not None or field.truncated is not None:
@@ -143,7 +143,7 @@ def _complete_header(data: np.ndarray, field: SDM, made_from: str | None) -> Non
     if field.truncated is not None:
         numbers += struct.pack("<d", field.truncated)
     count = "-" if field.ambiguous_voxels is None else str(field.ambiguous_voxels)
-    words = ["sdm", "x".join(map(str, grid.shape)), count, base64.b64encode(numbers).decode()]
+    words = [word, "x".join(map(str, grid.shape)), count, base64.b64encode(numbers).decode()]
     words += [] if made_from is None else [made_from]
     letters = [letter for letter, sign in SIGNS.items() if sign == field.sign]
     words += [f"{letter}{'' if field.sign_disagreements is None else field.sign_disagreements}" for letter in letters]
@@ -160,20 +160,25 @@ def _complete_header(data: np.ndarray, field: SDM, made_from: str | None) -> Non
         data[place : place + len(content)] = np.frombuffer(content, dtype=np.uint8)
 
 
-def _geometry(path: Path) -> tuple[Grid, int | None]:
-    *shape, count, packed, _, _, _ = _named(path)
+def geometry(path: Path, pattern: re.Pattern[str] = NAME) -> tuple[Grid, int | None]:
+    """Geometry of a map, and how many voxels are ambiguous."""
+    *shape, count, packed, _, _, _ = _named(path, pattern)
     numbers = struct.unpack_from("<15d", base64.b64decode(packed))
     grid = Grid(numbers[:3], numbers[3:6], [int(n) for n in shape], np.reshape(numbers[6:], (3, 3)))
     return grid, None if count == "-" else int(count)
 
 
-def _named(path: Path) -> tuple[str, ...]:
+def _named(path: Path, pattern: re.Pattern[str]) -> tuple[str, ...]:
     """The parts of the grid's name; the last three are None where mesh, sign and count of disagreements are unknown."""
-    with path.open("rb") as file:
-        head = file.read(FILE_NAME_AT + NAME_SIZE + 1)
-    size = struct.unpack_from("<I", head, FILE_NAME_SIZE_AT)[0]
-    name = head[FILE_NAME_AT : FILE_NAME_AT + size].split(b"\0")[0].decode("latin-1")
-    found = NAME.fullmatch(name)
+    found = pattern.fullmatch(grid_name(path))
     if found is None:
         raise FormatError(f"{path} was not written by sdm: it does not say where its values are")
     return found.groups()
+
+
+def grid_name(path: Path) -> str:
+    """The name of a file's grid."""
+    with path.open("rb") as file:
+        head = file.read(FILE_NAME_AT + NAME_SIZE + 1)
+    size = struct.unpack_from("<I", head, FILE_NAME_SIZE_AT)[0]
+    return head[FILE_NAME_AT : FILE_NAME_AT + size].split(b"\0")[0].decode("latin-1")

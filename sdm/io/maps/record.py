@@ -19,6 +19,8 @@ from sdm.errors import FormatError
 VERSION = 1
 # Under this name, where a format has names.
 KEY = "sdm"
+# The same of a narrow band.
+BAND_KEY = "sdm_band"
 # In it, the digest of the mesh, where it is known.
 MADE_FROM = "made_from"
 # In it, the method by which the map is signed, and what belongs to it, where it is known.

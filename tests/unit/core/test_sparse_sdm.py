@@ -59,9 +59,10 @@ def test_interpolation_and_its_gradient(band, order):
     assert abs(float(values.grad.sum()) - 20) < 1e-9
 
 
-def test_linear_interpolation_is_that_of_the_dense_map(band):
+@pytest.mark.parametrize("order", [1, 3])
+def test_interpolation_is_that_of_the_dense_map(band, order):
     points = torch.from_numpy(np.random.default_rng(1).uniform(-1.5, 1.5, (2000, 3)))
-    there, here = band.to_dense().sample(points), band.sample(points)
+    there, here = band.to_dense().sample(points, order), band.sample(points, order)
     assert torch.equal(there.isnan(), here.isnan())
     assert here.isnan().any()
     assert torch.allclose(there, here, atol=1e-7, equal_nan=True)

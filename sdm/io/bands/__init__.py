@@ -1,0 +1,1 @@
+"""Narrow bands in files: `.npz`, `.zarr` and `.nvdb`."""

@@ -1,0 +1,60 @@
+"""Bands in `.zarr` (version 3): a group with the arrays blocks, values and inside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import zarr
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from sdm.core.sparse_sdm import SparseSDM
+from sdm.errors import FormatError
+from sdm.io.bands.band_record import ARRAYS, arrays_of, band_from, band_record
+from sdm.io.maps.record import BAND_KEY, NO_VALUES, verify, with_checksum
+
+# Rows of a chunk: 8 MiB of values.
+ROWS = 1 << 12
+
+
+def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
+    """Write a band."""
+    group = zarr.create_group(store=path)
+    for name, values in arrays_of(band).items():
+        array = group.create_array(
+            name=name,
+            shape=values.shape,
+            chunks=(max(1, min(ROWS, len(values))), *values.shape[1:]),
+            dtype=values.dtype,
+            compressors=[ZstdCodec(level=0), Crc32cCodec()],
+            fill_value=float("nan") if values.dtype.kind == "f" else -1,
+            config={"write_empty_chunks": True},
+        )
+        if len(values):
+            array[:] = values
+    group.attrs[BAND_KEY] = with_checksum(band_record(band, made_from), NO_VALUES)
+
+
+def read(path: Path) -> SparseSDM:
+    """Read a band."""
+    group = zarr.open_group(path, mode="r")
+    kept = group.attrs.get(BAND_KEY)
+    verify(kept, NO_VALUES, str(path))
+    arrays = {name: _read(group, name, path) for name in ARRAYS}
+    return band_from(kept, arrays, str(path))
+
+
+def _read(group: zarr.Group, name: str, path: Path) -> torch.Tensor:
+    array: Any = group[name]
+    # Zarr reads a chunk that is gone as the fill value, without a word.
+    if array.size and (lost := array.nchunks - array.nchunks_initialized):
+        raise FormatError(f"{path} has lost {lost:,} of its {array.nchunks:,} chunks: copy or compute the band again")
+    return torch.from_numpy(np.ascontiguousarray(array[:], dtype=ARRAYS[name]))
+
+
+def is_band(path: Path) -> bool:
+    """True if a folder has a band."""
+    opened = zarr.open(path, mode="r")
+    return isinstance(opened, zarr.Group) and BAND_KEY in opened.attrs
