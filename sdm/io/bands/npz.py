@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,8 +16,9 @@ from sdm.io.maps.record import BAND_KEY
 
 def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
     """Write a band, not compressed: distances hardly shrink."""
+    kept: dict[str, Any] = {**arrays_of(band), BAND_KEY: np.asarray(json.dumps(band_record(band, made_from)))}
     with path.open("wb") as file:
-        np.savez(file, **arrays_of(band), **{BAND_KEY: np.asarray(json.dumps(band_record(band, made_from)))})
+        np.savez(file, **kept)
 
 
 def read(path: Path) -> SparseSDM:
