@@ -95,6 +95,15 @@ class SparseSDM:
         """Number of voxels in the band; counting them waits for the device."""
         return int((self.values.detach().abs() < self.width).sum())
 
+    @cached_property
+    def inside_voxels(self) -> int:
+        """Number of voxels of the grid with a negative value; counting them waits for the device."""
+        x, y, begin, end = self.inside.long().unbind(1)
+        nx, ny, nz = self.shape
+        across = (nx - BLOCK * x).clamp(max=BLOCK) * (ny - BLOCK * y).clamp(max=BLOCK)
+        hidden = across * ((BLOCK * end).clamp(max=nz) - BLOCK * begin)
+        return int((self.values.detach() < 0).sum() + hidden.sum())
+
     def with_values(self, values: Float[Tensor, "n 8 8 8"]) -> SparseSDM:
         """A band with other values, such as ones that are trained, and all else as it is."""
         kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "values"}

@@ -52,6 +52,7 @@ def compute(
     ] = None,
     dtype: Literal["float32", "float16"] = "float32",
     truncate: Annotated[float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: none)")] = None,
+    band: Annotated[float | None, tyro.conf.arg(metavar="VOXELS", help_behavior_hint="(default: all voxels)")] = None,
     resume: bool = False,
     skip_bad: bool = False,
     report: Annotated[
@@ -87,6 +88,8 @@ def compute(
             that unit.
         dtype: Type of the values in .npz and .zarr files.
         truncate: Distances beyond this length become this, with their sign; a .nvdb file then keeps the blocks within.
+        band: Write a narrow band alone (sdm.SparseSDM): the voxels so near to the surface, 3 for example, in blocks of
+            8^3. Time and memory grow with the surface. To .npz, .zarr or .nvdb.
         resume: Skip meshes whose map is there already: on the same grid, and made from the same mesh (checksum stored
             in the map). Other files under its name are replaced.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
@@ -128,6 +131,7 @@ def compute(
         normalize=normalize,
         dtype=dtype,
         truncate=truncate,
+        band=band,
         resume=resume,
     )
     if grid_like is not None and not is_placed(grid_like):
@@ -136,7 +140,7 @@ def compute(
             "it is placed as nibabel does, and other software may lay the map elsewhere than the image",
             file=sys.stderr,
         )
-    jobs = plan(meshes, out, format)
+    jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
     # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like
     if report is None and skip_bad and out.is_dir() and not is_map_name(out):

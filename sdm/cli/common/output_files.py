@@ -12,13 +12,14 @@ from sdm.io import FORMATS, mesh_tree
 DEFAULT_ENDING = "nii.gz"
 
 
-def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, Path]]:
+def plan(meshes: list[Path], out: Path, ending: str | None, default: str = DEFAULT_ENDING) -> list[tuple[Path, Path]]:
     """Pairs of a mesh file and the map's file, in order.
 
     Args:
         meshes: Files, and folders whose mesh files are meant, also those of the folders in them.
         out: A file if it ends like a map, else a folder, which is made.
         ending: The format that was requested, without the dot.
+        default: The format in a folder if none was.
 
     In a folder a map lies and is named as `places_in` says.
 
@@ -42,7 +43,7 @@ def plan(meshes: list[Path], out: Path, ending: str | None) -> list[tuple[Path, 
     if one and out.suffix and not out.is_dir():
         raise FormatError(f"{out} does not end like a map: use one of .{', .'.join(FORMATS)}, or make the folder")
     places = places_in(sources)
-    targets = [out / place.with_name(f"{place.name}.{ending or DEFAULT_ENDING}") for place in places]
+    targets = [out / place.with_name(f"{place.name}.{ending or default}") for place in places]
     for folder in dict.fromkeys([out, *(target.parent for target in targets)]):
         _make(folder)
     return list(zip(sources, targets, strict=True))

@@ -39,6 +39,7 @@ class Settings:
         hole_size: Of a flood, the narrowest gaps that it passes.
         dtype: Of the values in the files.
         truncate: Distances beyond this become this, with their sign.
+        band: Half the width of narrow bands, in voxels, which files then have in place of maps.
         resume: Whether maps of the same triangles that are there on the same grid are left.
     """
 
@@ -57,8 +58,17 @@ class Settings:
     normalize: Normal | None = None
     dtype: Literal["float32", "float16"] = "float32"
     truncate: float | None = None
+    band: float | None = None
 
     def __post_init__(self) -> None:
+        if self.band is not None:
+            from sdm.engine.band.calls import check_options
+
+            check_options(self.band, self.sign)
+            if self.truncate is not None or self.normalize is not None or self.dtype != "float32":
+                raise SDMError(
+                    "a narrow band is cut at its width, in float32: --truncate, --normalize and --dtype are for maps"
+                )
         if self.truncate is not None and not (math.isfinite(self.truncate) and self.truncate > 0):
             raise SDMError(f"--truncate is {self.truncate:g}: give a positive length")
 
@@ -110,5 +120,6 @@ class Settings:
         """All that a file's values depend on besides the triangles and the grid, for its digest."""
         words = [] if self.sign == "winding" else [self.sign, self.hole_size]
         words += [] if self.dtype == "float32" else [self.dtype]
+        words += [] if self.band is None else ["band", self.band]
         words += [] if self.truncate is None else ["truncate", self.truncate]
         return "".join(f" {word}" for word in words)

@@ -21,6 +21,7 @@ from sdm.engine.map_check import quiet
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
+from sdm.io.bands.api import check_band_target, save_band
 from sdm.io.maps.api import made_from, save_made_from
 from sdm.io.maps.formats import format_of, require_memory_to_write
 from sdm.io.maps.record import digest_of
@@ -46,7 +47,10 @@ class MapStages:
     def read(self, task: MapTask) -> ReadMesh:
         """Read and place a mesh, and see whether its map is there already."""
         start, settings = time.perf_counter(), self._settings
-        check_target(task.target)
+        if settings.band is None:
+            check_target(task.target)
+        else:
+            check_band_target(task.target)
         mesh, by = settings.placed(load_mesh(task.source))
         grid = settings.grid(mesh)
         settings.check(grid, task.target)
@@ -88,6 +92,11 @@ class MapStages:
         settings = self._settings
         chosen = format_of(read.task.target)
         index = MeshIndex(read.measured, settings.device, warn=False)
+        if settings.band is not None:
+            band = index.narrow_band(read.grid, half_width=settings.band, sign=settings.sign)
+            save_band(band, read.task.target, read.digest)
+            self._progress(1.0)
+            return Measured(read, None, band.inside_voxels, band.ambiguous_voxels or 0, read.seconds)
         signs: dict[str, Any] = {"sign": settings.sign, "hole_size": settings.hole_size}
         require_memory_to_write(chosen, read.grid, settings.device)
         if not (self._is_by_itself(read) and chosen.streamed):
@@ -113,7 +122,7 @@ class MapStages:
         return Measured(read, None, counts.inside, counts.ambiguous, read.seconds)
 
     def _is_by_itself(self, read: ReadMesh) -> bool:
-        return self._alone or read.grid.nbytes > LARGEST_BESIDE
+        return self._alone or self._settings.band is not None or read.grid.nbytes > LARGEST_BESIDE
 
     def _on_the_way(self, read: ReadMesh, field: SDM) -> Measured:
         """A map on its way to the host, cut and of its type."""

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.io.bands.band_record import ARRAYS, arrays_of, band_from, band_record
-from sdm.io.maps.record import BAND_KEY
+from sdm.io.maps.record import BAND_KEY, MADE_FROM, from_record
 
 
 def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
@@ -26,6 +27,13 @@ def read(path: Path) -> SparseSDM:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         arrays = {name: torch.from_numpy(np.ascontiguousarray(archive[name])) for name in ARRAYS}
         return band_from(json.loads(str(archive[BAND_KEY])), arrays, str(path))
+
+
+def read_origin(path: Path) -> tuple[Grid, str | None]:
+    """The grid, and the digest of the mesh."""
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        kept = json.loads(str(archive[BAND_KEY]))
+        return from_record(kept, str(path))[0], kept.get(MADE_FROM)
 
 
 def is_band(path: Path) -> bool:

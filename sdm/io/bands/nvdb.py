@@ -14,11 +14,12 @@ import torch
 import warp as wp
 
 from sdm.core.block_lookup import blocks_along, keys_of
+from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError
 from sdm.io.bands.volume import inside_of, joined, nodes_of, volume_of
 from sdm.io.maps import nvdb
-from sdm.io.maps.record import SIGN_METHOD, TRUNCATED
+from sdm.io.maps.record import MADE_FROM, SIGN_METHOD, TRUNCATED
 
 WORD = "sdmband"
 NAME = re.compile(nvdb.NAME.pattern.replace("sdm ", f"{WORD} ", 1))
@@ -64,6 +65,11 @@ def read(path: Path) -> SparseSDM:
     inside = torch.cat([inside_of(nodes, grid), torch.cat([leaf, leaf[:, 2:] + 1], 1)])
     inside = joined(inside, blocks_along(grid.shape))
     return SparseSDM(blocks[near], values[near], inside, grid, width, count, kept[SIGN_METHOD])
+
+
+def read_origin(path: Path) -> tuple[Grid, str | None]:
+    """The grid, and the digest of the mesh."""
+    return nvdb.geometry(path, NAME)[0], nvdb.read_record(path, NAME)[MADE_FROM]
 
 
 def is_band(path: Path) -> bool:

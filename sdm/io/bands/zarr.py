@@ -10,10 +10,11 @@ import torch
 import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
+from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError
 from sdm.io.bands.band_record import ARRAYS, arrays_of, band_from, band_record
-from sdm.io.maps.record import BAND_KEY, NO_VALUES, verify, with_checksum
+from sdm.io.maps.record import BAND_KEY, MADE_FROM, NO_VALUES, from_record, verify, with_checksum
 
 # Rows of a chunk: 8 MiB of values.
 ROWS = 1 << 12
@@ -44,6 +45,13 @@ def read(path: Path) -> SparseSDM:
     verify(kept, NO_VALUES, str(path))
     arrays = {name: _read(group, name, path) for name in ARRAYS}
     return band_from(kept, arrays, str(path))
+
+
+def read_origin(path: Path) -> tuple[Grid, str | None]:
+    """The grid, and the digest of the mesh."""
+    kept: Any = zarr.open_group(path, mode="r").attrs.get(BAND_KEY)
+    verify(kept, NO_VALUES, str(path))
+    return from_record(kept, str(path))[0], kept.get(MADE_FROM)
 
 
 def _read(group: zarr.Group, name: str, path: Path) -> torch.Tensor:

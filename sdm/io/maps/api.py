@@ -16,7 +16,7 @@ from sdm.core.normalization import Normalization
 from sdm.core.signed_distance_map import SDM
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError, GridError, SDMError
-from sdm.io.bands.api import is_band, read_band, save_band
+from sdm.io.bands.api import band_origin, is_band, read_band, save_band
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
 from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
@@ -112,7 +112,7 @@ def grid_like(path: str | Path | Any) -> Grid:
     source = Path(path)
     chosen = _readable(source, FORMATS | HEADERS)
     with _reading(source):
-        return chosen.module.read_grid(source)
+        return band_origin(source)[0] if is_band(source) else chosen.module.read_grid(source)
 
 
 def is_placed(path: str | Path) -> bool:
@@ -136,6 +136,8 @@ def made_from(path: str | Path) -> str | None:
     source = Path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):
+        if is_band(source):
+            return band_origin(source)[1]
         found = chosen.module.read_record(source)
     return found.get(MADE_FROM) if isinstance(found, dict) else None
 
