@@ -21,7 +21,6 @@ from sdm.shapes.family import Family, Group, Parameter, as_theta
 from sdm.shapes.triage import reason_to_reject
 from sdm.shapes.vertex_op import vertex_op
 
-SUFFIXES = (".ply", ".stl", ".obj", ".off")
 # Half a wave of the warp spans a mesh of half-length 1, so it bends a shape as a whole.
 FREQUENCY = math.pi / 2
 # With every coefficient within [-1,1] this amplitude makes the warp's Lipschitz bound exactly 1.
@@ -42,7 +41,8 @@ class MeshFolder(Family):
     """Your own closed meshes, varied at random.
 
     Args:
-        source: A folder, whose .ply, .stl, .obj and .off files are read in order of name, or a sequence of meshes.
+        source: A folder, whose mesh files, also those of the folders in it, are read in order of their paths, or a
+            sequence of meshes.
         normalize: Put each mesh's box about the origin with its longest edge 2 long; otherwise each stays where it is.
         rotation: Largest angle of the random rotation [degrees]; None for all rotations alike.
         scale: Least and greatest factor.
@@ -53,10 +53,12 @@ class MeshFolder(Family):
             two sheets are closer than their triangles are long, a strong warp can still make them meet.
         open_meshes: "reject" meshes with holes or turned faces, whose inside would not be defined, or "keep" them.
         skip_bad: Go on without the files that cannot be used. `rejected` lists them with the reason either way.
+        split: Of a folder that `sdm split` has split, the part to use, such as "train": streams of two parts never
+            show the same shape.
 
     Attributes:
         meshes: Those that are used, outward oriented.
-        rejected: (name, reason) of each file that is not.
+        rejected: (name, reason) of each file that is not; of a file its path below the folder.
 
     Parameters (26): `mesh`, whose whole part is the number of the mesh; `scale`; three of the rotation; three of the
     shift; 18 coefficients of the warp.
@@ -84,17 +86,18 @@ class MeshFolder(Family):
         warp: float = 0.5,
         open_meshes: str = "reject",
         skip_bad: bool = False,
+        split: str | None = None,
     ) -> None:
         self.parameters = _parameters(rotation, scale, shift, warp)
         if open_meshes not in ("reject", "keep"):
             raise MeshError(f"open_meshes is {open_meshes!r}; use 'reject' or 'keep'")
-        self.meshes, self.rejected = _read(source, open_meshes == "keep")
+        self.meshes, self.rejected = _read(source, open_meshes == "keep", split)
         if self.rejected and not skip_bad:
             name, reason = self.rejected[0]
             others = f" (and {len(self.rejected) - 1} more)" if len(self.rejected) > 1 else ""
             raise MeshError(f"{name} cannot be used: {reason}{others}; mend it, or go on without it by skip_bad=True")
         if not self.meshes:
-            raise MeshError(f"there is no mesh to use in {source}; put {', '.join(SUFFIXES)} files there")
+            raise MeshError(f"there is no mesh to use in {source}; put mesh files there (.ply, .stl, .obj, .off, .glb)")
         count = Parameter("mesh", 0.0, float(len(self.meshes)))
         self.parameters = (count, *self.parameters)
 
@@ -236,21 +239,26 @@ def _parameters(rotation: float | None, scale: tuple[float, float], shift: float
 
 
 def _read(
-    source: str | Path | Sequence[TriangleMesh], keep_open: bool
+    source: str | Path | Sequence[TriangleMesh], keep_open: bool, split: str | None
 ) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
     from sdm.inspect import orient_outward
-    from sdm.io import load_mesh
+    from sdm.io import load_mesh, mesh_tree
+    from sdm.io.meshes.split_file import files_of_part
 
+    folder = Path()
     if isinstance(source, str | Path):
         folder = Path(source)
         if not folder.is_dir():
             raise MeshError(f"{folder} is not a folder; give a folder of meshes")
-        items: Sequence[Path | TriangleMesh] = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+        files = mesh_tree(folder)
+        items: Sequence[Path | TriangleMesh] = files if split is None else files_of_part(folder, split, files)
+    elif split is not None:
+        raise MeshError(f"a sequence of meshes has no part {split!r}: give a folder that sdm split has split")
     else:
         items = list(source)
     meshes, rejected = [], []
     for item in items:
-        name = item.name
+        name = item.relative_to(folder).as_posix() if isinstance(item, Path) else item.name
         try:
             mesh = orient_outward(load_mesh(item) if isinstance(item, Path) else item.to("cpu"))
             why = reason_to_reject(mesh, keep_open=keep_open)

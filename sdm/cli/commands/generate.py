@@ -46,6 +46,7 @@ def generate(
     resume: bool = False,
     verify: bool = False,
     skip_bad: bool = False,
+    split: Annotated[str | None, tyro.conf.arg(metavar="PART", help_behavior_hint="(default: all)")] = None,
     open_meshes: Annotated[
         Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
     ] = None,
@@ -88,6 +89,7 @@ def generate(
         resume: Finish a dataset that was cut off. Options may be left out; those that are given must be its own.
         verify: Look for damaged shards of a dataset, and make them again.
         skip_bad: Go on without the files of the folder that cannot be used; they are listed either way.
+        split: The part of the folder to use, of those that sdm split made of it.
         open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
             is kept follows the generalised winding number.
         triangles: About how many triangles a shape of a family has.
@@ -105,6 +107,7 @@ def generate(
 
     options = {
         "open_meshes": open_meshes,
+        "split": split,
         "triangles": triangles,
         "rotation": rotation,
         "scale": scale,

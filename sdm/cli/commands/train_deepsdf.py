@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -26,6 +27,8 @@ def deepsdf(
     seed: int = 0,
     device: str = "auto",
     resume: bool = False,
+    skip_bad: bool = False,
+    split: Annotated[str | None, tyro.conf.arg(metavar="PART", help_behavior_hint="(default: all)")] = None,
     compile: Annotated[  # noqa: A002
         bool | None, tyro.conf.arg(help_behavior_hint="(default: on GPUs)")
     ] = None,
@@ -37,7 +40,8 @@ def deepsdf(
     own: give --budget-s or --epochs. Under torchrun the shapes of a batch are shared by the processes.
 
     Args:
-        source: A family (cochlea, ...), or a folder of closed meshes, which are turned if they are inside out.
+        source: A family (cochlea, ...), or a folder of closed meshes, nested or not, which are turned if they are
+            inside out.
         out: Folder for the model; made if it is not there.
         variant: published: one code a shape; local: codes on coarse grids too, for unseen shapes of small sets.
         count: Shapes of a family.
@@ -49,6 +53,8 @@ def deepsdf(
         seed: Whole number that everything random depends on.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         resume: Go on from OUT/checkpoint if it is there. Without it an unfinished training is never replaced.
+        skip_bad: Go on without the meshes of the folder that cannot be used; they are listed either way.
+        split: The part of the folder to train on, of those that sdm split made of it.
         compile: Compile the network first.
     """
     from sdm.cli.common.progress import CountProgress
@@ -57,7 +63,7 @@ def deepsdf(
     from sdm.deepsdf.train.checkpoint import MODEL, refuse_unfinished_in
     from sdm.deepsdf.train.ranks import is_first, process_group
     from sdm.deepsdf.train.settings import VARIANTS
-    from sdm.errors import SDMError
+    from sdm.errors import MeshError, SDMError
     from sdm.io.maps.formats import check_file
     from sdm.training.budget import check_budget
     from sdm.training.checkpoints import training_folder
@@ -70,7 +76,13 @@ def deepsdf(
     if not resume:
         refuse_unfinished_in(out)
     with process_group(device) as where:
-        found = ShapeSet(_meshes(source, count), where)
+        meshes, rejected = _meshes(source, count, split)
+        if rejected and not skip_bad:
+            raise MeshError(rejected[0][1])
+        found = ShapeSet(meshes, where, skip_bad=skip_bad)
+        if is_first():
+            for name, why in (*rejected, *found.rejected):
+                print(f"sdm: {name} is not used: {why}", file=sys.stderr)
         # Of several ranks the first writes.
         with training_folder(out, lock=is_first()), CountProgress("steps") as progress:
             # Before the training, not at its first checkpoint.
@@ -91,22 +103,39 @@ def deepsdf(
         print(f"{path}: {len(found)} shapes of {source}, {path.stat().st_size / 2**20:.1f} MiB")
 
 
-def _meshes(source: str, count: int) -> list[TriangleMesh]:
+def _meshes(source: str, count: int, split: str | None) -> tuple[list[TriangleMesh], list[tuple[str, str]]]:
+    """The meshes, and of each file that cannot be read its name and the reason."""
     from sdm.core.mesh import TriangleMesh
     from sdm.dataset.family_registry import FAMILIES, describe, family_from
     from sdm.errors import SDMError
-    from sdm.io.meshes.load import load_mesh, mesh_files
+    from sdm.io import load_mesh, mesh_tree
+    from sdm.io.meshes.split_file import files_of_part
 
     options: dict[str, Any] = {}
     known = describe(source, options)
     if count < 1:
         raise SDMError(f"--count is {count}; give 1 or more shapes")
     if source not in FAMILIES:
-        return [load_mesh(path) for path in mesh_files(known["folder"])]
+        folder = Path(known["folder"])
+        files, rejected = mesh_tree(folder), []
+        meshes = []
+        for path in files if split is None else files_of_part(folder, split, files):
+            name = path.relative_to(folder).as_posix()
+            try:
+                mesh = load_mesh(path)
+            except SDMError as error:
+                rejected.append((name, str(error)))
+            else:
+                # Codes and samples know shapes by their names, which in nested folders may be alike.
+                meshes.append(TriangleMesh(mesh.vertices, mesh.faces, name, check=False))
+        return meshes, rejected
+    if split is not None:
+        raise SDMError(f"{source} is a family, and has no part {split!r}")
     family = family_from(known)
     theta = family.sample(count, device="cpu")
-    return [
+    made = [
         TriangleMesh(group.vertices[0], group.faces, f"{source}-{number}", check=False)
         for number in range(count)
         for group in family.groups(theta[number : number + 1])
     ]
+    return made, []

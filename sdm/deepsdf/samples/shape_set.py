@@ -16,6 +16,7 @@ from sdm.core.random import derive_seed
 from sdm.deepsdf.samples.batch import Samples
 from sdm.deepsdf.samples.distribution import REACH, SampleDistribution
 from sdm.deepsdf.samples.unit_sphere import UnitSphere
+from sdm.deepsdf.samples.usable_shapes import why_unusable
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 from sdm.inspect import orient_outward
@@ -37,6 +38,10 @@ class ShapeSet:
         device: Where to compute; by default a GPU if there is one.
         spheres: The normalisation of each mesh; its own unit sphere if not given.
         distribution: Where samples are.
+        skip_bad: Go on without the meshes that cannot be used; `rejected` lists them.
+
+    Attributes:
+        rejected: (name, reason) of each mesh that was left out.
 
     A query finds the nearest triangle of the scene, which is one of the point's own shape; rays along x meet at most
     every fourth layer of shapes. The normalised vertices are rounded to what float32 holds at their place in the scene
@@ -54,11 +59,22 @@ class ShapeSet:
         *,
         spheres: Sequence[UnitSphere] | None = None,
         distribution: SampleDistribution | None = None,
+        skip_bad: bool = False,
     ) -> None:
         if not meshes:
             raise MeshError("there are no meshes to sample; give one or more")
         if spheres is not None and len(spheres) != len(meshes):
             raise MeshError(f"{len(spheres)} spheres were given for {len(meshes)} meshes; give one for each")
+        self.rejected: tuple[tuple[str, str], ...] = ()
+        if skip_bad:
+            reasons = [why_unusable(mesh) for mesh in meshes]
+            self.rejected = tuple((m.name, why) for m, why in zip(meshes, reasons, strict=True) if why is not None)
+            good = [n for n, why in enumerate(reasons) if why is None]
+            meshes = [meshes[n] for n in good]
+            spheres = None if spheres is None else [spheres[n] for n in good]
+            if not meshes:
+                name, why = self.rejected[0]
+                raise MeshError(f"none of {len(reasons)} meshes can be sampled; of the first, {name}, {why}")
         self.device = choose_device(device)
         self.distribution = distribution or SampleDistribution()
         self.names = tuple(m.name for m in meshes)
