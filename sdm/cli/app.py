@@ -27,6 +27,7 @@ COMMANDS = (
     "compute",
     "generate",
     "sample",
+    "split",
     "train",
     "predict",
     "fit",
@@ -51,7 +52,7 @@ BROKEN_PIPE = 141
 GARBAGE_THRESHOLDS = (10_000, 10, 10)
 
 # Commands that launch kernels, which compile at the first time.
-WITH_KERNELS = ("compute", "generate", "sample", "train", "fit", "encode", "decode", "view", "demo")
+WITH_KERNELS = ("compute", "generate", "sample", "split", "train", "fit", "encode", "decode", "view", "demo")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

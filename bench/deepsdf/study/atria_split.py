@@ -23,9 +23,9 @@ from sdm.bench.common.json_file import put
 from sdm.bench.common.machine import describe
 from sdm.bench.deepsdf.shapes import Shapes, atria
 from sdm.bench.deepsdf.tables import rows_table
-from sdm.bench.studies.near_twins import distances_between, near_twins, split_groups
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
+from sdm.sampling.near_twins import distances_between, near_twins, split_groups
 
 RECORD = results_folder() / "near_twins.json"
 # Two voxels of 0.625 mm. There is no gap in the distances between twins and others; half of all pairs are 2.9 apart.

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from sdm.bench.studies.near_twins import Surface, laid_on
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
+from sdm.sampling.near_twins import Surface, laid_on
 
 # Training shapes that are nearest as they are, which are laid on the shape before the nearest is taken.
 CANDIDATES = 8

@@ -17,11 +17,11 @@ from sdm.bench.deepsdf.study.atria_split import read_record, split_atria
 from sdm.bench.deepsdf.study.baselines import coarse_map, nearest_copy
 from sdm.bench.deepsdf.study.scores import half_scores, halves, scores, whole_scores
 from sdm.bench.segmentation.log_file import Job, Log, LogFile
-from sdm.bench.studies.near_twins import Surface
 from sdm.bench.studies.rate_search import best_rate
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import DeepSDF, Settings, local, published, train
 from sdm.deepsdf.samples import ShapeSet, UnitSphere
+from sdm.sampling.near_twins import Surface
 
 # Numbers of a code: 256, 256, 14,912.
 METHODS = {

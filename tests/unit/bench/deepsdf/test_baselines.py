@@ -7,8 +7,8 @@ import trimesh
 
 from sdm import TriangleMesh
 from sdm.bench.deepsdf.study.baselines import coarse_map, nearest_copy
-from sdm.bench.studies.near_twins import Surface
 from sdm.deepsdf import score_shape
+from sdm.sampling.near_twins import Surface
 
 
 def ellipsoid(*axes: float, shift: float = 0.0, name: str = "mesh") -> Surface:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import generator
-from sdm.deepsdf.samples import surface_points
-from sdm.engine.api import MeshIndex
+from sdm.engine.mesh_index import MeshIndex
+from sdm.sampling.surface_points import surface_points
 
 # Points of each surface that two shapes are laid on each other by, and those of the distance that is reported.
 ALIGNED_BY, MEASURED_BY = 300, 2000

@@ -9,7 +9,7 @@ import torch
 import trimesh
 
 from sdm import TriangleMesh
-from sdm.bench.studies.near_twins import Surface, distance_between, distances_between, laid_on, near_twins, split_groups
+from sdm.sampling.near_twins import Surface, distance_between, distances_between, laid_on, near_twins, split_groups
 
 
 def box(sides: tuple[float, float, float], turned: float = 0.0, shift: float = 0.0) -> TriangleMesh:
