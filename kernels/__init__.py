@@ -13,7 +13,8 @@ current stream. Folders know only those below them, so read them from the bottom
   which runs the stages `stage1_witnesses` to `stage7_merge`.
 - `points`: distances at scattered points. First `query`, the plain path and the fast one.
 - `flood`: signs for meshes whose faces say none, by what a ball reaches from outside.
-- `edt`: the distance transform of volumes. `shapes`: parameters, vertices and samples of families. `nanovdb`: volumes.
+- `edt`: the distance transform of volumes. `surface`: surfaces of maps. `shapes`: parameters, vertices and samples of
+  families. `nanovdb`: volumes.
 """
 
 import os

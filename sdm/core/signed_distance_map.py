@@ -308,25 +308,27 @@ class SDM:
         save(self, path)
 
     def to_mesh(self, level: float = 0.0) -> TriangleMesh:
-        """The surface where the distance is `level`, by scikit-image's marching cubes, facing outward.
+        """The surface where the distance is `level`, by marching cubes on the map's device.
+
+        Args:
+            level: In the mesh's unit. Voxels of less are inside; those of exactly the level are outside.
+
+        Returns:
+            A mesh on the map's device that faces outward: one vertex for each voxel edge that the surface crosses, at
+            least a 1,024th of the edge from its ends, so that no triangle has an area of zero; and in some ambiguous
+            cells one in the middle. Each edge has two triangles, one each way, but at the grid's border, where the
+            surface ends. The order of vertices and triangles is the same on every device. Whether inside corners of a
+            voxel face are joined across it is decided by its four values (Nielson and Hamann's asymptotic decider).
 
         Raises:
             SDMError: No voxel edge crosses `level`, or the grid is one voxel thin.
-        """
-        from skimage.measure import marching_cubes
 
-        values = self.numpy()
-        if min(values.shape) < 2:
-            raise SDMError(f"a grid of shape {self.grid.shape} is one voxel thin: a surface needs two along each axis")
-        if not values.min() < level < values.max():
-            raise SDMError(f"the map runs from {values.min():g} to {values.max():g}: no surface at level {level:g}")
-        # "descent" puts the low side, the inside of a signed distance map, behind the faces.
-        index, faces, _, _ = marching_cubes(values, level, gradient_direction="descent", allow_degenerate=False)
-        affine = self.grid.affine
-        points = index.astype(np.float64) @ affine[:3, :3].T + affine[:3, 3]
-        if np.linalg.det(affine[:3, :3]) < 0:
-            faces = faces[:, ::-1]
-        return TriangleMesh(points.astype(np.float32), np.ascontiguousarray(faces, dtype=np.int32), "isosurface")
+        Memory grows with the surface; of the map's size are two numbers for each 8^3 voxels. Waits for a GPU once.
+        """
+        from sdm.engine.surface import isosurface
+
+        self._check()
+        return isosurface(self.values, self.grid, level)
 
 
 # `torch.load` makes no objects but those of classes that it was told of: these hold tensors and numbers alone.

@@ -1,0 +1,162 @@
+"""The cases of marching cubes: the loops in which a surface crosses a cell, and their triangles.
+
+A cell has eight voxel centres as corners, corner 4x + 2y + z, and twelve edges, edge 4a + n along axis a. Where the
+corners of a face are inside, outside, inside, outside in turn, the face is ambiguous: its inside corners are either
+joined or apart. Both cells of a face decide that alike, from its four values (`is_joined`), so the surface has no
+cracks. Each edge that it crosses has one vertex, and each face then says which vertices follow each other; they form
+closed loops, 656 cases in all.
+
+A loop is divided into triangles without a diagonal between two vertices of one face: the cell beyond might draw the
+same, and four triangles would meet in it. A loop that has no such division has a vertex at its middle. So every edge of
+the surface has exactly two triangles, one each way. No triangle lies in a face, and no three points of a cell's edges
+are on one line, so no triangle has an area of zero while all vertices lie strictly between the ends of their edges.
+
+The cases are derived here rather than copied: they follow from the rule of the faces alone. Source of that rule:
+Nielson and Hamann, The asymptotic decider, Visualization 1991.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+AXES = (4, 2, 1)
+EDGES = [(axis, corner) for axis in range(3) for corner in range(8) if not corner & AXES[axis]]
+# A triangle's vertex CENTRE + n is the middle of loop n.
+CENTRE = 12
+NO_LOOP = 15
+
+
+@dataclass(frozen=True)
+class CellCases:
+    """Tables of all cases, int32.
+
+    Args:
+        first: (256) the first case of a cell whose corners c with bit c set are inside.
+        ambiguous: (256) a bit for each ambiguous face. A case is `first` plus those of their bits "joined", packed.
+        triangles: (3T) vertices of triangles, case after case: edges of the cell, or middles of loops.
+        start: (cases + 1) the first triangle of each case.
+        centres: (cases) a bit for each loop that has a vertex at its middle.
+        loops: (cases) number of loops.
+        loop: (12 cases) the loop of each edge, NO_LOOP if the surface does not cross it.
+        corners: (24) the corners of the six faces, in turn; faces 2a and 2a + 1 are the low and the high one of axis a.
+    """
+
+    first: np.ndarray
+    ambiguous: np.ndarray
+    triangles: np.ndarray
+    start: np.ndarray
+    centres: np.ndarray
+    loops: np.ndarray
+    loop: np.ndarray
+    corners: np.ndarray
+
+
+def _faces() -> list[list[int]]:
+    """Corners of each face, counter-clockwise seen from outside the cell."""
+    faces = []
+    for axis in range(3):
+        one, other = AXES[(axis + 1) % 3], AXES[(axis + 2) % 3]
+        for side in (0, AXES[axis]):
+            turn = [side, side | one, side | one | other, side | other]
+            faces.append(turn if side else turn[::-1])
+    return faces
+
+
+FACES = _faces()
+
+
+def _edge(one: int, other: int) -> int:
+    return EDGES.index((AXES.index(one ^ other), min(one, other)))
+
+
+_FACE_EDGES = [[_edge(face[n], face[(n + 1) % 4]) for n in range(4)] for face in FACES]
+
+
+def _loops(inside: int, joined: int) -> list[tuple[int, ...]]:
+    """Loops of edges that the surface crosses, counter-clockwise seen from outside the surface."""
+    following: dict[int, int] = {}
+    for number, face in enumerate(FACES):
+        bits = [inside >> corner & 1 for corner in face]
+        leaving = [n for n in range(4) if bits[n] and not bits[(n + 1) % 4]]
+        entering = [n for n in range(4) if bits[(n + 1) % 4] and not bits[n]]
+        # Around inside corners that are apart, around outside ones where the inside is joined.
+        way = 1 if joined >> number & 1 else -1
+        for end in leaving:
+            begin = min(entering, key=lambda n: way * (n - end) % 4)
+            following[_FACE_EDGES[number][begin]] = _FACE_EDGES[number][end]
+    loops = []
+    while following:
+        edge = min(following)
+        loop = []
+        while edge in following:
+            loop.append(edge)
+            edge = following.pop(edge)
+        loops.append(tuple(loop))
+    return loops
+
+
+def _middle(edge: int) -> np.ndarray:
+    axis, corner = EDGES[edge]
+    place = np.array([corner >> 2 & 1, corner >> 1 & 1, corner & 1], np.float64)
+    place[axis] = 0.5
+    return place
+
+
+def _cost(one: int, other: int) -> float:
+    """Length of a diagonal between the middles of two edges; infinite where it would lie in a face."""
+    if any(one in edges and other in edges for edges in _FACE_EDGES):
+        return np.inf
+    return float(np.linalg.norm(_middle(one) - _middle(other)))
+
+
+@cache
+def _division(loop: tuple[int, ...]) -> list[tuple[int, int, int]] | None:
+    """The triangles of a loop with the shortest diagonals; None if each division has a diagonal in a face."""
+    count = len(loop)
+    best: dict[tuple[int, int], tuple[float, list[tuple[int, int, int]]]] = {}
+    for width in range(1, count):
+        for begin in range(count - width):
+            end = begin + width
+            if width == 1:
+                best[begin, end] = (0.0, [])
+                continue
+            diagonal = 0.0 if width == count - 1 else _cost(loop[begin], loop[end])
+            options = [(best[begin, k][0] + best[k, end][0] + diagonal, k) for k in range(begin + 1, end)]
+            cost, k = min(options)
+            parts = best[begin, k][1] + best[k, end][1] + [(loop[begin], loop[k], loop[end])]
+            best[begin, end] = (cost, parts)
+    cost, triangles = best[0, count - 1]
+    return triangles if np.isfinite(cost) else None
+
+
+@cache
+def cell_cases() -> CellCases:
+    """The tables, worked out once a process."""
+    first, ambiguous, start, centres, loops, loop_of = [], [], [0], [], [], []
+    triangles: list[tuple[int, int, int]] = []
+    for inside in range(256):
+        bits = [[inside >> corner & 1 for corner in face] for face in FACES]
+        unclear = [n for n, face in enumerate(bits) if face[0] == face[2] != face[1] == face[3]]
+        first.append(len(loops))
+        ambiguous.append(sum(1 << n for n in unclear))
+        for packed in range(1 << len(unclear)):
+            joined = sum(1 << n for place, n in enumerate(unclear) if packed >> place & 1)
+            found = _loops(inside, joined)
+            row, middles = [NO_LOOP] * 12, 0
+            for number, loop in enumerate(found):
+                for edge in loop:
+                    row[edge] = number
+                parts = _division(loop)
+                if parts is None:
+                    middles |= 1 << number
+                    parts = [(loop[n - 1], edge, CENTRE + number) for n, edge in enumerate(loop)]
+                triangles += parts
+            start.append(len(triangles))
+            centres.append(middles)
+            loops.append(len(found))
+            loop_of += row
+    tables = (first, ambiguous, np.array(triangles).reshape(-1), start, centres, loops, loop_of, np.ravel(FACES))
+    return CellCases(*(np.array(table, np.int32) for table in tables))
