@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, are_in_runs, blocks_along, find_blocks, keys_of
 from sdm.core.grid import Grid
-from sdm.core.mesh import as_tensor
+from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import GridError, SDMError
 
@@ -210,6 +210,17 @@ class SparseSDM:
         from sdm.io import save
 
         save(self, path)
+
+    def to_mesh(self, level: float = 0.0) -> TriangleMesh:
+        """The surface where the distance is `level`: the very mesh of the dense map's `SDM.to_mesh`, without the map.
+
+        Raises:
+            SDMError: The band is too narrow for cells that `level` crosses, as one of less than a cell's diagonal is
+                for level 0; or nothing has that level.
+        """
+        from sdm.engine.surface import band_isosurface
+
+        return band_isosurface(self, level)
 
     def to_warp(self) -> Any:
         """A `warp.Volume` (NanoVDB) on the band's device: a level set whose active voxels are those of the band.

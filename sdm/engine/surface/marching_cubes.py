@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import MOST_TRIANGLES, TriangleMesh
-from sdm.engine.surface.voxel_blocks import SEGMENTS, VoxelBlocks, dense_blocks, tables_on
+from sdm.core.sparse_sdm import SparseSDM
+from sdm.engine.surface.voxel_blocks import SEGMENTS, VoxelBlocks, band_blocks, dense_blocks, tables_on
 from sdm.errors import SDMError
 from sdm.kernels.launch import set_array, set_number
 from sdm.kernels.surface.marching_cubes import Surface, count_blocks, measure_segments, write_surface
@@ -26,6 +28,20 @@ def isosurface(values: Tensor, grid: Grid, level: float) -> TriangleMesh:
     if mesh is None:
         low, high = (float(bound) for bound in values.detach().aminmax())
         raise SDMError(f"the map runs from {low:g} to {high:g}: no surface at level {level:g}")
+    return mesh
+
+
+def band_isosurface(band: SparseSDM, level: float) -> TriangleMesh:
+    """The surface of a narrow band, see `SparseSDM.to_mesh`."""
+    reach = math.hypot(*band.grid.spacing)
+    if not abs(level) + reach < band.width:
+        raise SDMError(
+            f"the band reaches {band.width:g} from the surface, but the cells that the level {level:g} crosses "
+            f"{abs(level) + reach:g}: make it wider, or choose a level nearer to 0"
+        )
+    mesh = marching_cubes(band_blocks(band), level) if len(band) else None
+    if mesh is None:
+        raise SDMError(f"the band has no surface at level {level:g}")
     return mesh
 
 

@@ -1,4 +1,4 @@
-"""Values of a map as surface kernels take them, dense."""
+"""Values of a map as surface kernels take them, of dense maps and of narrow bands."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.core.grid import Grid
+from sdm.core.sparse_sdm import SparseSDM
 from sdm.kernels.launch import set_array, set_number
 from sdm.kernels.surface.cell_cases import cell_cases
 from sdm.kernels.surface.segment_cells import Cases
@@ -24,7 +25,7 @@ class VoxelBlocks:
     """A map in blocks of 8^3 voxels.
 
     Args:
-        values: (nx,ny,nz) float32.
+        values: (nx,ny,nz) float32, or (N,8,8,8).
         grid: Where they are.
         blocks: Number of blocks.
         segments: Number of segments that have to be looked at.
@@ -62,6 +63,22 @@ def dense_blocks(values: Tensor, grid: Grid) -> VoxelBlocks:
     return VoxelBlocks(values, grid, along[0] * along[1] * along[2], nx * ny * along[2], fill, (values,))
 
 
+def band_blocks(band: SparseSDM) -> VoxelBlocks:
+    """The blocks of a narrow band, with those next to each."""
+    values = band.values.detach().to(torch.float32).contiguous()
+    blocks, count = band.blocks.contiguous(), len(band)
+    ways = torch.cartesian_prod(*[torch.arange(2, dtype=torch.int32, device=values.device)] * 3)
+    neighbours = band.find(blocks[:, None] + ways).to(torch.int32).contiguous()
+
+    def fill(voxels: Any) -> None:
+        set_number(voxels, "dense", 0)
+        set_array(voxels, "values", as_warp(values.reshape(count * SEGMENTS, BLOCK), wp.float32))
+        set_array(voxels, "blocks", as_warp(blocks, wp.int32))
+        set_array(voxels, "neighbours", as_warp(neighbours.reshape(-1), wp.int32))
+
+    return VoxelBlocks(values, band.grid, count, SEGMENTS * count, fill, (values, blocks, neighbours))
+
+
 @cache
 def _tables(device: torch.device) -> dict[str, Tensor]:
     return {name: torch.from_numpy(table).to(device) for name, table in vars(cell_cases()).items()}
@@ -75,4 +92,4 @@ def tables_on(device: torch.device) -> tuple[Any, tuple[Tensor, ...]]:
     return found, tuple(tables.values())
 
 
-__all__ = ["SEGMENTS", "VoxelBlocks", "dense_blocks", "tables_on"]
+__all__ = ["SEGMENTS", "VoxelBlocks", "band_blocks", "dense_blocks", "tables_on"]
