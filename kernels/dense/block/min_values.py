@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.dense.block.shared_layout import BATCH, COORDINATES, LATTICE_ROW, MIN_VALUES, NUMBERS, write_row
+from sdm.kernels.primitives.fast_math import FUSED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,12 +22,14 @@ _ROWS = VOXELS // 4
 
 
 # Texts that measure one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A
-# compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away.
+# compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away; on a
+# GPU it leaves nothing to a compiler that a value's last bit depends on, so that maps with winners are those without.
 _CORNER = (
     "const Row r = row[feature];",
     """
-            const float in_x = (x + a * r.x) * (x + b * r.x), in_y = (y + a * r.y) * (y + b * r.y);
-            const float d = in_x + (in_y + ((z + a * r.z) * (z + b * r.z) + r.w));
+            const float in_z = FUSED(FUSED(a, r.z, z), FUSED(b, r.z, z), r.w);
+            const float in_yz = FUSED(FUSED(a, r.y, y), FUSED(b, r.y, y), in_z);
+            const float d = FUSED(FUSED(a, r.x, x), FUSED(b, r.x, x), in_yz);
             const bool counts = true;
     """,
 )
@@ -38,18 +41,18 @@ _EDGE_ROWS = f"""
 _NEAR_EDGE = (
     _EDGE_ROWS,
     """
-            const float along = x * e.x + (y * e.y + z * e.z);
-            const float dx = x + r.x - along * e.x, dy = y + r.y - along * e.y, dz = z + r.z - along * e.z;
-            const float d = dx * dx + (dy * dy + dz * dz);
+            const float along = FUSED(x, e.x, FUSED(y, e.y, z * e.z));
+            const float dx = FUSED(-along, e.x, x + r.x), dy = FUSED(-along, e.y, y + r.y);
+            const float dz = FUSED(-along, e.z, z + r.z), d = FUSED(dx, dx, FUSED(dy, dy, dz * dz));
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
 _FAR_EDGE = (
     _EDGE_ROWS,
     """
-            const float along = x * e.x + (y * e.y + z * e.z);
-            const float in_x = x * (x + 2.0f * r.x), in_yz = y * (y + 2.0f * r.y) + (z * (z + 2.0f * r.z) + r.w);
-            const float d = in_x + in_yz - along * along;
+            const float along = FUSED(x, e.x, FUSED(y, e.y, z * e.z));
+            const float in_yz = FUSED(y, FUSED(2.0f, r.y, y), FUSED(z, FUSED(2.0f, r.z, z), r.w));
+            const float d = FUSED(-along, along, FUSED(x, FUSED(2.0f, r.x, x), in_yz));
             const bool counts = (along >= begin) & (along <= end);
     """,
 )
@@ -60,10 +63,12 @@ _FACE = (
         const float w = number[{NUMBERS} + feature], in_1 = room - i1.w, in_2 = room - i2.w, in_3 = room - i3.w;
     """,
     """
-            const float height = x * r.x + (y * r.y + z * r.z);
-            const float d = (height + a * r.w) * (height + b * r.w) + w;
-            const bool counts = !((x * i1.x + (y * i1.y + z * i1.z) < in_1) | (x * i2.x + (y * i2.y + z * i2.z) < in_2)
-                                  | (x * i3.x + (y * i3.y + z * i3.z) < in_3));
+            const float height = FUSED(x, r.x, FUSED(y, r.y, z * r.z));
+            const float d = FUSED(FUSED(a, r.w, height), FUSED(b, r.w, height), w);
+            const float at_1 = FUSED(x, i1.x, FUSED(y, i1.y, z * i1.z));
+            const float at_2 = FUSED(x, i2.x, FUSED(y, i2.y, z * i2.z));
+            const float at_3 = FUSED(x, i3.x, FUSED(y, i3.y, z * i3.z));
+            const bool counts = !((at_1 < in_1) | (at_2 < in_2) | (at_3 < in_3));
     """,
 )
 
@@ -109,8 +114,9 @@ _STRAIGHT = f"""
 """
 _TURNED = """
             const float s = i + side;
-            const float ox = o.x + (s * di.x + j * dj.x + k * dk.x), oy = o.y + (s * di.y + j * dj.y + k * dk.y);
-            const float oz = o.z + (s * di.z + j * dj.z + k * dk.z);
+            const float ox = o.x + FUSED(k, dk.x, FUSED(j, dj.x, s * di.x));
+            const float oy = o.y + FUSED(k, dk.y, FUSED(j, dj.y, s * di.y));
+            const float oz = o.z + FUSED(k, dk.z, FUSED(j, dj.z, s * di.z));
             const float xs[4] = {ox, ox + dk.x, ox + dj.x, ox + (dj.x + dk.x)};
             const float ys[4] = {oy, oy + dk.y, oy + dj.y, oy + (dj.y + dk.y)};
             const float zs[4] = {oz, oz + dk.z, oz + dj.z, oz + (dj.z + dk.z)};
@@ -133,6 +139,7 @@ def item_text(best: str, known: str, keep: tuple[str, str, str]) -> str:
         keep: Keeps what is less of voxel v of these four: on a GPU, what it does after all four, and on a CPU.
     """
     return f"""
+    {FUSED}
     struct alignas(16) Row {{ float x, y, z, w; }};
     const Row* row = reinterpret_cast<const Row*>(scratch);
     const float* number = reinterpret_cast<const float*>(scratch);

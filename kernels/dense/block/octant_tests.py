@@ -25,6 +25,7 @@ from sdm.kernels.culling.witness_bound import Witness, doubt, sum_abs
 from sdm.kernels.dense.block.shared_layout import BATCH, LATTICE_ROW, TEST_ROW, WITNESS_ROW, read_row, write_row
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.geometry.voxel_grid import Slab, way
+from sdm.kernels.primitives.fast_math import FUSED
 
 wp.set_module_options({"enable_backward": False})
 
@@ -144,6 +145,7 @@ def _eight(step: float) -> str:
 
 @wp.func_native(
     snippet=f"""
+    {FUSED}
     {_ROW}
     const Row* lattice = reinterpret_cast<const Row*>(scratch) + {LATTICE_ROW};
     const Row o = lattice[0], i = lattice[1], j = lattice[2], k = lattice[3];
@@ -154,8 +156,9 @@ def _eight(step: float) -> str:
     for (; tests > 0; --tests, row += {BATCH}) {{
         const Row v = *row;
         const float wider = o.w * (fabsf(v.x) + fabsf(v.y) + fabsf(v.z));
-        Row u = {{i.x * v.x + i.y * v.y + i.z * v.z, j.x * v.x + j.y * v.y + j.z * v.z,
-                 k.x * v.x + k.y * v.y + k.z * v.z, v.w + wider - (o.x * v.x + o.y * v.y + o.z * v.z)}};
+        Row u = {{FUSED(i.z, v.z, FUSED(i.y, v.y, i.x * v.x)), FUSED(j.z, v.z, FUSED(j.y, v.y, j.x * v.x)),
+                 FUSED(k.z, v.z, FUSED(k.y, v.y, k.x * v.x)),
+                 v.w + wider - FUSED(o.z, v.z, FUSED(o.y, v.y, o.x * v.x))}};
         // The least value of two voxels along each axis is so much less than that of the first; of four, three times.
         const float less = 0.5f * (fabsf(u.x) + fabsf(u.y) + fabsf(u.z) - (u.x + u.y + u.z));
         u.w += less;
@@ -176,6 +179,7 @@ def octants_of(scratch: wp.uint64, number: int, tests: int) -> int:
 
 @wp.func_native(
     snippet=f"""
+    {FUSED}
     {_ROW}
     const Row* row = reinterpret_cast<const Row*>(scratch) + {TEST_ROW} + (pair & {BATCH - 1});
     const Row* const end = row + {BATCH} * tests;
@@ -185,7 +189,7 @@ def octants_of(scratch: wp.uint64, number: int, tests: int) -> int:
     #pragma unroll 1
     do {{
         const Row u = *row;
-        const float left = u.w - a * u.x - b * u.y - c * u.z;
+        const float left = FUSED(-c, u.z, FUSED(-b, u.y, FUSED(-a, u.x, u.w)));
         {_eight(2.0)}
         row += {BATCH};
     }} while (row < end);
