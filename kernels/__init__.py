@@ -14,7 +14,7 @@ current stream. Folders know only those below them, so read them from the bottom
 - `points`: distances at scattered points. First `query`, the plain path and the fast one.
 - `flood`: signs for meshes whose faces say none, by what a ball reaches from outside.
 - `edt`: the distance transform of volumes. `surface`: surfaces of maps. `shapes`: parameters, vertices and samples of
-  families. `nanovdb`: volumes.
+  families. `nanovdb`: volumes. `text`: numbers in mesh files.
 """
 
 import os

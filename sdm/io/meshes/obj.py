@@ -10,12 +10,14 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.io.meshes.damage import require_coordinates
 from sdm.io.meshes.polygons import PolygonMesh
-from sdm.io.meshes.text_rows import as_bytes, as_integers, parse_rows
+from sdm.io.meshes.text_rows import ScannedLines, TextRows, as_bytes, as_integers, parse_rows, plain_lines
 
 # With the end of the line before, since a search for plain text is much faster than one for the begin of a line.
 VERTEX = re.compile(rb"\n[ \t]*v[ \t]([^\n#]*)")
 # `fo` is an older name of `f`.
 FACE = re.compile(rb"\n[ \t]*fo?(?!\S)([^\n#]*)")
+# The same to the kernel.
+VERTEX_LINE, FACE_LINE = 1, 2
 TEXTURE_AND_NORMAL = re.compile(rb"/\S*")
 
 
@@ -27,21 +29,15 @@ def read_obj(data: bytes, path: Path) -> PolygonMesh:
             vertex that is not there.
         ValueError: Something that should be a number is none.
     """
-    text = b"\n" + as_bytes(data)
-    if b"\r" in text:
-        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    text = plain_lines(b"\n" + as_bytes(data))
     if b"\\" in text:
         text = text.replace(b"\\\n", b" ")
-    points = parse_rows(VERTEX.findall(text))
+    points, faces = _rows_by_kernel(text) or _rows(text)
     require_coordinates(path, points.lengths)
-    lines = FACE.findall(text)
-    if b"/" in text:
-        lines = [TEXTURE_AND_NORMAL.sub(b"", line) for line in lines]
-    faces = parse_rows(lines)
-    if lines and faces.lengths.min() < 3:
+    if len(faces.lengths) and faces.lengths.min() < 3:
         face = int(faces.lengths.argmin())
         raise MeshError(
-            f"{path} holds less than it says, it is cut off or damaged: face {face} of {len(lines)} has "
+            f"{path} holds less than it says, it is cut off or damaged: face {face} of {len(faces.lengths)} has "
             f"{int(faces.lengths[face])} corners"
         )
     corners = as_integers(faces.values)
@@ -54,6 +50,23 @@ def read_obj(data: bytes, path: Path) -> PolygonMesh:
         number = int(as_integers(faces.values)[wrong][0])
         raise MeshError(f"a face of {path} uses vertex {number}, which is not there: it has {len(points.starts)}")
     return PolygonMesh(points.columns(3), faces.lengths, corners - 1)
+
+
+def _rows_by_kernel(text: bytes) -> tuple[TextRows, TextRows] | None:
+    """Numbers of the vertices and of the faces; None where something is not plain."""
+    scanned = ScannedLines.of(text, obj=True)
+    if scanned is None:
+        return None
+    points = scanned.rows(scanned.of_kind(VERTEX_LINE))
+    faces = scanned.rows(scanned.of_kind(FACE_LINE), faces=True)
+    return None if points is None or faces is None else (points, faces)
+
+
+def _rows(text: bytes) -> tuple[TextRows, TextRows]:
+    lines = FACE.findall(text)
+    if b"/" in text:
+        lines = [TEXTURE_AND_NORMAL.sub(b"", line) for line in lines]
+    return parse_rows(VERTEX.findall(text)), parse_rows(lines)
 
 
 def _count_forward(corners: np.ndarray, lengths: np.ndarray, text: bytes) -> np.ndarray:

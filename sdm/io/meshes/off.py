@@ -10,7 +10,16 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.io.meshes.damage import require_coordinates, require_corners, require_count
 from sdm.io.meshes.polygons import PolygonMesh
-from sdm.io.meshes.text_rows import as_bytes, as_integers, parse_numbers, parse_rows, ragged_index
+from sdm.io.meshes.text_rows import (
+    ScannedLines,
+    TextRows,
+    as_bytes,
+    as_integers,
+    parse_numbers,
+    parse_rows,
+    plain_lines,
+    ragged_index,
+)
 
 COMMENT = re.compile(rb"#[^\n\r]*")
 # Texture, colour and normal of a vertex follow its coordinates; a fourth coordinate (4) or any number (n) do not.
@@ -34,12 +43,16 @@ def read_off(data: bytes, path: Path) -> PolygonMesh:
     if header[2]:
         raise MeshError(f"{path} is a binary OFF file, which is not read: save it as text, or as PLY")
     vertex_count, face_count = int(header[3]), int(header[4])
-    lines = [line for line in text[header.end() :].splitlines() if line.strip()]
-    if len(lines) < vertex_count + face_count:
-        return _read_stream(b"\n".join(lines), vertex_count, face_count, len(lines), path)
-    points = parse_rows(lines[:vertex_count])
+    body = text[header.end() :]
+    points, faces = _rows_by_kernel(body, vertex_count, face_count) or (None, None)
+    if points is None or faces is None:
+        lines = [line for line in body.splitlines() if line.strip()]
+        if len(lines) < vertex_count + face_count:
+            return _read_stream(b"\n".join(lines), vertex_count, face_count, len(lines), path)
+        points = parse_rows(lines[:vertex_count])
+        require_coordinates(path, points.lengths)
+        faces = parse_rows(lines[vertex_count : vertex_count + face_count])
     require_coordinates(path, points.lengths)
-    faces = parse_rows(lines[vertex_count : vertex_count + face_count])
     lengths = as_integers(faces.values[faces.starts])
     # What follows the corners is a colour.
     require_corners(path, faces.lengths - 1, lengths)
@@ -47,6 +60,18 @@ def read_off(data: bytes, path: Path) -> PolygonMesh:
         raise ValueError("a face has a negative number of corners")
     corners = faces.values[ragged_index(faces.starts + 1, lengths)]
     return PolygonMesh(points.columns(3), lengths, as_integers(corners))
+
+
+def _rows_by_kernel(body: bytes, vertex_count: int, face_count: int) -> tuple[TextRows, TextRows] | None:
+    """Numbers of the lines of vertices and faces; None where something is not plain, or there are not enough lines."""
+    scanned = ScannedLines.of(plain_lines(body))
+    if scanned is None:
+        return None
+    lines = scanned.not_blank()[: vertex_count + face_count]
+    if len(lines) < vertex_count + face_count:
+        return None
+    points, faces = scanned.rows(lines[:vertex_count]), scanned.rows(lines[vertex_count:])
+    return None if points is None or faces is None else (points, faces)
 
 
 def _read_stream(text: bytes, vertex_count: int, face_count: int, lines: int, path: Path) -> PolygonMesh:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from sdm.io.meshes.damage import require_coordinates, require_corners, require_c
 from sdm.io.meshes.ply_binary import read_lists, read_values
 from sdm.io.meshes.ply_header import Element, PlyHeader, parse_header
 from sdm.io.meshes.polygons import PolygonMesh
-from sdm.io.meshes.text_rows import TextRows, as_integers, parse_rows, ragged_index
+from sdm.io.meshes.text_rows import ScannedLines, TextRows, as_integers, parse_rows, plain_lines, ragged_index
 
 NEEDED = ("vertex", "face")
 STRIPS = "tristrips"
@@ -56,22 +57,43 @@ def _read_binary(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
 
 
 def _read_text(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
+    scanned = ScannedLines.of(plain_lines(data[header.end :]))
+    if scanned is not None:
+        try:
+            return _of_rows(lambda begin, end: _parsed(scanned, begin, end), len(scanned.not_blank()), header, path)
+        except NotPlainError:
+            pass
     lines = [line for line in data[header.end :].splitlines() if line.strip()]
-    require_count(path, len(lines), sum(element.count for element in header.elements), "lines")
+    return _of_rows(lambda begin, end: parse_rows(lines[begin:end]), len(lines), header, path)
+
+
+class NotPlainError(Exception):
+    """A text that has to be read word by word."""
+
+
+def _parsed(scanned: ScannedLines, begin: int, end: int) -> TextRows:
+    rows = scanned.rows(scanned.not_blank()[begin:end])
+    if rows is None:
+        raise NotPlainError
+    return rows
+
+
+def _of_rows(rows_of: Callable[[int, int], TextRows], count: int, header: PlyHeader, path: Path) -> PolygonMesh:
+    """The mesh of the rows that begin and end at lines of a text with `count` of them."""
+    require_count(path, count, sum(element.count for element in header.elements), "lines")
     points, lengths, corners = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
     begin = 0
     for element in header.elements:
-        own = lines[begin : begin + element.count]
-        begin += element.count
+        begin, first = begin + element.count, begin
         if element.name == "vertex":
             if any(found.count_dtype for found in element.properties):
                 raise ValueError("its vertices have lists")
-            rows = parse_rows(own)
+            rows = rows_of(first, begin)
             names = [found.name for found in element.properties]
             require_coordinates(path, rows.lengths, len(names))
             points = rows.columns(len(names))[:, [names.index(axis) for axis in "xyz"]]
         elif element.name == "face":
-            lengths, corners = _lists_of_text(parse_rows(own), element, path)
+            lengths, corners = _lists_of_text(rows_of(first, begin), element, path)
     return PolygonMesh(points, lengths, corners)
 
 

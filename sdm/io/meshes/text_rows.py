@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import codecs
+import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+
+# Bytes of a text that it is worth starting Warp for, and those that a kernel cannot count.
+LARGE, LARGEST = 1 << 22, (1 << 31) - 2
 
 
 def as_bytes(data: bytes) -> bytes:
@@ -77,17 +81,72 @@ def _is_number(word: bytes) -> bool:
     return b"_" not in word
 
 
+class ScannedLines:
+    """Lines of a large text, of which any may be parsed by a kernel, in a fifth of the time.
+
+    Args:
+        text: Its lines end with line feeds.
+        obj: True for an OBJ file, of whose lines the kinds are told by their keywords.
+    """
+
+    def __init__(self, text: bytes, *, obj: bool = False) -> None:
+        from sdm.kernels.text.number_rows import scan_lines
+
+        self._text, self._obj = np.frombuffer(text, np.uint8), obj
+        ends = np.flatnonzero(self._text == ord("\n"))
+        starts = np.concatenate([[0], ends + 1, [len(text)]]).astype(np.int32)
+        self._kinds, self._firsts, self._words = scan_lines(self._text, starts, obj=obj)
+
+    @classmethod
+    def of(cls, text: bytes, *, obj: bool = False) -> ScannedLines | None:
+        """The lines, if the text is large enough to start Warp for it, or Warp has started, and not too large."""
+        if len(text) >= LARGEST or (len(text) < LARGE and "warp" not in sys.modules):
+            return None
+        return cls(text, obj=obj)
+
+    def not_blank(self) -> np.ndarray:
+        """Numbers (L,) of the lines that have something on them."""
+        return np.flatnonzero(self._words > 0)
+
+    def of_kind(self, kind: int) -> np.ndarray:
+        """Numbers (L,) of the lines of an OBJ file of a kind."""
+        return np.flatnonzero(self._kinds == kind)
+
+    def rows(self, lines: np.ndarray, *, faces: bool = False) -> TextRows | None:
+        """The numbers of lines, by the lines' numbers (L,); None where one is none, or has more digits than usual.
+
+        `faces` allows for textures and normals, as faces of OBJ files have them.
+        """
+        from sdm.kernels.text.number_rows import parse_lines
+
+        words = self._words[lines]
+        values = parse_lines(self._text, self._firsts[lines], words, obj=self._obj, faces=faces)
+        lengths = words.astype(np.int64)
+        return None if values is None else TextRows(values, np.cumsum(lengths) - lengths, lengths)
+
+
+def plain_lines(text: bytes) -> bytes:
+    """The text with line feeds alone between its lines."""
+    return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
+
+
 def as_integers(values: np.ndarray) -> np.ndarray:
     """Whole numbers as int64.
 
     Raises:
         ValueError: One is not whole.
     """
-    if values.dtype.kind == "f":
-        wrong = ~(np.abs(values) < 2.0**53) | (values != np.rint(values))
-        if wrong.any():
-            raise ValueError(f"{values[wrong][0]} is no whole number")
-    return values.astype(np.int64)
+    if values.dtype.kind != "f":
+        return values.astype(np.int64)
+    with np.errstate(invalid="ignore"):
+        found = values.astype(np.int64)
+    wrong = found != values
+    if values.size and not (wrong.any() or max(values.max(), -values.min()) >= 2.0**53):
+        return found
+    wrong |= ~(np.abs(values) < 2.0**53)
+    if wrong.any():
+        raise ValueError(f"{values[wrong][0]} is no whole number")
+    return found
 
 
 def ragged_index(starts: np.ndarray, lengths: np.ndarray) -> np.ndarray:
