@@ -105,10 +105,11 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
         return {}
     total = np.sum(counts, 0)
     levels = list(enumerate(open_caps.BITS))
-    looked = {1 << bits: int(total[open_caps.STRIDE * n + open_caps.LENGTH]) for n, bits in levels if bits}
+    looked = {1 << bits: int(total[open_caps.STRIDE * n + open_caps.LOOKED]) for n, bits in levels if bits}
     # Voxels that are still open before boxes of each size; before the first ones, all.
     before = [min(voxels, count * size**3) if count else voxels for size, count in looked.items()]
-    before += [int(total[open_caps.ALONE]), int(total[open_caps.EXACT]), 0]
+    alone = len(open_caps.BITS) - 2
+    before += [int(total[open_caps.STRIDE * alone + open_caps.LOOKED]), int(total[open_caps.EXACT]), 0]
     shares = [max(0, one - other) / voxels for one, other in itertools.pairwise(before)]
     return {
         **{f"{size}^3": count for size, count in looked.items() if count},

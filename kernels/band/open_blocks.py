@@ -19,22 +19,14 @@ from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers, unknown, wait_for_lanes
-from sdm.kernels.primitives.shared_stacks import STACK, stack_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_field import FULL, see_caps
+from sdm.kernels.winding.cap_descent import see_caps
+from sdm.kernels.winding.cap_field import Field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.open_caps import (
-    BITS,
-    LISTED,
-    SETTLED,
-    TOLERANCES,
-    BlockWindings,
-    is_left,
-    open_voxel,
-    put_winding,
-    settle_box,
-    winding_at,
-)
+from sdm.kernels.winding.near_caps import FULL
+from sdm.kernels.winding.open_caps import BITS, LISTED, SETTLED, TOLERANCES, open_voxel
+from sdm.kernels.winding.settled_boxes import BlockWindings, is_left, put_winding, settle_box, winding_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,7 +66,8 @@ def look_at_box(
     scale = float(caps.tree.frame[SCALE])
     box = box_of_voxels(slab, start, 1 << bits, scale)
     radius = wp.sqrt(box.half2)
-    field = see_caps(caps, 0, box.centre, radius, limits.tolerances[level], limits.listed[level], stack, lane, lanes)
+    most, room = limits.tolerances[level], limits.listed[level]
+    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, stack, lane, lanes)
     octants = settle_box(
         field, caps, stack, slab, 0, start, bits, limits.settled[level], box, scale, lane, lanes, windings
     )
@@ -98,7 +91,7 @@ def _open_blocks(
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
-    stack = stack_of(stacks, thread / lanes)
+    stack = large_stack_of(stacks, thread / lanes)
     scale = tree.frame[SCALE]
     windings = BlockWindings()
     windings.values = values
@@ -161,6 +154,6 @@ def open_blocks(
     limits.settled = Limits(*(int(n) for n in SETTLED[kind][FIRST_LEVEL:]))
     next_block = empty(1, wp.int32)
     next_block.zero_()
-    stacks = empty(1 if device.is_cuda else workers * STACK, wp.int32)
+    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK, wp.int32)
     inputs = [lanes, tree, boundary, caps, limits, slab, table, next_block, stacks, values]
     launch(_open_blocks, workers * lanes, inputs, device, smallest=1)

@@ -16,6 +16,8 @@ wp.set_module_options({"enable_backward": False})
 STACK = 1024
 # Three lists of features, of each at most 31 that wait and the 32 of one batch.
 SMALL_STACK = 192
+# A descent, and two lists of 320.
+LARGE_STACK = 1408
 
 
 def _place(size: int) -> str:
@@ -38,4 +40,10 @@ def stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp
 @wp.func_native(snippet=_place(SMALL_STACK))
 def small_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
     """`stack_of` for few (SMALL_STACK), in a kernel that needs its shared memory for something else."""
+    ...
+
+
+@wp.func_native(snippet=_place(LARGE_STACK))
+def large_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
+    """`stack_of` for more (LARGE_STACK), in a kernel that keeps lists beside its stack."""
     ...

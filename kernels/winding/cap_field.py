@@ -2,74 +2,77 @@
 
 The solid angle of far caps is a harmonic function in the box. With the sources at y about a node's centre, the voxels
 at x about the box's, and u between the centres, it is the integral of n.z/|z|^3 for z = u + y - x, which is expanded
-in x and y together up to the second order:
+in x and y together up to the third order, but for what is of the third order in y alone:
 
-    value + slope.x + x.bend x,   value from M1, M2 and M3, slope from M1 and M2, bend from M1 (`cap_tree`).
+    value + slope.x + x.bend x + cubic(x),   value and slope from M1, M2 and M3, bend from M1 and M2, cubic from M1.
+
+The moments (`cap_tree`) and the derivatives of 1/|z| have no traces, so that with Z = u/D, D = |u|, and
+
+    d = M1.Z,   v = M2 Z,   q = v.Z,   w = M3 Z Z,   c = w.Z
+
+a node adds, each divided by D^(order + 2),
+
+    order 0   d
+          1   -3 q + (3 d Z - M1).x
+          2   7.5 c + (6 v - 15 q Z).x + 7.5 d (Z.x)^2 - 3 (M1.x)(Z.x) - 1.5 d |x|^2
+          3   (52.5 c Z - 22.5 w).x - 52.5 q (Z.x)^2 + 30 (v.x)(Z.x) + 7.5 q |x|^2 - 3 x.M2 x
+              + (17.5 d Z - 7.5 M1).x (Z.x)^2 + (1.5 M1 - 7.5 d Z).x |x|^2
 
 Why the rest is bounded: a derivative of order m of 1/|z| along any m unit vectors is at most m!/|z|^(m+1), as a
 symmetric form is largest where all its arguments are equal, and there it is m! times a Legendre polynomial. The term
-of order i in x and j in y, with its derivative along n, is thus at most (i+j+1)!/(i! j!) R^i r^j / D^(i+j+2) times
-the area, R and r being the radii of box and node and D = |u|; with rho = (R + r)/D all terms of the orders i+j = m add
-up to (m + 1) rho^m / D^2, and those from the third order on to
+of order i in x and j in y, with its derivative along n, is thus at most (i+j+1)!/(i! j!) R^i |y|^j / D^(i+j+2), R being
+the radius of the box; with rho = (R + |y|)/D all terms of the orders i+j = m add up to (m + 1) rho^m / D^2, and those
+from the fourth order on to
 
-    area / D^2 * rho^3 (4 - 3 rho) / (1 - rho)^2.
+    rho^4 (5 - 4 rho) / (1 - rho)^2 / D^2.
 
-Where |y| is not as large as r, that is better: with the mean over the area of (R + |y|)^3 in the place of (R + r)^3,
-of which sigma^2, the mean of |y|^2, is enough to know: at most R^3 + 3 R^2 sigma + 3 R sigma^2 + r sigma^2.
+The quotient is at most that of r, the radius of the node, in the place of |y|. What is left to know are means over the
+area of |y|^3 and (R + |y|)^4, for which sigma^2, the mean of |y|^2, is enough: they are at most r sigma^2, and
+R^4 + 4 R^3 sigma + 6 R^2 sigma^2 + 4 R r sigma^2 + r^2 sigma^2. So the rest is at most
 
-The tree is descended from the root. A node whose own bound is at most a tolerance is taken as it is, others are opened.
-A single cap that is too near even so is added exactly if the box is a point, else it is left out, for others to add:
-seen from a distance d its solid angle is at most area/d^2, and never more than half of all.
+    area / D^2 (4 r sigma^2 / D^3 + mean of (R + |y|)^4 / D^4 (5 - 4 rho) / (1 - rho)^2).
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import first_triangle, nodes_of
-from sdm.kernels.primitives.fast_math import about_quotient, about_root
-from sdm.kernels.primitives.lanes import (
-    ballot,
-    members,
-    rank,
-    sum_of_lanes,
-    sum_of_lanes_in_double,
-    wait_for_lanes,
-)
-from sdm.kernels.primitives.shared_stacks import STACK
-from sdm.kernels.primitives.vector_loads import load4
-from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
-from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, Moments, load_rest
+from sdm.kernels.winding.cap_tree import Cubic, Moments
+from sdm.kernels.winding.near_caps import FULL, UNIT
 
 wp.set_module_options({"enable_backward": False})
 
-_ROWS = MOMENTS_SIZE // 4
-# An error of so much, a quarter of the winding number, leaves every side open.
-HOPELESS = wp.PI
-FULL = 4.0 * wp.PI
-# Near caps that a stack has room for, and single caps that wait, besides the nodes of a descent: at most 32 for each
-# level below the fifth, of 22 levels at most.
-MOST_NEAR, MOST_SINGLE = 320, 64
-_SINGLE = STACK - MOST_NEAR - MOST_SINGLE
-# Nothing nearer is taken for far: its powers would leave the range of float32.
-NEAREST = 1.0e-8
-# Room for the rounding of rho, and of a bound.
-WIDER = 1.0001
-UNIT = 2.0**-24
-# The errors of a near cap's half solid angle, see `near_cap`.
-ROUNDINGS = 100.0 * UNIT
-LARGEST_PRODUCT = 1.0e9
-SNAP = 2.0 * UNIT
+
+# The factors of xxx, xxy, xxz, xyy, xyz, yyy and yyz; those of xzz, yzz and zzz follow, as the polynomial is harmonic.
+Cubes = wp.types.vector(length=7, dtype=wp.float32)
+
+
+@wp.func
+def cubic_of(c: Cubes):
+    """All ten factors of a harmonic cubic: of xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz and zzz."""
+    f = Cubic()
+    f[0] = c[0]
+    f[1] = c[1]
+    f[2] = c[2]
+    f[3] = c[3]
+    f[4] = c[4]
+    f[5] = -3.0 * c[0] - c[3]
+    f[6] = c[5]
+    f[7] = c[6]
+    f[8] = -3.0 * c[5] - c[1]
+    f[9] = -(c[2] + c[6]) / 3.0
+    return f
 
 
 @wp.struct
 class Field:
-    """The caps' solid angle near a point: at x from it, value + slope.x + x.bend x, give or take the error."""
+    """The caps' solid angle near a point: at x from it, value + slope.x + x.bend x + cubic, give or take the error."""
 
     value: wp.float64
     slope: wp.vec3
     squares: wp.vec3  # of bend the entries xx, yy and zz
     products: wp.vec3  # and the sums of its entries xy and yx, xz and zx, yz and zy
+    cubes: Cubes  # the first factors of the cubic, see `cubic_of`
     error: float  # infinite if nothing is known
     left_out: float  # what near caps that are not in it may add at most
     near: wp.int32  # how many of them are listed; without a list they are part of the error
@@ -83,257 +86,104 @@ def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float):
     d = wp.dot(m.m1, z)
     v = m.m2 * z
     q = wp.dot(z, v) * inverse
-    xx = z[0] * z[0]
-    yy = z[1] * z[1]
-    zz = z[2] * z[2]
     s = m.m3
-    cubic = z[0] * (xx * s[0] + 3.0 * (yy * s[3] + zz * s[5])) + z[1] * (yy * s[6] + 3.0 * (xx * s[1] + zz * s[8]))
-    cubic = cubic + z[2] * (zz * s[9] + 3.0 * (xx * s[2] + yy * s[7])) + 6.0 * z[0] * z[1] * z[2] * s[4]
+    xy = 2.0 * z[0] * z[1]
+    xz = 2.0 * z[0] * z[2]
+    yz = 2.0 * z[1] * z[2]
+    zz = wp.cw_mul(z, z)
+    w = wp.vec3(
+        zz[0] * s[0] + xy * s[1] + xz * s[2] + zz[1] * s[3] + yz * s[4] + zz[2] * s[5],
+        zz[0] * s[1] + xy * s[3] + xz * s[4] + zz[1] * s[6] + yz * s[7] + zz[2] * s[8],
+        zz[0] * s[2] + xy * s[4] + xz * s[5] + zz[1] * s[7] + yz * s[8] + zz[2] * s[9],
+    )
     i2 = inverse * inverse
     i3 = i2 * inverse
     i4 = i2 * i2
-    field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * i2 * cubic))
-    field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q) - m.m1 + 6.0 * inverse * v)
-    w = 7.5 * d * z - 3.0 * m.m1
-    diagonal = wp.vec3(w[0] * z[0], w[1] * z[1], w[2] * z[2]) - wp.vec3(1.5 * d, 1.5 * d, 1.5 * d)
-    field.squares = field.squares + i4 * diagonal
-    # 15 d z z' - 3 (m1 z' + z m1').
-    other = wp.vec3(
-        w[0] * z[1] + w[1] * z[0],
-        w[0] * z[2] + w[2] * z[0],
-        w[1] * z[2] + w[2] * z[1],
+    w = i2 * w
+    c = wp.dot(w, z)
+    field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * c))
+    field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q + 52.5 * c) - m.m1 + 6.0 * inverse * v - 22.5 * w)
+    # 7.5 (d - 7 q) z z' - (3 m1 - 30 v) z' - 1.5 (d - 5 q) - 3 M2.
+    t = (7.5 * d - 52.5 * q) * z - 3.0 * m.m1 + (30.0 * inverse) * v
+    plain = 1.5 * d - 7.5 * q
+    part = 3.0 * inverse
+    diagonal = wp.vec3(
+        t[0] * z[0] - plain - part * m.m2[0, 0],
+        t[1] * z[1] - plain - part * m.m2[1, 1],
+        t[2] * z[2] - plain - part * m.m2[2, 2],
     )
+    other = wp.vec3(
+        t[0] * z[1] + t[1] * z[0] - 2.0 * part * m.m2[0, 1],
+        t[0] * z[2] + t[2] * z[0] - 2.0 * part * m.m2[0, 2],
+        t[1] * z[2] + t[2] * z[1] - 2.0 * part * m.m2[1, 2],
+    )
+    field.squares = field.squares + i4 * diagonal
     field.products = field.products + i4 * other
+    a = (17.5 * d) * z - 7.5 * m.m1
+    b = 1.5 * m.m1 - (7.5 * d) * z
+    i5 = i4 * inverse
+    field.cubes = field.cubes + i5 * cubes_of(a, b, zz, xy, xz, yz)
     return field
 
 
 @wp.func
-def cap_factor(a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """f, v and s of `near_cap`, and the least of the lengths."""
-    la = about_root(wp.dot(a, a))
-    lb = about_root(wp.dot(b, b))
-    lc = about_root(wp.dot(c, c))
-    size = la * lb * lc
-    v = wp.dot(a, wp.cross(b, c))
-    f = size + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
-    return f, v, size, wp.min(la, wp.min(lb, lc))
+def cubes_of(a: wp.vec3, b: wp.vec3, squares: wp.vec3, xy: float, xz: float, yz: float):
+    """The first factors of a.x (x.H x) + b.x |x|^2, where H has these squares, and the sums of its other entries."""
+    c = Cubes()
+    c[0] = a[0] * squares[0] + b[0]
+    c[1] = a[1] * squares[0] + a[0] * xy + b[1]
+    c[2] = a[2] * squares[0] + a[0] * xz + b[2]
+    c[3] = a[0] * squares[1] + a[1] * xy + b[0]
+    c[4] = a[0] * yz + a[1] * xz + a[2] * xy
+    c[5] = a[1] * squares[1] + b[1]
+    c[6] = a[2] * squares[1] + a[1] * yz + b[2]
+    return c
 
 
 @wp.func
-def is_known(f: float, v: float, most: float, room: float, least: float):
-    """True if an angle is known to within its bound.
+def bent_at(field: Field, t: wp.vec3):
+    """The gradient at t of x.bend x."""
+    return wp.vec3(
+        2.0 * field.squares[0] * t[0] + field.products[0] * t[1] + field.products[1] * t[2],
+        2.0 * field.squares[1] * t[1] + field.products[0] * t[0] + field.products[2] * t[2],
+        2.0 * field.squares[2] * t[2] + field.products[1] * t[0] + field.products[2] * t[1],
+    )
 
-    A product of lengths that underflows is in doubt; so is what overflows, or is not a number.
+
+@wp.func
+def moved_field(field: Field, t: wp.vec3):
+    """The same field about a point at t from its centre, which is in its ball; without what is near.
+
+    The terms of value, slope, bend and cubic within the ball are up to 8 times the drift, each rounded up to 12 times.
     """
-    return most * least > 10.0 * room and (f > 0.0 or wp.abs(v) * least > room)
-
-
-@wp.func
-def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """The solid angle of a triangle with corners at a, b and c from the point, and the largest error of it.
-
-    Half of it is the argument of f + iv, where v = a.(b x c) and f = |a||b||c| + a.b|c| + b.c|a| + c.a|b| (van
-    Oosterom and Strackee 1983). In units of s = |a||b||c| and u = 2^-24: a, b and c are differences of float32 numbers,
-    each rounded once, and lengths have errors of at most 4u; v then has an error of at most 14u, f of at most 65u. The
-    places on the lattice, which are those that count, are up to 0.1u away: that moves f + iv by 1.3u over the least of
-    the lengths. So the argument is right within (100u + 2u/least) s/|f + iv|, if that is small and the negative real
-    axis, where it jumps by a turn, is further away; else nothing is known.
-    """
-    f, v, size, least = cap_factor(a, b, c)
-    most = wp.max(wp.abs(v), wp.abs(f))
-    room = (ROUNDINGS * least + SNAP) * size
-    error = float(wp.inf)
-    angle = float(0.0)
-    if is_known(f, v, most, room, least):
-        error = 2.0 * room / (most * least)
-        angle = 2.0 * wp.atan2(v, f)
-    return angle, error
-
-
-@wp.func
-def corners_from(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
-    """The ways from p (scaled) to the corners of the cap in a leaf of a mesh's tree."""
-    slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
-    return caps.tree.corners[slot] - p, caps.tree.corners[slot + 1] - p, caps.tree.corners[slot + 2] - p
-
-
-@wp.func
-def most_of(caps: Caps, node: int, centre: wp.vec3, radius: float):
-    """A bound of the solid angle of what is under a node, for all points within `radius` of the centre."""
-    r0 = load4(caps.moments, _ROWS * node)
-    left = wp.length(wp.vec3(r0[0], r0[1], r0[2]) - centre) - (radius + r0[3]) * WIDER
-    most = float(2.0 * wp.PI)
-    if left > NEAREST:
-        most = wp.min(most, WIDER * load4(caps.moments, _ROWS * node + 1)[0] / (left * left))
-    return most
-
-
-@wp.func
-def see_caps(
-    caps: Caps,
-    mesh: int,
-    centre: wp.vec3,
-    radius: float,
-    tolerance: float,
-    room: int,
-    stack: wp.array(dtype=wp.int32),
-    lane: int,
-    lanes: int,
-):
-    """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes.
-
-    Single caps that no multipole tells wait on the stack until there is one for each lane. If the radius is zero, they
-    are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others, at most
-    MOST_NEAR, are listed from the stack's end; if there are more, none is, and they count as errors.
-    """
-    base = nodes_of(caps.tree, mesh)
-    leaves = 1 << caps.tree.depth
-    field = Field()
-    steps = float(0.0)
-    near = int(0)
-    single = int(0)
-    waiting = wp.min(lanes, leaves)
-    if lane < waiting:
-        stack[lane] = waiting + lane
-    wait_for_lanes()
-    while waiting + single > 0:
-        node = int(0)
-        opened = bool(False)
-        alone = bool(False)
-        listed = bool(False)
-        if waiting > 0 and single <= MOST_SINGLE - 32:
-            taken = wp.min(lanes, waiting)
-            waiting = waiting - taken
-            if lane < taken:
-                node = stack[waiting + lane]
-            wait_for_lanes()
-            if node > 0:
-                at = _ROWS * (base + node)
-                r0 = load4(caps.moments, at)
-                r1 = load4(caps.moments, at + 1)
-                if r1[1] > 0.0:
-                    u = wp.vec3(r0[0], r0[1], r0[2]) - centre
-                    distance = wp.length(u)
-                    reach = (radius + r0[3]) * WIDER
-                    bound = float(wp.inf)
-                    left = distance - reach
-                    if reach < 0.9 * distance and distance > NEAREST:
-                        rho = reach / distance
-                        cube = r1[2] * r1[2] * (3.0 * radius + r0[3]) + radius * radius * (radius + 3.0 * r1[2])
-                        bound = r1[0] / (left * left) * (4.0 - 3.0 * rho) * cube / (distance * distance * distance)
-                    if bound <= tolerance:
-                        field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance)
-                        field.error = field.error + WIDER * bound + r1[1] / (left * left)
-                        field.drift = field.drift + radius / distance * r1[0] / (left * left)
-                        steps = steps + 1.0
-                    elif node < leaves:
-                        opened = bool(True)
-                    elif radius > 0.0 and room == 0:
-                        field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
-                        near = 1
-                    else:
-                        alone = bool(True)
-            mask = ballot(opened)
-            if opened:
-                place = waiting + 2 * rank(mask, lane)
-                stack[place] = 2 * node
-                stack[place + 1] = 2 * node + 1
-            waiting = waiting + 2 * members(mask)
-            mask = ballot(alone)
-            if alone:
-                stack[_SINGLE + single + rank(mask, lane)] = node
-            single = single + members(mask)
-        else:
-            taken = wp.min(lanes, single)
-            single = single - taken
-            if lane < taken:
-                node = stack[_SINGLE + single + lane]
-                a, b, c = corners_from(caps, mesh, node - leaves, centre)
-                angle, wrong = near_cap(a, b, c)
-                t = Taylor()
-                if radius > 0.0:
-                    t = taylor_of_cap(a, b, c, radius * WIDER, angle, wrong)
-                if t.bound <= tolerance:
-                    field.value = field.value + wp.float64(angle)
-                    field.slope = field.slope + t.slope
-                    field.squares = field.squares + t.squares
-                    field.products = field.products + t.products
-                    field.error = field.error + wrong + WIDER * t.bound + t.rounding
-                    field.drift = field.drift + t.drift
-                    steps = steps + 1.0
-                else:
-                    field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
-                    listed = bool(True)
-            mask = ballot(listed)
-            if listed and near + members(mask) <= room:
-                stack[STACK - 1 - near - rank(mask, lane)] = node - leaves
-            near = near + members(mask)
-        if ballot(field.error + wp.where(near > room, field.left_out, 0.0) >= HOPELESS) != wp.uint32(0):
-            # Nothing will be known, as not all is added up.
-            field.error = float(wp.inf)
-            waiting = int(0)
-            single = int(0)
-        wait_for_lanes()
-    field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
-    field.left_out = sum_of_lanes(field.left_out)
-    if near <= room:
-        field.near = near
-    else:
-        field.error = field.error + field.left_out
-    field.value = sum_of_lanes_in_double(field.value)
-    for axis in range(3):
-        field.slope[axis] = sum_of_lanes(field.slope[axis])
-        field.squares[axis] = sum_of_lanes(field.squares[axis])
-        field.products[axis] = sum_of_lanes(field.products[axis])
-    return field
-
-
-@wp.func
-def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
-    """A lane's part of the solid angle of the listed caps seen from p (scaled), and the largest error of it.
-
-    As `near_cap`, but half angles add up as the arguments of a product of complex numbers, and a count of its full
-    turns: a factor has an error of 15u more.
-    """
-    re = float(1.0)
-    im = float(0.0)
-    turns = float(0.0)
-    error = float(0.0)
-    i = lane
-    while i < near:
-        a, b, c = corners_from(caps, mesh, stack[STACK - 1 - i], p)
-        f, v, size, least = cap_factor(a, b, c)
-        most = wp.max(wp.abs(v), wp.abs(f))
-        room = (ROUNDINGS * least + SNAP) * size
-        if is_known(f, v, most, room, least):
-            inverse = about_quotient(1.0, most)
-            error = error + 2.0 * WIDER * about_quotient(room * inverse, least)
-            x = f * inverse
-            y = v * inverse
-            new_re = re * x - im * y
-            new_im = re * y + im * x
-            if im >= 0.0 and y > 0.0 and new_im < 0.0:
-                turns = turns + 1.0
-            if im < 0.0 and y < 0.0 and new_im >= 0.0:
-                turns = turns - 1.0
-            # A factor is between 1 and 1.5: this is long before an overflow.
-            shrink = wp.where(wp.abs(new_re) + wp.abs(new_im) > LARGEST_PRODUCT, 1.0 / LARGEST_PRODUCT, 1.0)
-            re = shrink * new_re
-            im = shrink * new_im
-        else:
-            error = float(wp.inf)
-        i = i + lanes
-    angle = 2.0 * wp.atan2(im, re) + FULL * turns
-    return angle, error + 4.0 * UNIT * wp.abs(angle)
-
-
-@wp.func
-def near_share(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
-    """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
-    angle, error = near_angle(caps, mesh, near, p, stack, lane, lanes)
-    angle = sum_of_lanes(angle)
-    error = sum_of_lanes(error) + 8.0 * UNIT * FULL
-    return angle / FULL, error / FULL
+    c = cubic_of(field.cubes)
+    x = t[0]
+    y = t[1]
+    z = t[2]
+    squares = wp.vec3(
+        3.0 * c[0] * x + c[1] * y + c[2] * z, c[3] * x + 3.0 * c[6] * y + c[7] * z, c[5] * x + c[8] * y + 3.0 * c[9] * z
+    )
+    products = wp.vec3(
+        2.0 * (c[1] * x + c[3] * y) + c[4] * z,
+        2.0 * (c[2] * x + c[5] * z) + c[4] * y,
+        2.0 * (c[7] * y + c[8] * z) + c[4] * x,
+    )
+    # The gradient of the cubic.
+    steep = wp.vec3(
+        squares[0] * x + 0.5 * (products[0] * y + products[1] * z),
+        squares[1] * y + 0.5 * (products[0] * x + products[2] * z),
+        squares[2] * z + 0.5 * (products[1] * x + products[2] * y),
+    )
+    bent = bent_at(field, t)
+    moved = Field()
+    moved.value = field.value + wp.float64(wp.dot(field.slope + 0.5 * bent + steep / 3.0, t))
+    moved.slope = field.slope + bent + steep
+    moved.squares = field.squares + squares
+    moved.products = field.products + products
+    moved.cubes = field.cubes
+    moved.error = field.error + 96.0 * UNIT * field.drift
+    moved.drift = field.drift
+    return moved
 
 
 @wp.func
@@ -341,7 +191,11 @@ def share_at(field: Field, x: wp.vec3):
     """The caps' share of the winding number at x from the field's centre."""
     curved = wp.dot(field.squares, wp.cw_mul(x, x)) + field.products[0] * x[0] * x[1]
     curved = curved + field.products[1] * x[0] * x[2] + field.products[2] * x[1] * x[2]
-    return (float(field.value) + wp.dot(field.slope, x) + curved) / FULL
+    c = cubic_of(field.cubes)
+    cubic = x[0] * (x[0] * (c[0] * x[0] + c[1] * x[1] + c[2] * x[2]) + x[1] * (c[3] * x[1] + c[4] * x[2]))
+    cubic = cubic + x[1] * x[1] * (c[6] * x[1] + c[7] * x[2])
+    cubic = cubic + x[2] * x[2] * (c[5] * x[0] + c[8] * x[1] + c[9] * x[2])
+    return (float(field.value) + wp.dot(field.slope, x) + curved + cubic) / FULL
 
 
 @wp.func
@@ -356,6 +210,18 @@ def largest_share(field: Field, half: wp.vec3):
     slope = wp.dot(wp.abs(field.slope), half)
     curved = wp.dot(wp.abs(field.squares), wp.cw_mul(half, half)) + wp.abs(field.products[0]) * half[0] * half[1]
     curved = curved + wp.abs(field.products[1]) * half[0] * half[2] + wp.abs(field.products[2]) * half[1] * half[2]
+    c = cubic_of(field.cubes)
+    x = half[0]
+    y = half[1]
+    z = half[2]
+    cubic = x * x * (wp.abs(c[0]) * x + wp.abs(c[1]) * y + wp.abs(c[2]) * z)
+    cubic = cubic + y * y * (wp.abs(c[3]) * x + wp.abs(c[6]) * y + wp.abs(c[7]) * z)
+    cubic = cubic + z * z * (wp.abs(c[5]) * x + wp.abs(c[8]) * y + wp.abs(c[9]) * z) + wp.abs(c[4]) * x * y * z
     return (
-        wp.abs(float(field.value)) + slope + curved + field.error + wp.where(field.near > 0, field.left_out, 0.0)
+        wp.abs(float(field.value))
+        + slope
+        + curved
+        + cubic
+        + field.error
+        + wp.where(field.near > 0, field.left_out, 0.0)
     ) / FULL

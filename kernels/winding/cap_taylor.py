@@ -5,22 +5,31 @@ edge's ends, its part of the gradient is
 
     a x b S,   S = (1/|a| + 1/|b|) / k,   k = |a||b| + a.b,
 
-and half its part of the second derivative, s the gradient of S,
+where S depends on the place: at x from the centre it is S + s.x + x.H x/2 + ..., and as the other factor, times x,
+does not change along the way to x, the edge's part of the solid angle is that at the centre and
 
-    sym(a x b s)/2,   s = (a/|a|^3 + b/|b|^3) / k + (|a| + |b|)^2 / (|a||b| k^2) (a/|a| + b/|b|).
+    (a x b).x (S + s.x/2 + x.H x/6 + ...).
+
+With A = a/|a|, B = b/|b|, u = 1/|a|, v = 1/|b|, w = u + v and L = |a| + |b|
+
+    s = (u^2 A + v^2 B)/k + w L/k^2 (A + B),
+    H = p A A' + q (A B' + B A') + r B B' + t,
+    q = (u^2 + v^2) L/k^2 + w/k^2 (2 L^2/k - 1),           t = -(u^3 + v^3)/k - w^2 L/k^2,
+    p = 3 u^3/k + (3 u + v) u L/k^2 + w/k^2 (2 L^2/k - 1),   r the same with u and v exchanged.
 
 The rest is bounded as that of a multipole is (`cap_field`): a derivative of order m of the solid angle is an integral
 along the edges of derivatives of order m of 1/|r|, each at most m!/|r|^(m+1). With R the radius of the box and d the
-distance of an edge of length l from its centre, the terms from the third order on add up to
+distance of an edge of length l from its centre, the terms from the fourth order on add up to
 
-    min(l/d, pi/2) rho^3 / (1 - rho),   rho = R/d.
+    min(l/d, pi/2) rho^4 / (1 - rho),   rho = R/d.
 
 All that holds if the cap itself does not pass through the ball around the box, where its solid angle jumps. Where the
 cap does, the centre is less than R above the plane, and d or more from the rim, so that the solid angle there is at
 least that of a disc, 2 pi (1 - R/d).
 
 Rounding: in units of u = 2^-24 the product a x b is wrong by 6 |a||b|, and S by a share of 6 K + 10 with
-K = |a||b|/k, where |a x b| is at most sqrt(2/K) |a||b|. Places on the lattice are up to 0.1 u away.
+K = |a||b|/k, where |a x b| is at most sqrt(2/K) |a||b|. All that is added up in H has one sign, but for t, and is wrong
+by a share of 18 K + 30. Places on the lattice are up to 0.1 u away.
 """
 
 from __future__ import annotations
@@ -29,6 +38,7 @@ import warp as wp
 
 from sdm.kernels.primitives.fast_math import about_inverse_root, about_quotient, about_root
 from sdm.kernels.primitives.lanes import unknown
+from sdm.kernels.winding.cap_field import Cubes, cubes_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,15 +50,28 @@ LARGEST_RATIO = 1.0e4
 
 @wp.struct
 class Taylor:
-    """Gradient and half the second derivative of a solid angle, as far as edges are added."""
+    """Slope, bend and cubic of a solid angle, as in `cap_field.Field`, as far as edges are added."""
 
     slope: wp.vec3
     squares: wp.vec3
     products: wp.vec3
+    cubes: Cubes
     bound: float  # of what the polynomial leaves out
     rounding: float  # the largest error by rounding, and by places on the lattice
     drift: float  # what the rounding of sums is in proportion to
     nearest: float  # the least distance of an edge
+
+
+@wp.func
+def bend_of(ia: float, ib: float, both: float, ik: float):
+    """p, q, r and t of an edge's S."""
+    w = ia + ib
+    once = both * ik * ik
+    common = w * ik * ik * (2.0 * both * both * ik - 1.0)
+    p = ia * (3.0 * ia * ia * ik + (3.0 * ia + ib) * once) + common
+    q = (ia * ia + ib * ib) * once + common
+    r = ib * (3.0 * ib * ib * ik + (3.0 * ib + ia) * once) + common
+    return p, q, r, -(ia * ia * ia + ib * ib * ib) * ik - w * w * once
 
 
 @wp.func
@@ -73,7 +96,7 @@ def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, radius: float):
         ik = about_quotient(1.0, k)
         reach = wp.min(about_quotient(about_root(length2), d), 0.5 * wp.PI)
         rho = about_quotient(radius, d)
-        t.bound = t.bound + reach * about_quotient(rho * rho * rho, 1.0 - rho)
+        t.bound = t.bound + reach * about_quotient(rho * rho * rho * rho, 1.0 - rho)
         normal = wp.cross(a, b)
         s1 = (ia + ib) * ik
         both = s1 * (la + lb) * ik
@@ -86,11 +109,23 @@ def add_edge(t: Taylor, a: wp.vec3, b: wp.vec3, radius: float):
             normal[1] * s[2] + normal[2] * s[1],
         )
         t.products = t.products + 0.5 * other
+        p, q, r, level = bend_of(ia, ib, la + lb, ik)
+        fa = ia * a
+        fb = ib * b
+        ga = p * fa + q * fb
+        gb = q * fa + r * fb
+        squares = wp.cw_mul(ga, fa) + wp.cw_mul(gb, fb)
+        sixth = normal / 6.0
+        xy = 2.0 * (ga[0] * fa[1] + gb[0] * fb[1])
+        xz = 2.0 * (ga[0] * fa[2] + gb[0] * fb[2])
+        yz = 2.0 * (ga[1] * fa[2] + gb[1] * fb[2])
+        t.cubes = t.cubes + cubes_of(sixth, level * sixth, squares, xy, xz, yz)
         flat = about_root(wp.dot(normal, normal))
         linear = s1 * radius
         square = about_root(wp.dot(s, s)) * radius * radius
-        t.drift = t.drift + (linear + square) * flat
-        wrong = (linear + square) * (20.0 * size + flat * (20.0 * size * ik + 40.0))
+        cubic = radius * radius * radius * (p + 2.0 * q + r - 3.0 * level) / 3.0
+        t.drift = t.drift + (linear + square + cubic) * flat
+        wrong = (linear + square + cubic) * (20.0 * size + flat * (20.0 * size * ik + 40.0))
         t.rounding = t.rounding + UNIT * (wrong + 2.0 * about_quotient(reach, d))
     else:
         t.bound = float(wp.inf)

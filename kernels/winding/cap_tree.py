@@ -28,7 +28,7 @@ MOMENTS_SIZE = 24
 _ROWS = MOMENTS_SIZE // 4
 # The rounding of a node's part of the solid angle, times its squared distance: of all float32 numbers on the way, by
 # area, and of the places on the lattice, which are those that count, by the length of the caps' edges.
-AREA_ROUNDING = wp.float64(160.0 * 2.0**-24)
+AREA_ROUNDING = wp.float64(240.0 * 2.0**-24)
 EDGE_ROUNDING = wp.float64(0.25 * 2.0**-24)
 # No radius or spread is too small by rounding. A node's centre is its area's middle but for so much, scaled.
 WIDER = wp.float64(1.00001)

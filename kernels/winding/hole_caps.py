@@ -21,8 +21,8 @@ from sdm.kernels.geometry.triangle_distance import nearest_part, segment_distanc
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.lanes import ballot, sum_of_lanes
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_field import near_cap
 from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.near_caps import near_cap
 
 wp.set_module_options({"enable_backward": False})
 

@@ -13,11 +13,13 @@ import warp as wp
 from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build
 from sdm.kernels.geometry.voxel_box import VoxelBox
-from sdm.kernels.primitives.shared_stacks import STACK, stack_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary
-from sdm.kernels.winding.cap_field import doubt, near_share, see_caps, share_at
+from sdm.kernels.winding.cap_descent import see_caps
+from sdm.kernels.winding.cap_field import Field, doubt, moved_field, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.hole_caps import is_far, view_caps
+from sdm.kernels.winding.near_caps import near_share
 from tests.helpers import oracle
 
 wp.set_module_options({"enable_backward": False})
@@ -31,13 +33,24 @@ def _field(
     off: wp.array2d(dtype=wp.vec3),
     tolerance: float,
     room: int,
+    way: wp.array(dtype=wp.vec3),
     stacks: wp.array(dtype=wp.int32),
     share: wp.array2d(dtype=float),
     error: wp.array2d(dtype=float),
 ):
     i = wp.tid()
-    stack = stack_of(stacks, 0)
-    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, stack, 0, 1)
+    stack = large_stack_of(stacks, 0)
+    field = Field()
+    handed = -1
+    if wp.length(way[i]) > 0.0:
+        # What a larger ball has found, whose centre is elsewhere.
+        centre = at[i] - way[i]
+        reach = 1.00001 * (wp.length(at[i] - centre) + radius[i])
+        whole = see_caps(caps, 0, centre, reach, tolerance, room, field, handed, True, stack, 0, 1)
+        if whole.error < wp.inf:
+            field = moved_field(whole, at[i] - centre)
+            handed = whole.near
+    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, stack, 0, 1)
     for k in range(off.shape[1]):
         near, wrong = near_share(caps, 0, field.near, at[i] + off[i, k], stack, 0, 1)
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
@@ -127,14 +140,18 @@ def boxes_about(kind: str):
 @pytest.mark.parametrize("kind", ["flat", "ragged", "needle", "torn"])
 @pytest.mark.parametrize("room", [0, 8, 256])
 @pytest.mark.parametrize("tolerance", [0.02, 1e-4])
-def test_a_field_is_as_right_as_it_says(kind, room, tolerance):
-    """Of caps that are few, thin, or many."""
+@pytest.mark.parametrize("handed", [False, True])
+def test_a_field_is_as_right_as_it_says(kind, room, tolerance, handed):
+    """Of caps that are few, thin, or many; by a descent from the root, or from what a larger ball has found."""
     _structure, caps, at, off, exact = boxes_about(kind)
     radius = (np.linalg.norm(np.abs(off).max(1), axis=1) * 1.000001).astype(np.float32)
     share, error = (wp.zeros(off.shape[:2], dtype=float, device="cpu") for _ in range(2))
     arrays = [wp.array(v, dtype=t, device="cpu") for v, t in ((at, wp.vec3), (radius, float), (off, wp.vec3))]
-    stacks = wp.zeros(STACK, dtype=wp.int32, device="cpu")
-    inputs = [caps, *arrays, tolerance, room, stacks, share, error]
+    rng = np.random.default_rng(6)
+    way = rng.normal(size=at.shape) * (np.maximum(radius, 1e-6) * 10 ** rng.uniform(-2, 1, len(at)))[:, None] * handed
+    way = wp.array(way.astype(np.float32), dtype=wp.vec3, device="cpu")
+    stacks = wp.zeros(LARGE_STACK, dtype=wp.int32, device="cpu")
+    inputs = [caps, *arrays, tolerance, room, way, stacks, share, error]
     wp.launch(_field, len(at), inputs, device="cpu")
     error = error.numpy().astype(np.float64)
     wrong = np.abs(share.numpy() - exact)

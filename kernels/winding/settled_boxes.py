@@ -1,0 +1,140 @@
+"""Winding numbers of a box's voxels by the field of an open mesh's caps, written where that leaves no doubt.
+
+What is written is never a whole number, so that the voxels that still have whole ones are what is left.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.geometry.block_table import VOXELS, inner_of
+from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
+from sdm.kernels.geometry.voxel_grid import Slab, voxel
+from sdm.kernels.primitives.lanes import bits_of_lanes, sum_of_four
+from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.near_caps import FULL, UNIT, near_angle
+
+wp.set_module_options({"enable_backward": False})
+
+# With a larger error the voxels are not looked at: too many would be in doubt.
+MOST_DOUBT = 0.15
+# Less than a quarter, by more than the rounding of the sums.
+LARGEST_SHARE = 0.249
+# What float32 adds to a winding number's error when all is summed up, and in proportion to the number.
+LAST_ROUNDINGS, LAST_ROUNDING = 2.0e-6, 3.0e-7
+
+
+@wp.func
+def is_sure(winding: float, whole: float, error: float):
+    """True if a winding number is on a known side of the values that decide about sign and clearness."""
+    off = wp.min(wp.abs(winding - 0.25), wp.min(wp.abs(winding - 0.5), wp.abs(winding - 0.75)))
+    return off > error + LAST_ROUNDINGS + LAST_ROUNDING * wp.abs(whole)
+
+
+@wp.func
+def is_whole(winding: float):
+    """True if a voxel still has the winding number of surface and caps."""
+    return winding == wp.floor(winding)
+
+
+@wp.func
+def opened(winding: float):
+    """A winding number as it is written: never a whole one, which would tell that the voxel is not open yet."""
+    return wp.where(is_whole(winding), winding + 0.0625, winding)
+
+
+@wp.struct
+class BlockWindings:
+    """Winding numbers of blocks of 8^3 voxels, see `geometry.block_table`, of which one is looked at."""
+
+    values: wp.array(dtype=wp.float32)  # (N * 512)
+    place: wp.int32
+
+
+@wp.func
+def winding_at(values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i):
+    """The winding number of a voxel, of all or of one block's."""
+    return values[mesh, v[0], v[1], v[2]]
+
+
+@wp.func
+def winding_at(values: BlockWindings, mesh: int, v: wp.vec3i):  # noqa: F811
+    return values.values[VOXELS * values.place + inner_of(v)]
+
+
+@wp.func
+def put_winding(values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i, winding: float):
+    """Write it."""
+    values[mesh, v[0], v[1], v[2]] = winding
+
+
+@wp.func
+def put_winding(values: BlockWindings, mesh: int, v: wp.vec3i, winding: float):  # noqa: F811
+    values.values[VOXELS * values.place + inner_of(v)] = winding
+
+
+@wp.func
+def settle_box(
+    field: Field,
+    caps: Caps,
+    stack: wp.array(dtype=wp.int32),
+    slab: Slab,
+    mesh: int,
+    start: wp.vec3i,
+    bits: int,
+    most_near: int,
+    box: VoxelBox,
+    scale: float,
+    lane: int,
+    lanes: int,
+    values: Any,
+):
+    """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each."""
+    far = largest_share(field, box.half) < LARGEST_SHARE
+    if far and bits > 0:
+        return 0
+    if field.near > most_near or doubt(field) > MOST_DOUBT:
+        return 255
+    # Lanes for each voxel: four of 2^3, all of a single one.
+    share = wp.max(1, lanes >> (3 * bits))
+    left = int(0)
+    number = lane / share
+    while number < 1 << (3 * bits):
+        at = wp.vec3i(number >> (2 * bits), (number >> bits) & ((1 << bits) - 1), number & ((1 << bits) - 1))
+        v = start + at
+        whole = float(0.5)
+        if is_within(slab, v):
+            whole = winding_at(values, mesh, v)
+        p = scale * voxel(slab, v[0], v[1], v[2])
+        angle = float(0.0)
+        wrong = float(0.0)
+        if is_whole(whole):
+            angle, wrong = near_angle(caps, mesh, field.near, p, stack, lane % share, share)
+        if share == 4:
+            # Also, all have read the whole number before it goes.
+            angle = sum_of_four(angle)
+            wrong = sum_of_four(wrong) + 2.0 * UNIT * FULL
+        winding = whole
+        if not far:
+            winding = whole - angle / FULL - share_at(field, p - box.centre)
+        if is_whole(whole):
+            if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
+                if lane % share == 0:
+                    put_winding(values, mesh, v, opened(winding))
+            else:
+                half = bits - 1
+                left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
+        number = number + lanes / share
+    octants = bits_of_lanes(left)
+    return octants
+
+
+@wp.func
+def is_left(slab: Slab, values: Any, mesh: int, v: wp.vec3i):
+    """True if a voxel is there, and not open yet."""
+    if not is_within(slab, v):
+        return False
+    return is_whole(winding_at(values, mesh, v))
