@@ -36,8 +36,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_mesh_becomes_a_code_and_the_code_a_mesh_where_it_was(work: Path, tmp_path: Path) -> None:
     model, code, out = work / "model" / "model.pt", tmp_path / "new.npz", tmp_path / "new.ply"
     assert main(["encode", str(work / "new.ply"), "-m", str(model), "-o", str(code), "--steps", "60"]) == 0
-    for target in (out.with_suffix(".stl"), out.with_suffix(".obj"), out):
-        assert main(["decode", str(code), "-m", str(model), "-o", str(target), "--resolution", "48"]) == 0
+    for target, resolution in ((out.with_suffix(".stl"), "16"), (out.with_suffix(".obj"), "16"), (out, "48")):
+        assert main(["decode", str(code), "-m", str(model), "-o", str(target), "--resolution", resolution]) == 0
         assert len(sdm.load_mesh(target)) > 0
     away = sdm.signed_distance(sdm.load_mesh(work / "new.ply"), sdm.load_mesh(out).vertices)
     assert away.abs().mean() < 0.15

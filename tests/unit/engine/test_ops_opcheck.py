@@ -46,9 +46,9 @@ def test_closest(case):
     torch.library.opcheck(torch.ops.sdm.closest.default, (leaf, faces, _points(gradients), tensors, kind))
 
 
-@pytest.mark.parametrize("meshes", [1, 3])
 @pytest.mark.parametrize(
-    "direction", [[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]]
+    ("meshes", "direction"),
+    [(1, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), (3, [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0])],
 )
 def test_distance_map(case, meshes, direction):
     vertices, faces, tensors, kind = _inputs(case[0], case[1], case[2], meshes)

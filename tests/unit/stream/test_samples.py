@@ -161,7 +161,8 @@ def test_as_many_at_once_as_there_is_room_for():
         return SDMStream(family, family.grid(resolution), device="cpu").maker.at_once
 
     assert [at_once(n) for n in (16, 64, 128, 256)] == [64, 64, 16, 2]
-    assert at_once(16, Cochlea(100_000)) == (1 << 21) // len(Cochlea(100_000).faces) < 64
+    fine = Cochlea(40_000)
+    assert at_once(16, fine) == (1 << 21) // len(fine.faces) < 64
     meshes = [family.mesh([3, 0.5, 0.1, 0])] * 3
     assert at_once(16, MeshFolder(meshes)) == 64 < (1 << 21) // triangles
 

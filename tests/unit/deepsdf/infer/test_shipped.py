@@ -18,7 +18,7 @@ THETA = torch.tensor([3.7, 0.45, 0.146, 0.6])
 
 @pytest.fixture(scope="module")
 def cochlea() -> sdm.TriangleMesh:
-    return Cochlea(6_000).mesh(THETA)
+    return Cochlea(4_000).mesh(THETA)
 
 
 def test_a_mesh_there_and_back(cochlea: sdm.TriangleMesh, tmp_path: Path) -> None:
@@ -26,9 +26,9 @@ def test_a_mesh_there_and_back(cochlea: sdm.TriangleMesh, tmp_path: Path) -> Non
 
     trimesh.Trimesh(*cochlea.numpy(), process=False).export(tmp_path / "cochlea.ply")
     code, out = tmp_path / "cochlea.npz", tmp_path / "again.ply"
-    words = ["encode", str(tmp_path / "cochlea.ply"), "-m", "cochlea", "-o", str(code), "--steps", "25"]
+    words = ["encode", str(tmp_path / "cochlea.ply"), "-m", "cochlea", "-o", str(code), "--steps", "20"]
     assert main([*words, "--device", "cpu"]) == 0
-    assert main(["decode", str(code), "-m", "cochlea", "-o", str(out), "--resolution", "64", "--device", "cpu"]) == 0
+    assert main(["decode", str(code), "-m", "cochlea", "-o", str(out), "--resolution", "40", "--device", "cpu"]) == 0
     away = sdm.signed_distance(cochlea, sdm.load_mesh(out).vertices)
     assert away.abs().mean() < 0.1
 
@@ -37,8 +37,8 @@ def test_the_other_half_follows(cochlea: sdm.TriangleMesh) -> None:
     points, normals = surface_points(cochlea, 2_000, seed=1)
     seen = half_of(points, torch.tensor([0.0, 1.0, 0.0]))
     model = DeepSDF.load("cochlea", "cpu")
-    found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=150)
-    mesh = decode_mesh(model, found.code, sphere=found.sphere, resolution=64)
+    found = encode_scan(model, points[seen], normals[seen], sphere=UnitSphere.of(cochlea), steps=100)
+    mesh = decode_mesh(model, found.code, sphere=found.sphere, resolution=40)
     away = sdm.signed_distance(mesh, points).abs()
     assert away[seen].mean() < 0.1
     assert away[~seen].mean() < 0.2
