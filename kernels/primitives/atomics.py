@@ -61,6 +61,25 @@ def fetch_least(values: wp.array(dtype=wp.int32), index: int, value: int) -> int
 
 @wp.func_native(
     snippet="""
+#if defined(__CUDA_ARCH__)
+    atomicAdd(values.data + index, value);
+#else
+    long long* at = reinterpret_cast<long long*>(values.data) + index;
+    union { long long i; double f; } before, after;
+    before.i = __atomic_load_n(at, __ATOMIC_RELAXED);
+    do
+        after.f = before.f + value;
+    while (!__atomic_compare_exchange_n(at, &before.i, after.i, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED));
+#endif
+"""
+)
+def add_double(values: wp.array(dtype=wp.float64), index: int, value: wp.float64):
+    """Add to a number that other threads add to as well, in any order."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
     // Floats without a sign are in the order of their bits, those with one in the other order.
     int* at = reinterpret_cast<int*>(values.data) + index;
     const int bits = *reinterpret_cast<int*>(&value);

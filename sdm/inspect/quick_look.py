@@ -10,15 +10,12 @@ from torch import Tensor
 from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.core.mesh import TriangleMesh
-from sdm.inspect.edges import label
 from sdm.inspect.orientation import outward_turns
 from sdm.inspect.positions import first_at_position
 from sdm.inspect.report import inspect_mesh
 
 # A volume below this share of what the area could enclose is none.
 LEAST_VOLUME = 1e-9
-# Faces whose components are found step by step.
-MOST_BY_STEPS = 20_000
 
 
 class MeshLook:
@@ -89,49 +86,32 @@ def _is_plain(mesh: TriangleMesh) -> bool:
     """True if no edge is left over twice and no component encloses less than nothing, nor nothing if it is closed."""
     # `sdm inspect` needs nothing of Warp, whose start takes a third of a second.
     from sdm.topology.boundary_edges import boundary_edges
+    from sdm.topology.component_volumes import every_component_encloses
     from sdm.topology.face_pairing import pairing_of
 
     pairing = pairing_of(mesh.faces, mesh.vertices.shape[0])
     edges = boundary_edges(mesh.vertices, mesh.faces)
     # They are sorted.
-    if bool((edges[1:] == edges[:-1]).all(1).any()):
+    if edges.shape[0] and bool((edges[1:] == edges[:-1]).all(1).any()):
         return False
-    vertices, faces = mesh.numpy()
     around = pairing.neighbours
     if pairing.unmatched.shape[0]:
-        merged = first_at_position(vertices)[faces].astype(np.int32)
-        around = pairing_of(torch.from_numpy(merged), len(vertices)).neighbours
-    other = around.cpu().numpy()[:, :3] // 3
-    component = _components(np.where(other < 0, np.arange(len(faces))[:, None], other))
-    volume, area = _sizes(mesh, component)
-    least = LEAST_VOLUME * area**1.5
-    return bool((volume > -least if edges.shape[0] else volume > least).all())
+        around = torch.from_numpy(_joined(*mesh.numpy(), around.cpu().numpy())).to(mesh.device)
+    # A closed component has to enclose something, an open one not less than nothing.
+    least = -LEAST_VOLUME if edges.shape[0] else LEAST_VOLUME
+    return every_component_encloses(least, mesh.vertices, mesh.faces, around)
 
 
-def _components(other: np.ndarray) -> np.ndarray:
-    """The number of the component of each face, given three faces (F,3) that it meets, itself where there is none."""
-    count = len(other)
-    if count > MOST_BY_STEPS:
-        return label(np.repeat(np.arange(count), 3), other.reshape(-1), count)
-    # Without SciPy, whose import takes longer: each takes the least number near it, and what that one has taken.
-    lowest, before = np.arange(count), None
-    while before is None or not np.array_equal(lowest, before):
-        before = lowest
-        lowest = np.minimum(before, before[other].min(1))
-        lowest = lowest[lowest]
-    return np.unique(lowest, return_inverse=True)[1].reshape(-1)
-
-
-def _sizes(mesh: TriangleMesh, component: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed volume of each component about its middle, and its area."""
-    vertices = mesh.vertices.detach().double().cpu()
-    # About the middle of all, so that a mesh far from the origin loses no digits.
-    vertices = vertices - vertices.mean(0)
-    a, b, c = (vertices.index_select(0, mesh.faces[:, k].long().cpu()) for k in range(3))
-    normal = torch.linalg.cross(b - a, c - a)
-    of_face = torch.cat([a + b + c, normal, (a * normal).sum(1, True), normal.norm(dim=1, keepdim=True)], 1)
-    number = torch.from_numpy(component).long()
-    sums = of_face.new_zeros(int(number.max()) + 1, 8).index_add_(0, number, of_face)
-    middle = sums[:, :3] / (3 * torch.bincount(number)[:, None])
-    volume = (sums[:, 6] - (middle * sums[:, 3:6]).sum(1)) / 6
-    return volume.numpy(), (sums[:, 7] / 2).numpy()
+def _joined(vertices: np.ndarray, faces: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Neighbours (F,4) with those at edges of one face each that lie in the same place."""
+    face, k = np.nonzero(around[:, :3] < 0)
+    ends = np.stack([faces[face, k], faces[face, (k + 1) % 3]])
+    place = first_at_position(vertices[ends.ravel()]).reshape(2, -1)
+    low, high = place.min(0), place.max(0)
+    key = np.where(low == high, -1, low * place.size + high)
+    order = np.argsort(key, kind="stable")
+    same = (key[order[1:]] == key[order[:-1]]) & (key[order[1:]] >= 0)
+    one, other = order[:-1][same], order[1:][same]
+    around = around.copy()
+    around[face[one], k[one]] = 3 * face[other]
+    return around
