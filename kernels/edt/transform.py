@@ -50,6 +50,7 @@ def transform(
     missing: float,
     room: dict[str, wp.array],
     out: wp.array,
+    span: tuple[int, int] | None = None,
 ) -> None:
     """Fill `out` with distances to the nearest voxel of the other class.
 
@@ -62,6 +63,9 @@ def transform(
         missing: Distance where there is no voxel of the other class.
         room: Scratch, as large as `room_for` says: `between` float32, all else int32, `marks` zeros.
         out: float32, flat.
+        span: Of a single volume, the first slice along x with a voxel inside and the one after the last. Slices beyond
+            have none to measure to within themselves, and are left out of the first two passes: `between` is infinite
+            there to begin with. The values are the same.
     """
     meshes, nx, ny, nz = shape
     device = mask.device
@@ -69,15 +73,24 @@ def transform(
     unit = max(spacing)
     weights = [(s / unit) * (s / unit) for s in spacing]
     lanes = GPU_LANES if device.is_cuda else 1
-    across_y, across_x = meshes * nx * nz, meshes * ny * nz
+    first, last = span or (0, nx)
+    # Of the first two passes.
+    thick = last - first
+    across_y, across_x = meshes * thick * nz, meshes * ny * nz
     sides = 2 if signed else 1
+    ends_y = sides * meshes * nx * nz
     along_y = _marks(room["marks"][: sides * across_y], sides, weights[1], half)
-    along_x = _marks(room["marks"][sides * across_y :], sides, weights[0], half)
+    along_x = _marks(room["marks"][ends_y:], sides, weights[0], half)
     none = _marks(room["marks"], 1, math.inf, half)
-    row = [mask, nz, lanes, weights[2], half, int(signed), along_y, ny, out]
-    launch(nearest_in_row, meshes * nx * ny * lanes, row, device)
+    within, halfway, inside = out, room["between"], mask
+    if thick < nx:
+        # Every line along x has a voxel in a slice that is left out, from where the other class is far.
+        along_x.outside.fill_(1)
+        within, halfway, inside = (array[first * ny * nz : last * ny * nz] for array in (within, halfway, inside))
+    row = [inside, nz, lanes, weights[2], half, int(signed), along_y, ny, within]
+    launch(nearest_in_row, meshes * thick * ny * lanes, row, device)
     passes = (
-        (across_y, out, ny, nz, weights[1], 0.0, along_y, along_x, nx, room["between"]),
+        (across_y, within, ny, nz, weights[1], 0.0, along_y, along_x, thick, halfway),
         (across_x, room["between"], nx, ny * nz, weights[0], unit, along_x, none, 1, out),
     )
     for lines, heights, length, stride, weight, scale, marks, following, across, to in passes:

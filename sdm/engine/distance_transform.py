@@ -37,21 +37,39 @@ def _transform(mask: Tensor, spacing: Sequence[float], half: float, signed: bool
     largest = nx * ny * max(nz, _LANES)
     chunk = max(1, min(count, MOST_VOXELS // largest))
     sizes = (float(spacing[0]), float(spacing[1]), float(spacing[2]))
+    on_host = mask.device.type == "cpu"
+    # One by one on a CPU, where a volume fills the cores, and only its slices with foreground need all passes.
+    chunk = 1 if on_host else chunk
     with on_current_stream(mask, mask):
         for begin in range(0, count, chunk):
             part = mask[begin : begin + chunk]
+            result = out[begin : begin + chunk]
+            span = _span(part[0]) if on_host else None
+            if span == (0, 0):
+                result.fill_(missing)
+                continue
             shape = (part.shape[0], nx, ny, nz)
             kept = {
                 name: torch.empty(length, dtype=torch.int32, device=mask.device)
                 for name, length in transform.room_for(shape, signed).items()
             }
             kept["marks"].zero_()
+            between = kept["between"].view(torch.float32)
+            if span is not None and span != (0, nx):
+                between[: span[0] * ny * nz] = torch.inf
+                between[span[1] * ny * nz :] = torch.inf
             room = {name: as_warp(tensor, wp.int32) for name, tensor in kept.items()}
-            room["between"] = as_warp(kept["between"].view(torch.float32), wp.float32)
+            room["between"] = as_warp(between, wp.float32)
             source = as_warp(part.view(torch.uint8).reshape(-1), wp.uint8)
-            result = as_warp(out[begin : begin + chunk].reshape(-1), wp.float32)
-            transform.transform(source, shape, sizes, half, signed, missing, room, result)
+            flat = as_warp(result.reshape(-1), wp.float32)
+            transform.transform(source, shape, sizes, half, signed, missing, room, flat, span)
     return out
+
+
+def _span(mask: Tensor) -> tuple[int, int]:
+    """The first slice along x with foreground, and the one after the last; (0, 0) where there is none."""
+    found = np.flatnonzero(mask.numpy().any((1, 2)))
+    return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
 
 
 @overload
