@@ -25,6 +25,7 @@ from sdm.errors import SDMWarning
 COMMANDS = (
     "inspect",
     "compute",
+    "edt",
     "generate",
     "sample",
     "split",
@@ -52,7 +53,7 @@ BROKEN_PIPE = 141
 GARBAGE_THRESHOLDS = (10_000, 10, 10)
 
 # Commands that launch kernels, which compile at the first time.
-WITH_KERNELS = ("compute", "generate", "sample", "split", "train", "fit", "encode", "decode", "view", "demo")
+WITH_KERNELS = ("compute", "edt", "generate", "sample", "split", "train", "fit", "encode", "decode", "view", "demo")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

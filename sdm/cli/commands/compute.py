@@ -62,6 +62,8 @@ def compute(
 ) -> int | None:
     """Compute the exact signed distance maps of meshes: negative inside, in the mesh's own unit of length.
 
+    An image in place of a mesh is a label volume, and its maps are those of `sdm edt`, which has options for them.
+
     One mesh gives one file; several meshes, or a folder of them, give a folder of maps, in which they lie as in the
     folder that was named. Of several meshes a bad one is reported at the end, the others are computed, and the exit
     code is 2. Reading, computing and writing of several meshes run beside each other.
@@ -96,6 +98,7 @@ def compute(
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
     from sdm.cli.common.inputs import refuse_inputs
+    from sdm.cli.common.label_maps import write_label_maps
     from sdm.cli.common.output_files import plan
     from sdm.cli.maps.map_settings import Settings
     from sdm.cli.maps.run import run
@@ -114,6 +117,11 @@ def compute(
     for name, values, kind in (("--resolution", resolution, "number"), ("--spacing", spacing, "length")):
         if values is not None and len(values) not in (1, 3):
             raise GridError(f"{name} takes one {kind} or three, not {len(values)}")
+    if len(meshes) == 1 and is_map_name(meshes[0]):
+        if both:
+            raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
+        write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
+        return None
     if not (math.isfinite(scale) and scale > 0):
         raise MeshError(f"--scale is {scale:g}: give a positive number to multiply the vertices by")
     settings = Settings(

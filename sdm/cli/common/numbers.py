@@ -9,7 +9,7 @@ from typing import Any
 import tyro
 
 # Options whose numbers may be several words.
-SEVERAL = ("--resolution", "--spacing")
+SEVERAL = ("--resolution", "--spacing", "--classes")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 

@@ -10,6 +10,7 @@ from torch.nn.functional import pad
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
+from sdm.engine.api import signed_distance_map
 from sdm.engine.distance_transform import euclidean_distance_transform, spacing_of
 from sdm.errors import SDMError
 
@@ -20,7 +21,11 @@ STEPS, CLOSE = 5, 1e-4
 
 
 def label_surface(
-    mask: Tensor, spacing_mm: float | tuple[float, float, float], *, smoothing_mm: float = 1.25
+    mask: Tensor,
+    spacing_mm: float | tuple[float, float, float],
+    *,
+    smoothing_mm: float = 1.25,
+    every_part: bool = False,
 ) -> TriangleMesh:
     """The smooth surface of a label volume: a level set of its smoothed signed distance, of the label's volume.
 
@@ -33,6 +38,7 @@ def label_surface(
         mask: (x,y,z), foreground not zero.
         spacing_mm: Size of a voxel along each axis in mm, or one number.
         smoothing_mm: Standard deviation of the Gaussian in mm.
+        every_part: Keep all components.
 
     Returns:
         A closed mesh in mm, facing outward; voxel (0,0,0) has its centre at the origin.
@@ -55,7 +61,27 @@ def label_surface(
     smooth = gaussian_filter(values.numpy(), [smoothing_mm / s for s in size], truncate=CUT, mode="nearest")
     origin = [-n * s for n, s in zip(room, size, strict=True)]
     grid = Grid(origin, size, smooth.shape)
-    return largest_component(_of_volume(SDM(torch.from_numpy(smooth), grid), int(inside.sum())))
+    mesh = _of_volume(SDM(torch.from_numpy(smooth), grid), int(inside.sum()))
+    return mesh if every_part else largest_component(mesh)
+
+
+def label_map(mask: Tensor, grid: Grid, *, smoothing: float) -> SDM:
+    """The exact signed distance map of a label's smooth surface, all parts of it, on the label's own grid and device.
+
+    Args:
+        mask: (nx,ny,nz), foreground not zero.
+        grid: Where its voxels are.
+        smoothing: As `smoothing_mm` of `label_surface`, in the grid's unit.
+
+    Raises:
+        SDMError: As `label_surface`.
+    """
+    mesh = label_surface(mask, grid.spacing, smoothing_mm=smoothing, every_part=True)
+    turn = torch.tensor(grid.direction, dtype=torch.float64, device=mesh.device)
+    shift = torch.tensor(grid.origin, dtype=torch.float64, device=mesh.device)
+    faces = mesh.faces if float(torch.linalg.det(turn)) > 0 else mesh.faces.flip(1)
+    placed = TriangleMesh(mesh.vertices.double() @ turn.T + shift, faces, "the label's surface")
+    return signed_distance_map(placed, grid, device=mask.device)
 
 
 def _of_volume(field: SDM, voxels: int) -> TriangleMesh:

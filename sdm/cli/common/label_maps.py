@@ -1,0 +1,95 @@
+"""Label volumes to files of distance maps, one for each class."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from sdm.cli.common.inputs import refuse_inputs
+from sdm.core.signed_distance_map import SDM
+from sdm.deepsdf.samples.label_surface import label_map
+from sdm.engine.distance_transform import euclidean_distance_transform
+from sdm.errors import SDMError
+from sdm.io import check_target, load, save
+from sdm.io.maps.formats import FORMATS
+
+# Whole numbers of float32, as which images are read.
+LARGEST = 1 << 24
+
+
+def write_label_maps(
+    source: Path,
+    out: Path,
+    *,
+    classes: list[int] | None = None,
+    surface: str = "faces",
+    signed: bool = True,
+    smooth: float | None = None,
+    device: torch.device,
+) -> None:
+    """Write a map for each class of a label volume, and say so, a line each.
+
+    Args:
+        source: The volume.
+        out: The file of a single class, after which those of several are named.
+        classes: Their values; all that are there but 0 if not given.
+        surface: As for `sdm.euclidean_distance_transform`.
+        signed: As there.
+        smooth: Standard deviation of a Gaussian, for maps of smooth surfaces; None for voxels.
+        device: Where to compute.
+
+    Raises:
+        SDMError: Values that are no labels, none to measure, or options that contradict each other.
+        FormatError: A file that cannot be read or written.
+    """
+    if smooth is not None and not signed:
+        raise SDMError("--smooth gives signed maps of a surface: leave out --unsigned")
+    check_target(out)
+    field = load(source)
+    labels = _labels_of(field, source)
+    values = _classes_of(labels, classes, source)
+    targets = [out] if len(values) == 1 else [_named(out, value) for value in values]
+    refuse_inputs(targets, [source])
+    for target in targets:
+        check_target(target)
+    where = labels.to(device)
+    for value, target in zip(values, targets, strict=True):
+        begin = time.perf_counter()
+        mask = where == value
+        if smooth is None:
+            found = euclidean_distance_transform(mask, field.grid.spacing, signed=signed, surface=surface)
+            made = SDM(found, field.grid, sign=None if signed else "none")
+        else:
+            made = label_map(mask, field.grid, smoothing=smooth)
+        save(made, target)
+        print(
+            f"{source.name}: class {value}, {int(mask.sum()):,} voxels, {field.grid.summary}, "
+            f"{time.perf_counter() - begin:.2f} s on {device}, written to {target}"
+        )
+
+
+def _labels_of(field: SDM, source: Path) -> torch.Tensor:
+    values = field.values
+    if not bool((values == values.round()).all()) or float(values.abs().max()) > LARGEST:
+        raise SDMError(f"{source} holds other values than whole numbers, so it is no label volume: give one of labels")
+    return values.int()
+
+
+def _classes_of(labels: torch.Tensor, classes: list[int] | None, source: Path) -> list[int]:
+    there = [int(value) for value in np.unique(labels.numpy()) if value != 0]
+    if classes is None:
+        if not there:
+            raise SDMError(f"{source} holds nothing but 0: there is no class to measure")
+        return there
+    missing = [value for value in classes if value not in there and value != 0]
+    if missing:
+        raise SDMError(f"{source} has no class {missing[0]}: there are {', '.join(map(str, there)) or 'none'}")
+    return list(dict.fromkeys(classes))
+
+
+def _named(out: Path, value: int) -> Path:
+    ending = next(known for known in FORMATS if out.name.lower().endswith(f".{known}"))
+    return out.with_name(f"{out.name[: -len(ending) - 1]}_{value}{out.name[-len(ending) - 1 :]}")
