@@ -12,9 +12,9 @@ import tyro
 # Name -> "module:function". The function's typed arguments become options, its docstring the help, as for a command.
 # Its module is imported for the help, so it imports torch and the like inside the function.
 TRAININGS = {
-    "deepsdf": "sdm.cli.commands.train_deepsdf:deepsdf",
-    "sdmnn": "sdm.cli.commands.train_sdmnn:sdmnn",
-    "segmentation": "sdm.cli.commands.train_segmentation:segmentation",
+    "deepsdf": "sdm.cli.commands.trainings.train_deepsdf:deepsdf",
+    "sdmnn": "sdm.cli.commands.trainings.train_sdmnn:sdmnn",
+    "segmentation": "sdm.cli.commands.trainings.train_segmentation:segmentation",
 }
 
 

@@ -1,0 +1,1 @@
+"""Commands of `sdm train`, one for each kind of network."""
