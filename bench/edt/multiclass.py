@@ -118,7 +118,7 @@ def _cupy(function: Callable[..., Any], mask: Any) -> Any:
 
 
 def errors(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """How far each answer is from the last library's, as a share of the distance."""
+    """Largest difference of each answer from SciPy's, or the last library's, as a share of the distance."""
     answers = {name: torch.as_tensor(call()).cpu() for name, call in calls.items()}
     truth = answers.get("SciPy", list(answers.values())[-1])
     size = torch.where(truth == 0, 1.0, truth.abs())
