@@ -17,7 +17,7 @@ from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
 from sdm.bench.peers import openvdb
-from sdm.engine.band.inside_runs import voxel_points
+from sdm.core.voxel_points import voxel_points
 
 OURS, PEER = "sdm", "OpenVDB"
 

@@ -23,6 +23,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Counts of each level: the next box to look at, and how many there are.
 NEXT, LENGTH, STRIDE = 0, 1, 2
+# Threads of a launch that are enough to fill a GPU.
+MOST_THREADS = 1 << 18
 # What rounding adds to a distance, in units of the largest coordinate.
 ROUNDING = 1.0e-6
 
@@ -108,7 +110,7 @@ def _find_boxes(
     """List the eighths of parents, boxes of 2^bits voxels, that may be near; those without room are counted alone."""
     scale = float(tree.frame[SCALE])
     item = begin + wp.tid()
-    total = 8 * counts[STRIDE * level + LENGTH]
+    total = 8 * wp.min(counts[STRIDE * level + LENGTH], parents.shape[0])
     while item < total:
         at = 2 * parents[item / 8] + octant_at(item)
         start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
@@ -130,7 +132,6 @@ def find_boxes(
     parents: wp.array,
     boxes: wp.array,
     counts: wp.array,
-    most: int,
 ) -> None:
     """List boxes of 2^bits voxels with a voxel that may be within `reach` (in the mesh's unit) of the surface.
 
@@ -140,15 +141,15 @@ def find_boxes(
         reach: A length.
         bits: See above.
         level: Which of the lists the parents are.
-        parents: (n,) vec3i, boxes twice as large, by their place among all of that size; as many as were counted.
+        parents: (n,) vec3i, boxes twice as large, by their place among all of that size; as many as were counted, of
+            which those without room are left out.
         boxes: Filled in any order, as far as there is room.
         counts: Of all levels, see `STRIDE`; the length of the next is counted from 0.
-        most: Parents that there may be.
     """
     device: Any = boxes.device
-    workers = min(8 * most, 1 << 18)
-    if not device.is_cuda:
-        # One after the other each takes its share, and near ones lie side by side.
-        workers = 8 * most
+    workers = 8 * parents.shape[0]
+    if device.is_cuda:
+        # Of a list that is not full, only those at its begin find something to do.
+        workers = min(workers, MOST_THREADS)
     inputs = [workers, tree, slab, reach, bits, level, boxes.shape[0], parents, boxes, counts]
     launch(_find_boxes, workers, inputs, device, smallest=8)

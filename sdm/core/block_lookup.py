@@ -47,24 +47,19 @@ def are_in_runs(
     return (at >= 0) & (wanted < end[at.clamp(min=0)])
 
 
-def gaps_of(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[Tensor, Tensor, Tensor]:
+def gaps_of(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     """Runs of blocks along z between stored ones, or between those and the grid's ends, in rows that have any.
 
     Returns:
-        Their first keys, the keys after their last (M,), and the place of a stored block beside each: the one before
-        it, or where there is none in its row, minus 1 minus that of the one after it.
+        Their first keys, ascending, and the keys after their last.
     """
     row = torch.div(keys, count[2], rounding_mode="floor")
-    places = torch.arange(len(keys), device=keys.device)
     new_row = torch.ones_like(keys, dtype=torch.bool)
     new_row[1:] = row[1:] != row[:-1]
-    end_of_row = new_row.roll(-1)
     # Before the first of a row, and after every one.
-    following = torch.where(end_of_row, (row + 1) * count[2], keys.roll(-1))
+    following = torch.where(new_row.roll(-1), (row + 1) * count[2], keys.roll(-1))
     begin = torch.cat([(row * count[2])[new_row], keys + 1])
     end = torch.cat([keys[new_row], following])
-    beside = torch.cat([-1 - places[new_row], places])
-    there = end > begin
-    begin, end, beside = begin[there], end[there], beside[there]
+    begin, end = begin[end > begin], end[end > begin]
     order = begin.argsort()
-    return begin[order], end[order], beside[order]
+    return begin[order], end[order]

@@ -118,6 +118,15 @@ class MapCheck:
 
         return field.checked_by(check)
 
+    def look_at(self, mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str) -> None:
+        """Warn about a mesh whose map is there, if nobody was warned yet; see `doubts_about`."""
+        if self._said or _warnings.are_off:
+            return
+        found = doubts_about(mesh, grid, inside_voxels, sign)
+        self._said = bool(found)
+        if found:
+            warn(f"{_warnings.prefix}{mesh.name}: {'; '.join(found)}")
+
 
 def later_check(mesh: TriangleMesh, prefix: str, sign: str) -> Callable[[Grid, int], None] | None:
     """Check of one map of a mesh that nobody watches, for a map that is read on the host later."""

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.voxel_points import voxel_points
 from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, AccelerationStructure, build
 from sdm.engine.ops import points_winding
 from sdm.inspect.duplicates import first_copies
@@ -88,6 +89,22 @@ class RepeatedFaces:
         ).reshape(values.shape)
         ambiguous = ((number - 0.5).abs() < 0.25).sum(dtype=torch.int32).reshape(1)
         return torch.where(number > 0.5, -values.abs(), values.abs()), ambiguous
+
+    def sign_blocks(
+        self, values: Float32[Tensor, "n 8 8 8"], blocks: Int32[Tensor, "n 3"], grid: Grid, width: float
+    ) -> int:
+        """Give the values of blocks the sign of the whole mesh; how many nearer than `width` are ambiguous."""
+        ambiguous = 0
+        inner = torch.cartesian_prod(*3 * [torch.arange(8, device=values.device)])
+        last = torch.tensor(grid.shape, device=values.device)
+        for some, theirs in zip(blocks.split(256), values.split(256), strict=True):
+            voxels = (8 * some.long()[:, None] + inner).view(-1, 3)
+            number = self.winding(voxel_points(grid, voxels)).view_as(theirs)
+            # Beyond the grid nothing is inside.
+            number[~(voxels < last).all(1).view_as(theirs)] = 0
+            ambiguous += int((((number - 0.5).abs() < 0.25) & (theirs < width)).sum())
+            theirs.copy_(torch.where(number > 0.5, -theirs, theirs))
+        return ambiguous
 
     def _repeated(self, points: Tensor) -> Tensor:
         a, b, c = (self._corners[None] - points[:, None, None]).unbind(2)

@@ -11,12 +11,13 @@ from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of
 from sdm.core.grid import Grid
-from sdm.engine.acceleration import AccelerationStructure
+from sdm.engine.acceleration import AccelerationStructure, MeshKind
 from sdm.engine.band.near_blocks import keys_near, regions_with
 from sdm.engine.gradients import IDENTITY
 from sdm.engine.ops import slab_view
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, scales_of
+from sdm.kernels.band.block_lists import gather_blocks, list_regions_of
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
 from sdm.kernels.band.query import query_blocks
@@ -27,6 +28,8 @@ from sdm.kernels.geometry.block_table import BlockTable
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
+# Rows of blocks that a table has all of.
+MOST_ROWS = 1 << 20
 # More than the spacing along x, at which a crossing is from the voxel that it is marked at.
 STEP_ROOM = 1.01
 
@@ -58,7 +61,7 @@ def measured_blocks(
             return blocks, values, 0
         near = torch.zeros(len(keys), dtype=torch.int32, device=device)
         ambiguous = torch.zeros(1, dtype=torch.int32, device=device)
-        table, rows = _table(blocks)
+        table, rows = _table(blocks, blocks_along(grid.shape))
         flat, empty = values.view(-1), workspace(device)
         if signed:
             order = _by_lines(blocks, blocks_along(grid.shape))
@@ -84,7 +87,10 @@ def measured_blocks(
         plan = make_plan(work, memory_of(warp_device.alias), OPTIONS.get())
         shifts = (times[0].bit_length() - 1, times[1].bit_length() - 1, times[2].bit_length() - 1)
         count = tuple(-(-n // plan.cell) for n in fine.shape)
-        regions = regions_with(blocks, plan.cell, shifts, (count[0], count[1], count[2]))
+        if times == AS_IT_IS:
+            regions = _regions_of(table, len(blocks), plan.cell, device)
+        else:
+            regions = regions_with(blocks, plan.cell, shifts, (count[0], count[1], count[2]))
         to: Any = BlockOutput()
         to.table, to.width, to.shifts = table, width, wp.vec3i(*shifts)
         set_array(to, "values", as_warp(flat, wp.float32))
@@ -99,23 +105,44 @@ def measured_blocks(
             plan,
             empty,
         )
+        kept = near.nonzero()[:, 0]
+        kept_blocks = torch.empty((len(kept), 3), dtype=torch.int32, device=device)
+        kept_values = torch.empty((len(kept), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
+        gather_blocks(
+            table,
+            grid.shape,
+            width,
+            as_warp(kept, wp.int64),
+            as_warp(flat, wp.float32),
+            as_warp(kept_blocks, wp.vec3i),
+            as_warp(kept_values.view(-1), wp.float32),
+        )
         del rows
-    kept = near.nonzero()[:, 0]
-    blocks, values = blocks[kept], values[kept]
-    _clear_beyond(blocks, values, grid, width)
-    return blocks, values, int(ambiguous)
+    unclear = 0 if structure.kind is MeshKind.CLOSED or not signed else int(ambiguous)
+    return kept_blocks, kept_values, unclear
 
 
-def _table(blocks: Int32[Tensor, "n 3"]) -> tuple[Any, tuple[Tensor, ...]]:
+def _regions_of(table: Any, blocks: int, cell: int, device: torch.device) -> Int32[Tensor, "r 4"]:
+    """`regions_with` where the grid that is measured is that of the blocks."""
+    regions = torch.empty((blocks, 4), dtype=torch.int32, device=device)
+    count = torch.zeros(1, dtype=torch.int32, device=device)
+    list_regions_of(table, (cell // BLOCK) - 1, as_warp(regions, wp.vec4i), as_warp(count, wp.int32))
+    return regions[: int(count)]
+
+
+def _table(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> tuple[Any, tuple[Tensor, ...]]:
     """The kernels' table of blocks that are sorted, and the memory that it is in."""
-    low, high = blocks[:, :2].amin(0).long(), blocks[:, :2].amax(0).long()
-    size = high - low + 1
-    row = (blocks[:, 0] - low[0]) * size[1] + blocks[:, 1] - low[1]
-    rows = torch.searchsorted(row, torch.arange(int(size[0] * size[1]) + 1, device=blocks.device)).int()
+    low, size = [0, 0], list(count[:2])
+    if count[0] * count[1] > MOST_ROWS:
+        # Of those that there are alone; to know them is to wait for the device.
+        low = blocks[:, :2].amin(0).tolist()
+        size = [high + 1 - least for high, least in zip(blocks[:, :2].amax(0).tolist(), low, strict=True)]
+    row = (blocks[:, 0].long() - low[0]) * size[1] + blocks[:, 1] - low[1]
+    rows = torch.searchsorted(row, torch.arange(size[0] * size[1] + 1, device=blocks.device)).int()
     table: Any = BlockTable()
     set_array(table, "blocks", as_warp(blocks, wp.vec3i))
     set_array(table, "rows", as_warp(rows, wp.int32))
-    table.low, table.size = wp.vec2i(*low.tolist()), wp.vec2i(*size.tolist())
+    table.low, table.size = wp.vec2i(*low), wp.vec2i(*size)
     return table, (blocks, rows)
 
 
@@ -143,13 +170,3 @@ def _measured_slices(grid: Grid, times: Triple) -> Slices:
     across = tuple(k * (n - 1) + 1 for k, n in zip(times[1:], grid.shape[1:], strict=True))
     spacing = tuple(s / k for s, k in zip(grid.spacing, times, strict=True))
     return Slices(spacing, (times[0] * grid.shape[0], *across), 0)
-
-
-def _clear_beyond(blocks: Tensor, values: Tensor, grid: Grid, width: float) -> None:
-    """The width in voxels of the outermost blocks that are beyond the grid."""
-    for axis, n in enumerate(grid.shape):
-        if n % BLOCK:
-            last = (blocks[:, axis] == n // BLOCK).nonzero()[:, 0]
-            outer = values[last]
-            outer.narrow(axis + 1, n % BLOCK, BLOCK - n % BLOCK).fill_(width)
-            values[last] = outer

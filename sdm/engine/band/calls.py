@@ -17,7 +17,6 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign
 from sdm.engine.band.block_distances import measured_blocks
-from sdm.engine.band.from_slabs import blocks_of_slabs
 from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.lists import are_meshes
@@ -90,6 +89,9 @@ def narrow_band(
         The band. Its values are those of `sdm.signed_distance_map` on the same grid, clamped to the width, bit for bit,
         without gradients; that map is never made.
 
+    Warns:
+        SDMWarning: The band is probably not what was meant, as for `sdm.signed_distance_map`; on a CPU alone.
+
     Raises:
         DeviceError: The device is not there.
         GridError: Nothing says what the grid is, or several things do; or the band is too narrow.
@@ -106,23 +108,25 @@ def narrow_band(
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
     chosen = band_grid(mesh, grid, half_width=half_width, **sized)
-    return band_of(MeshIndex(mesh, device, orient=orient, warn=False), chosen, **options)
+    return band_of(MeshIndex(mesh, device, orient=orient), chosen, **options)
 
 
 def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> SparseSDM:
     """The band of an index on a grid, whose options were checked."""
     # In float32, as the values are.
     width = float(np.float32(half_width * max(grid.spacing)))
-    if index._repeated is None:
-        signed, beyond = sign == "winding", reaches_beyond(index, grid)
-        blocks, values, ambiguous = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond)
-    else:
-        blocks, values, ambiguous = blocks_of_slabs(index, grid, width, sign)
+    signed, beyond = sign == "winding" and index._repeated is None, reaches_beyond(index, grid)
+    blocks, values, ambiguous = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond)
+    if sign == "winding" and index._repeated is not None:
+        ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
     if sign == "none":
-        inside = blocks.new_empty((0, 4))
-    else:
-        inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values)
-    return SparseSDM(blocks, values, inside, grid, width, ambiguous if sign == "winding" else None, sign)
+        return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
+    inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values)
+    band = SparseSDM(blocks, values, inside, grid, width, ambiguous, sign)
+    if index._check is not None and band.device.type == "cpu":
+        # On a GPU it would be waited for.
+        index._check.look_at(index._measured, grid, len(inside) > 0 or bool((values < 0).any()), sign)
+    return band
 
 
 def check_options(half_width: float, sign: str) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int32, Int64
+import warp as wp
+from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
-from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, gaps_of
+from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, gaps_of, keys_of
 from sdm.core.grid import Grid
+from sdm.core.voxel_points import voxel_points
+from sdm.kernels.band.block_lists import list_inside_gaps
+from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 if TYPE_CHECKING:
     from sdm.engine.mesh_index import MeshIndex
@@ -26,15 +30,10 @@ def inside_runs(
     is asked.
     """
     count = blocks_along(grid.shape)
-    begin, end, beside = gaps_of(keys, count)
     if index.closed:
-        # Of the block before it a last voxel along z, else of the one after it a first. The first along x and y are
-        # within the grid.
-        stored = torch.where(beside < 0, -1 - beside, beside)
-        side = values[stored, 0, 0, torch.where(beside < 0, 0, BLOCK - 1)]
-        begin, end = begin[side < 0], end[side < 0]
+        begin, end = _gaps_inside(keys, values, count)
     else:
-        begin, end = _inner_parts(index, grid, begin, end)
+        begin, end = _inner_parts(index, grid, *gaps_of(keys, count))
     if reaches_beyond(index, grid):
         empty = _empty_rows(keys, count)
         empty = empty[_are_inside(index, grid, empty * count[2] + count[2] // 2)]
@@ -44,6 +43,27 @@ def inside_runs(
         begin, end = begin[order], end[order]
     first = blocks_of(begin, count)
     return torch.cat([first, first[:, 2:] + (end - begin).int()[:, None]], 1)
+
+
+def _gaps_inside(
+    keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"], count: tuple[int, int, int]
+) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
+    """The first keys of runs between blocks of a closed mesh that lie inside, and the keys after their last."""
+    runs = torch.empty((2 * len(keys), 4), dtype=torch.int32, device=keys.device)
+    found = torch.zeros(1, dtype=torch.int32, device=keys.device)
+    blocks = blocks_of(keys, count)
+    with on_current_stream(values, values, blocks):
+        list_inside_gaps(
+            as_warp(blocks, wp.vec3i),
+            as_warp(values.view(-1), wp.float32),
+            count[2],
+            as_warp(runs, wp.vec4i),
+            as_warp(found, wp.int32),
+        )
+    runs = runs[: int(found)]
+    begin = keys_of(runs[:, :3], count)
+    order = begin.argsort()
+    return begin[order], (begin + (runs[:, 3] - runs[:, 2]))[order]
 
 
 def _inner_parts(
@@ -60,16 +80,6 @@ def _inner_parts(
     inside = first | last
     begin, end = torch.where(first, begin, high), torch.where(last, end, high)
     return begin[inside], end[inside]
-
-
-def voxel_points(grid: Grid, voxels: Int64[Tensor, "n 3"]) -> Float32[Tensor, "n 3"]:
-    """Centres (N,3) of voxels (N,3), bit for bit those of `Grid.points`."""
-    i, j, k = voxels.double().unbind(-1)
-    found = []
-    for axis in range(3):
-        row = [d * s for d, s in zip(grid.direction[axis], grid.spacing, strict=True)]
-        found.append(grid.origin[axis] + (row[0] * i + row[1] * j + row[2] * k))
-    return torch.stack(found, -1).float()
 
 
 def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool[Tensor, " m"]:

@@ -17,40 +17,46 @@ from sdm.runtime.torch_warp import as_warp
 
 # The largest boxes are so large that there are no more of them.
 MOST_FIRST = 512
+# On a GPU, where lengths of lists are read at the end alone, boxes and blocks that there is room for; with more, they
+# are read one after the other.
+MOST_BOXES, MOST_BLOCKS = 1 << 20, 1 << 22
 
 
 def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.device) -> Int64[Tensor, " n"]:
     """Keys, ascending, of the blocks of a grid with a voxel that may be within `reach` of a mesh's triangles.
 
-    To be called on the current stream; waits for the device once for each size of boxes.
+    To be called on the current stream. Waits for a GPU once, unless there are very many blocks.
     """
-    bits = BITS
-    while _boxes_of(grid, bits + 1).prod() > MOST_FIRST:
-        bits += 1
-    parents = torch.cartesian_prod(
-        *(torch.arange(int(n), dtype=torch.int32, device=device) for n in _boxes_of(grid, bits + 1))
+    top = BITS
+    while _boxes_of(grid, top + 1).prod() > MOST_FIRST:
+        top += 1
+    first = torch.cartesian_prod(
+        *(torch.arange(int(n), dtype=torch.int32, device=device) for n in _boxes_of(grid, top + 1))
     )
-    counts = torch.zeros(2 * STRIDE, dtype=torch.int32, device=device)
-    for level in range(bits, BITS - 1, -1):
-        room = 8 * len(parents)
+    levels = range(top, BITS - 1, -1)
+    counts = torch.zeros((len(levels) + 1, STRIDE), dtype=torch.int32, device=device)
+    counts[0, LENGTH] = len(first)
+
+    def look(level: int, bits: int, parents: Tensor, room: int) -> Tensor:
         boxes = torch.empty((room, 3), dtype=torch.int32, device=device)
-        counts.zero_()
-        counts[LENGTH] = len(parents)
-        find_boxes(
-            tree,
-            slab,
-            reach,
-            level,
-            0,
-            as_warp(parents, wp.vec3i),
-            as_warp(boxes, wp.vec3i),
-            as_warp(counts, wp.int32),
-            len(parents),
-        )
-        parents = boxes[: int(counts[STRIDE + LENGTH])]
-        if not len(parents):
-            break
-    return keys_of(parents, blocks_along(grid.shape)).sort().values
+        lists = as_warp(parents, wp.vec3i), as_warp(boxes, wp.vec3i)
+        find_boxes(tree, slab, reach, bits, level, *lists, as_warp(counts.view(-1), wp.int32))
+        return boxes
+
+    if device.type != "cpu":
+        boxes, rooms = first, [len(first)]
+        for level, bits in enumerate(levels):
+            most = MOST_BOXES if bits > BITS else MOST_BLOCKS
+            rooms.append(min(int(_boxes_of(grid, bits).prod()), most))
+            boxes = look(level, bits, boxes, rooms[-1])
+        lengths = counts[:, LENGTH].tolist()
+        if all(length <= room for length, room in zip(lengths, rooms, strict=True)):
+            return keys_of(boxes[: lengths[-1]], blocks_along(grid.shape)).sort().values
+        counts[1:].zero_()
+    boxes = first
+    for level, bits in enumerate(levels):
+        boxes = look(level, bits, boxes, 8 * len(boxes))[: int(counts[level + 1, LENGTH])]
+    return keys_of(boxes, blocks_along(grid.shape)).sort().values
 
 
 def _boxes_of(grid: Grid, bits: int) -> Int64[Tensor, " 3"]:

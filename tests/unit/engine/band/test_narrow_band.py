@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any, cast
+
 import pytest
 import torch
 
@@ -58,7 +61,7 @@ def test_an_open_mesh(device):
     band = sdm.narrow_band(opened(), grid, device=device)
     dense = sdm.signed_distance_map(opened(), grid, device=device)
     assert_is_the_band(band, dense)
-    assert 0 < band.ambiguous_voxels < dense.ambiguous_voxels
+    assert 0 < (band.ambiguous_voxels or 0) < (dense.ambiguous_voxels or 0)
     # Far from the surface a block has one sign.
     differ = (band.to_dense().values < 0) != (dense.values < 0)
     assert differ.float().mean() < 0.03
@@ -97,6 +100,47 @@ def test_a_mesh_far_from_its_grid():
     assert band.sample([[52.0, 52, 52]]).tolist() == [3.0]
 
 
+def test_memory_grows_with_the_surface():
+    """A small sphere in 2048^3 voxels, of which 32 layers alone would be 512 MiB."""
+    place = Path("/proc/self/status")
+    if not place.is_file():
+        pytest.skip("needs the memory of the process from Linux")
+
+    def used(name: str) -> int:
+        return next(int(row.split()[1]) for row in place.read_text().splitlines() if row.startswith(name)) // 1024
+
+    grid = sdm.Grid((-32.0,) * 3, (1 / 32,) * 3, (2048,) * 3)
+    # Kernels are loaded.
+    sdm.narrow_band(mesh(), 0.2, device="cpu")
+    Path("/proc/self/clear_refs").write_text("5")
+    before = used("VmRSS")
+    band = sdm.narrow_band(mesh(), grid, device="cpu")
+    assert used("VmHWM") - before < 64
+    assert 100 < len(band) < 600
+    # Its place in the grid does not matter but for roundings of coordinates, of which there are none.
+    alone = sdm.narrow_band(mesh(), sdm.Grid((-2.0,) * 3, (1 / 32,) * 3, (128,) * 3), device="cpu")
+    assert torch.equal(band.blocks - 120, alone.blocks)
+    assert torch.equal(band.values, alone.values)
+
+
+def test_many_copies_of_a_triangle():
+    """Which a CPU measures once, and counts as often as they are there."""
+    whole = mesh()
+    faces = torch.cat([whole.faces, *100 * [whole.faces[:3]]])
+    crowded = sdm.TriangleMesh(whole.vertices, faces)
+    index = sdm.MeshIndex(crowded, "cpu", warn=False)
+    assert index._repeated is not None
+    grid = sdm.Grid.around(crowded, 30)
+    band = index.narrow_band(grid)
+    assert_is_the_band(band, index.signed_distance_map(grid))
+
+
+def test_one_warning_about_a_mesh_inside_out():
+    turned = sdm.TriangleMesh(mesh().vertices, mesh().faces.flip(1))
+    with pytest.warns(sdm.SDMWarning, match="inside out"):
+        sdm.narrow_band(turned, 0.2, device="cpu")
+
+
 def test_refused():
     with pytest.raises(SDMError, match="a flood goes through all of a grid"):
         sdm.narrow_band(mesh(), 0.1, sign="flood", device="cpu")
@@ -107,4 +151,4 @@ def test_refused():
     with pytest.raises(GridError, match="needs one of these"):
         sdm.narrow_band(mesh(), 0.1, resolution=40, device="cpu")
     with pytest.raises(GridError, match="is no grid"):
-        sdm.narrow_band(mesh(), "40", device="cpu")
+        sdm.narrow_band(mesh(), cast("Any", "40"), device="cpu")
