@@ -124,7 +124,7 @@ def test_memory_grows_with_the_surface():
 
 
 def test_many_copies_of_a_triangle():
-    """Which a CPU measures once, and counts as often as they are there."""
+    """A CPU measures it once, and counts it as often as it is there."""
     whole = mesh()
     faces = torch.cat([whole.faces, *100 * [whole.faces[:3]]])
     crowded = sdm.TriangleMesh(whole.vertices, faces)
