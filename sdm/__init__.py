@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sdm.errors import DeviceError, FormatError, GridError, MeshError, SDMError, SDMWarning
     from sdm.inspect import MeshReport, inspect_mesh
     from sdm.io import load, load_mesh, save, save_mesh
+    from sdm.remeshing import WatertightReport, watertight
     from sdm.runtime import graphs as cuda_graphs  # noqa: F401
     from sdm.stream import SDMStream
 
@@ -84,10 +85,12 @@ _HOMES = {
     "orient_faces": "engine.orient",
     "save": "io",
     "save_mesh": "io",
+    "WatertightReport": "remeshing",
     "signed_distance": "engine.api",
     "signed_distance_map": "engine.api",
     "signed_distance_maps": "engine.many",
     "signed_distances": "engine.many",
+    "watertight": "remeshing",
 }
 
 __all__ = [
@@ -106,6 +109,7 @@ __all__ = [
     "SDMWarning",
     "SparseSDM",
     "TriangleMesh",
+    "WatertightReport",
     "euclidean_distance_transform",
     "inspect_mesh",
     "load",
@@ -118,6 +122,7 @@ __all__ = [
     "signed_distance_map",
     "signed_distance_maps",
     "signed_distances",
+    "watertight",
 ]
 
 

@@ -26,6 +26,7 @@ COMMANDS = (
     "inspect",
     "compute",
     "edt",
+    "watertight",
     "generate",
     "sample",
     "split",
@@ -53,7 +54,20 @@ BROKEN_PIPE = 141
 GARBAGE_THRESHOLDS = (10_000, 10, 10)
 
 # Commands that launch kernels, which compile at the first time.
-WITH_KERNELS = ("compute", "edt", "generate", "sample", "split", "train", "fit", "encode", "decode", "view", "demo")
+WITH_KERNELS = (
+    "compute",
+    "edt",
+    "watertight",
+    "generate",
+    "sample",
+    "split",
+    "train",
+    "fit",
+    "encode",
+    "decode",
+    "view",
+    "demo",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

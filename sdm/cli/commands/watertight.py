@@ -1,0 +1,61 @@
+"""`sdm watertight`: closed surfaces of meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+def watertight(
+    meshes: Annotated[
+        tyro.conf.Positional[list[Path]],
+        tyro.conf.arg(metavar="MESH [MESH ...]", help_behavior_hint="(required)"),
+    ],
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    resolution: int = 512,
+    offset: Annotated[
+        float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0 if closed, else half a voxel)")
+    ] = None,
+    hole_size: Annotated[
+        float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
+    ] = None,
+    hidden: Literal["drop", "keep"] = "drop",
+    format: Annotated[  # noqa: A002
+        Literal["ply", "stl", "obj", "off", "glb"] | None,
+        tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or ply)"),
+    ] = None,
+    report: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: of a folder OUT/report.json)")
+    ] = None,
+    skip_bad: bool = False,
+    device: str = "auto",
+) -> int | None:
+    """Make one closed surface of each mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
+
+    Prints how far the mesh and its surface are apart, both ways: exact distances of all vertices and 100,000 points of
+    each. One mesh gives one file; several, or a folder of them, give a folder. A bad mesh stops no other; the exit code
+    is then 2.
+
+    Args:
+        meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them, nested as deep as they are.
+        out: File to write (its ending is the format: .ply, .stl, .obj, .off, .glb), or a folder.
+        resolution: Voxels along the longest edge of a mesh's box.
+        offset: Distance of the surface from the mesh, in its unit. From 0.87 voxels on nothing of a mesh is lost.
+        hole_size: Gaps narrower than this length are closed.
+        hidden: drop fills what no way leads into from outside; keep keeps cavities.
+        format: File format, for surfaces written to a folder.
+        report: JSON file to write about all meshes.
+        skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+    """
+    from sdm.cli.surfaces.closing import Closing, run, targets_of
+
+    options = Closing(resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, device=device)
+    jobs, folder = targets_of(meshes, out, format)
+    if report is None and folder:
+        report = out / "report.json"
+    return run(jobs, options, report=report, skip_bad=skip_bad)

@@ -1,0 +1,165 @@
+"""One closed, oriented surface of any mesh: an exact map, signs by a flood, and marching cubes at an offset."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, get_args, overload
+
+import numpy as np
+import torch
+
+from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.device import choose_device, free_memory
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
+from sdm.engine.mesh_index import MeshIndex
+from sdm.errors import GridError, MeshError, SDMError
+from sdm.inspect import MeshReport, inspect_mesh
+from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
+
+Hidden = Literal["drop", "keep"]
+# A hundredth more than half a voxel: a sheet midway between two layers of voxels is half a voxel from both.
+DEFAULT_OFFSET = 0.505
+# Voxels around the surface, so that it ends before the grid does.
+ROOM = 2
+SMALLEST = 8
+# Bytes a voxel: the map, its copy, and what a flood takes.
+BYTES = 16
+
+
+@overload
+def watertight(
+    mesh: MeshLike,
+    resolution: int = 512,
+    offset: float | None = None,
+    hole_size: float | None = None,
+    *,
+    hidden: Hidden = "drop",
+    device: str | torch.device | None = None,
+    return_report: Literal[False] = False,
+) -> TriangleMesh: ...
+@overload
+def watertight(
+    mesh: MeshLike,
+    resolution: int = 512,
+    offset: float | None = None,
+    hole_size: float | None = None,
+    *,
+    hidden: Hidden = "drop",
+    device: str | torch.device | None = None,
+    return_report: Literal[True],
+) -> tuple[TriangleMesh, WatertightReport]: ...
+def watertight(
+    mesh: MeshLike,
+    resolution: int = 512,
+    offset: float | None = None,
+    hole_size: float | None = None,
+    *,
+    hidden: Hidden = "drop",
+    device: str | torch.device | None = None,
+    return_report: bool = False,
+) -> TriangleMesh | tuple[TriangleMesh, WatertightReport]:
+    """One closed surface of any mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
+
+    The exact distance map of the mesh, negative where a flood from outside does not reach, and of that the surface at
+    `offset`: where outside is `offset` away from the mesh.
+
+    Args:
+        mesh: Any triangles.
+        resolution: Voxels along the longest edge of the mesh's box, with the room around it.
+        offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed, and else half a voxel, so that
+            sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a mesh
+            is lost, also of wires; with less, what is thinner than a voxel may be.
+        hole_size: Gaps that are narrower than this length are closed; by default two voxels.
+        hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
+            cavities: of a closed mesh with faces that agree by winding numbers, of others as the space that is more
+            than `offset` away from all faces.
+        device: Where to compute; by default a GPU if there is one.
+        return_report: Also return a `WatertightReport`, with the distances between the mesh and its surface.
+
+    Returns:
+        The surface, on `device`: each edge has two triangles, one each way, vertices are at places of their own, and
+        it faces outward. It may have several parts. A closed mesh comes back within half a voxel where its parts are
+        thicker than a voxel. With `return_report` also the report.
+
+    Raises:
+        DeviceError: The device is not there.
+        GridError: The map does not fit into memory, or the resolution is too low.
+        MeshError: What is given is no mesh, or one of size zero.
+        SDMError: Options that make no sense, or a mesh thinner than a voxel with an offset of 0.
+    """
+    mesh = as_mesh(mesh)
+    if hidden not in get_args(Hidden):
+        raise SDMError(f"hidden is {hidden!r}; use 'drop' or 'keep'")
+    SignMethod("flood", hole_size)
+    if offset is not None and not (math.isfinite(offset) and offset >= 0):
+        raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
+    where = choose_device(device, mesh.vertices)
+    found = inspect_mesh(mesh)
+    # Sheets that are there twice have no free edge either, and no inside.
+    closed = found.watertight and found.duplicate_faces == 0
+    grid = _grid(mesh, resolution, 0.0 if closed and offset is None else offset)
+    step = grid.spacing[0]
+    level = (0.0 if closed else DEFAULT_OFFSET * step) if offset is None else float(offset)
+    sign = _sign(found, closed, hidden)
+    gap = None if sign != "flood" else (DEFAULT_HOLE * step if hole_size is None else float(hole_size))
+    _require_memory(grid, where)
+    index = MeshIndex(mesh, where, warn=False)
+    field = index.signed_distance_map(grid, sign=sign, hole_size=gap)
+    # A voxel on a hidden face is inside though its distance is zero.
+    field.values.masked_fill_((field.values == 0) & field.values.signbit(), -1e-6 * step)
+    if not bool((field.values < level).any()):
+        raise SDMError(
+            f"nothing of {mesh.name} is as thick as a voxel of {step:g}: give an offset of at least {step / 2:g}, or a "
+            "higher resolution"
+        )
+    surface = field.to_mesh(level)
+    closed_mesh = TriangleMesh(surface.vertices, surface.faces, mesh.name, check=False)
+    if not return_report:
+        return closed_mesh
+    there = mesh.to(where)
+    return closed_mesh, WatertightReport(
+        name=mesh.name,
+        triangles=len(mesh),
+        closed=closed,
+        sign=sign,
+        spacing=step,
+        shape=grid.shape,
+        offset=level,
+        hole_size=gap,
+        hidden=hidden,
+        output_triangles=len(closed_mesh),
+        input_to_output=deviation(there, closed_mesh, SAMPLES),
+        output_to_input=deviation(closed_mesh, there, SAMPLES),
+    )
+
+
+def _sign(found: MeshReport, closed: bool, hidden: Hidden) -> Sign:
+    if hidden == "drop":
+        return "flood"
+    return "winding" if closed and found.closed else "none"
+
+
+def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:
+    """Cubic voxels around a mesh, with room for a surface at an offset; None for half a voxel."""
+    if isinstance(resolution, bool) or resolution != int(resolution) or resolution < SMALLEST:
+        raise GridError(f"the resolution {resolution} is too low for a surface; give a whole number from {SMALLEST} on")
+    low, high = mesh.bounds
+    size = high - low
+    voxels = resolution - 1 - 2 * ROOM - (2 * DEFAULT_OFFSET if offset is None else 0)
+    step = float(size.max() + 2 * (offset or 0.0)) / voxels
+    if not step > 0:
+        raise MeshError(f"{mesh.name} has size zero, so a resolution says nothing: give an offset")
+    room = ROOM + (DEFAULT_OFFSET if offset is None else offset / step)
+    shape = np.ceil(size / step + 2 * room - 1e-6) + 1
+    return Grid((low + high) / 2 - step * (shape - 1) / 2, (step,) * 3, shape)
+
+
+def _require_memory(grid: Grid, device: torch.device) -> None:
+    needed, free = BYTES * grid.size, free_memory(device)
+    if needed > free:
+        raise GridError(
+            f"a closed surface by {grid.summary} needs about {needed / 2**30:.1f} GiB, but {device} has "
+            f"{free / 2**30:.1f} GiB free; choose a lower resolution"
+        )

@@ -1,0 +1,141 @@
+"""Closed surfaces of open, turned, crossing and hidden parts, and how far they are from the meshes."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.core.mesh import TriangleMesh
+from sdm.errors import GridError, MeshError, SDMError
+from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold
+
+
+@cache
+def ball() -> tuple[np.ndarray, np.ndarray]:
+    grid = sdm.Grid((-1.2,) * 3, (0.2,) * 3, (13,) * 3)
+    return sdm.SDM(grid.points().norm(dim=-1) - 1, grid).to_mesh().numpy()
+
+
+def joined(*parts: tuple[np.ndarray, np.ndarray]) -> TriangleMesh:
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts[:-1]])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts, strict=True)])
+    return TriangleMesh(np.concatenate([vertices for vertices, _ in parts]), faces, "parts")
+
+
+def half() -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = ball()
+    return vertices, faces[(vertices[faces][:, :, 2] > -0.01).all(1)]
+
+
+def test_a_closed_mesh_comes_back_within_half_a_voxel():
+    mesh = joined(ball())
+    surface, report = sdm.watertight(mesh, 40, return_report=True)
+    assert_closed_manifold(surface)
+    assert (report.closed, report.offset, report.sign) == (True, 0.0, "flood")
+    assert report.input_to_output.largest < 0.5 * report.spacing
+    assert report.output_to_input.largest < 0.5 * report.spacing
+    assert areas_and_volume(surface)[1] == pytest.approx(areas_and_volume(mesh)[1], rel=5e-3)
+    assert torch.equal(sdm.watertight(mesh, 40).vertices, surface.vertices)
+
+
+def test_half_spheres_become_closed_shells():
+    """Of twenty, half of them inside out, each is a plate of its own; the wide opening is not filled."""
+    vertices, faces = half()
+    parts = [(np.add(vertices, [3 * (n % 5), 3 * (n // 5), 0]), faces[:, :: (-1) ** n]) for n in range(20)]
+    mesh = joined(*parts)
+    surface, report = sdm.watertight(mesh, 120, return_report=True)
+    assert_closed_manifold(surface)
+    found = sdm.inspect_mesh(surface)
+    assert (found.components, found.closed, found.outward) == (20, True, True)
+    assert not report.closed
+    # A plate as thick as twice the offset.
+    area = areas_and_volume(mesh)[0].sum()
+    assert areas_and_volume(surface)[1] == pytest.approx(2 * report.offset * area, rel=0.3)
+    assert report.input_to_output.largest < 0.87 * report.spacing
+
+
+def test_a_small_hole_is_closed_and_filled():
+    vertices, faces = ball()
+    holed = TriangleMesh(vertices, faces[1:], "holed")
+    surface, report = sdm.watertight(holed, 30, hole_size=0.5, return_report=True)
+    assert_closed_manifold(surface)
+    assert (report.closed, report.hole_size) == (False, 0.5)
+    assert areas_and_volume(surface)[1] > areas_and_volume(joined(ball()))[1]
+
+
+def test_crossing_parts_become_their_union():
+    vertices, faces = ball()
+    surface = sdm.watertight(joined((vertices, faces), (np.add(vertices, [1, 0, 0]), faces[:, ::-1])), 40)
+    assert_closed_manifold(surface)
+    assert sdm.inspect_mesh(surface).components == 1
+    whole, lens = 4 / 3 * np.pi, 5 / 12 * np.pi
+    assert areas_and_volume(surface)[1] == pytest.approx(2 * whole - lens, rel=0.05)
+
+
+@pytest.mark.parametrize(("hidden", "share"), [("drop", 1.0), ("keep", 1 - 0.5**3)])
+def test_hidden_cavities_are_dropped_or_kept(hidden, share):
+    vertices, faces = ball()
+    surface, report = sdm.watertight(
+        joined((vertices, faces), (vertices / 2, faces[:, ::-1])), 40, hidden=hidden, return_report=True
+    )
+    assert_closed_manifold(surface)
+    assert areas_and_volume(surface)[1] == pytest.approx(share * areas_and_volume(joined(ball()))[1], rel=0.01)
+    # What was dropped is far from the surface, and the report says so.
+    assert (report.input_to_output.largest > 0.4) == (hidden == "drop")
+
+
+def test_an_open_shell_with_a_hidden_inside_keeps_its_hollow():
+    vertices, faces = ball()
+    mesh = TriangleMesh(vertices, faces[1:], "holed")
+    filled, hollow = (sdm.watertight(mesh, 30, hole_size=0.5, hidden=hidden) for hidden in ("drop", "keep"))
+    assert_closed_manifold(hollow)
+    assert areas_and_volume(hollow)[1] < 0.5 * areas_and_volume(filled)[1]
+
+
+def test_a_sheet_midway_between_voxels_becomes_a_plate():
+    """Also one that is there twice, whose every edge has two faces."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    for several in (faces, np.concatenate([faces, faces[:, ::-1]])):
+        surface = sdm.watertight(TriangleMesh(square, several), 20)
+        assert_closed_manifold(surface)
+        assert sdm.inspect_mesh(surface).components == 1
+
+
+def test_wires_survive_an_offset_of_half_a_diagonal():
+    line = np.array([[0, 0, 0], [1, 0.3, 0.2], [0.5, 0.15, 0.1]], np.float32)
+    mesh = TriangleMesh(line, np.array([[0, 1, 2]]))
+    surface, report = sdm.watertight(mesh, 30, offset=0.04, return_report=True)
+    assert report.offset > 0.87 * report.spacing
+    assert_closed_manifold(surface)
+    assert sdm.inspect_mesh(surface).components == 1
+
+
+def test_options_that_make_no_sense():
+    mesh = joined(half())
+    with pytest.raises(SDMError, match="use 'drop' or 'keep'"):
+        sdm.watertight(mesh, 20, hidden="lose")
+    with pytest.raises(SDMError, match="offset is -1"):
+        sdm.watertight(mesh, 20, offset=-1)
+    with pytest.raises(SDMError, match="hole_size is -1"):
+        sdm.watertight(mesh, 20, hole_size=-1)
+    with pytest.raises(GridError, match="resolution 4 is too low"):
+        sdm.watertight(mesh, 4)
+    with pytest.raises(GridError, match="GiB"):
+        sdm.watertight(mesh, 20_000)
+    with pytest.raises(SDMError, match="as thick as a voxel"):
+        sdm.watertight(mesh, 20, offset=0)
+    with pytest.raises(MeshError, match="size zero"):
+        sdm.watertight(TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]])), 20)
+
+
+@pytest.mark.gpu
+def test_a_gpu_gives_the_same_surface():
+    mesh = joined(half())
+    host, there = (sdm.watertight(mesh, 60, device=device) for device in ("cpu", "cuda"))
+    assert torch.equal(host.faces, there.faces.cpu())
+    torch.testing.assert_close(host.vertices, there.vertices.cpu(), rtol=1e-5, atol=1e-5)
