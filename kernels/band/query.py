@@ -18,7 +18,7 @@ from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.winners import MISSED, BlockOutput, put_in_block
 from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import CellCache
-from sdm.kernels.dense.chunk_pool import CandidateLists, ChunkPool
+from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
 from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.query import Surface
@@ -42,6 +42,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Regions of a pass on a CPU: what is written of them is read again before it has left the caches.
 CPU_REGIONS = 1 << 11
+# Of a GPU's pool, entries for each triangle and at least.
+ENTRIES_OF_TRIANGLE, LEAST_ENTRIES = 32, 1 << 22
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
@@ -139,18 +141,31 @@ def query_blocks(
         set_array(out, "missed", empty(1, wp.int32))
         _search(surface, slab, out, to, everywhere=True)
         return
-    _run_stages(surface, measured, out, to, regions, band_plan(plan, regions.size, device.is_cuda), empty)
+    _run_stages(
+        surface,
+        measured,
+        out,
+        to,
+        regions,
+        band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda),
+        empty,
+    )
     _search(surface, slab, out, to, everywhere=False)
 
 
-def band_plan(plan: Plan, regions: int, gpu: bool) -> Plan:
+def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
     """The plan for so many of a dense query's regions: it decides the same about each of them.
 
-    Lists next to the surface are shorter than others, so that they find room where those of all regions do.
+    On a GPU the pool is their share of the dense query's, and as much again, as those along the surface are alike in
+    few ways with all: or, where triangles are in few of them, room for the lists of these.
     """
     most = min(regions, MOST_REGIONS if gpu else CPU_REGIONS, plan.most)
     passes = -(-regions // most)
     most = -(-regions // passes)
+    chunks = plan.chunks
+    if gpu:
+        share = -(-2 * plan.chunks * most // plan.most)
+        chunks = min(chunks, max(share, (ENTRIES_OF_TRIANGLE * triangles + LEAST_ENTRIES) // CHUNK))
     return replace(
         plan,
         regions=(0, 0, 0),
@@ -158,6 +173,7 @@ def band_plan(plan: Plan, regions: int, gpu: bool) -> Plan:
         passes=passes,
         most=most,
         split_length=NO_SPLITS,
+        chunks=chunks,
         blocks=8 * most,
     )
 

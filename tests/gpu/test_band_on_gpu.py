@@ -1,0 +1,72 @@
+"""Narrow bands on a GPU: the dense map's bits, memory that grows with the surface, few waits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.bench.common.meshes import load_case
+
+pytestmark = pytest.mark.gpu
+
+
+def mesh(name: str) -> sdm.TriangleMesh:
+    case = load_case(name)
+    return sdm.TriangleMesh(case.vertices, case.faces, name).to("cuda")
+
+
+@pytest.mark.parametrize(
+    "name", ["torus", "needle box", "open hemisphere", "touching cubes", "random soup", "torus-90000"]
+)
+@pytest.mark.parametrize("resolution", [40, 150, 300])
+def test_values_are_the_dense_map(name, resolution):
+    """Of cells of 8 and of 16 voxels, coarse bricks and fine meshes."""
+    made = mesh(name)
+    grid = sdm.Grid.around(made, resolution)
+    index = sdm.MeshIndex(made, "cuda", warn=False)
+    band, dense = index.narrow_band(grid), index.signed_distance_map(grid)
+    clamped = dense.values.clamp(-band.width, band.width)
+    near = clamped.abs() < band.width
+    assert torch.equal(band.blocks.long(), torch.unique(near.nonzero() // 8, dim=0))
+    blocks = band.blocks.long()
+    at = 8 * blocks[:, None] + torch.cartesian_prod(*3 * [torch.arange(8, device="cuda")])
+    within = (at < torch.tensor(grid.shape, device="cuda")).all(-1)
+    wanted = clamped[tuple(at[within].unbind(-1))]
+    assert torch.equal(band.values.reshape(len(band), -1)[within], wanted)
+    if index.closed:
+        assert torch.equal(band.to_dense().values, clamped)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_uneven_grids(turned):
+    made = mesh("torus")
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0] if turned else np.eye(3)
+    turn[:, 2] *= np.linalg.det(turn)
+    spacing, shape = np.array([0.02, 0.035, 0.05]), np.array([150, 91, 60])
+    grid = sdm.Grid(-turn @ (spacing * (shape - 1) / 2), spacing, shape, turn)
+    band = sdm.narrow_band(made, grid, half_width=2.5)
+    dense = sdm.signed_distance_map(made, grid)
+    assert torch.equal(band.to_dense().values, dense.values.clamp(-band.width, band.width))
+
+
+def test_memory_grows_with_the_surface(whole_gpu):
+    made = mesh("torus")
+    sdm.narrow_band(made, 64)
+    torch.cuda.synchronize()
+    torch.cuda.reset_peak_memory_stats()
+    before = torch.cuda.memory_allocated()
+    band = sdm.narrow_band(made, 2048)
+    assert band.values.is_cuda
+    # A dense map would be 32 GiB.
+    assert torch.cuda.max_memory_allocated() - before < 4 << 30
+
+
+def test_a_volume_of_warp():
+    band = sdm.narrow_band(mesh("torus"), 128)
+    there = band.to_warp().array().numpy()
+    here = band.cpu().to_warp().array().numpy()
+    assert there.shape == here.shape
+    # Leaves may lie in another order; what is active is not another.
+    assert np.array_equal(there[672 + 56 : 672 + 64], here[672 + 56 : 672 + 64])
