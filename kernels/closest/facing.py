@@ -17,7 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import NodeStack, exact_hit, slot_part
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, slots_of
 from sdm.kernels.geometry.triangle_distance import Hit, unit_normal
 
 wp.set_module_options({"enable_backward": False})
@@ -47,7 +47,7 @@ def facing(tree: Tree, slot: int, p: wp.vec3d, hit: Hit, least: wp.float64):
 
 @wp.func
 def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
-    """The slot to name, given one whose triangle is nearest to p (scaled)."""
+    """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled)."""
     largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
     least = ON_SURFACE * largest
     hit = exact_hit(tree, slot, p)
@@ -56,6 +56,7 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     best = int(slot)
     most = facing(tree, slot, p, hit, least)
     best_facing = most
+    base = nodes_of(tree, 0)
     leaves = 1 << tree.depth
     nodes = NodeStack()
     waiting = int(0)
@@ -64,7 +65,8 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     while node > 0:
         if node >= leaves:
             leaf = node - leaves
-            for other in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+            first = slots_of(tree, 0)
+            for other in range(first + first_triangle(tree, leaf), first + first_triangle(tree, leaf + 1)):
                 d2, _part = slot_part(tree, other, at)
                 if d2 <= TOUCHING2 and other != slot:
                     hit = exact_hit(tree, other, p)
@@ -79,8 +81,8 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
                             best_facing = faces
             node = int(0)
         else:
-            left = node_distance2(tree, 2 * node, at) <= TOUCHING2
-            right = node_distance2(tree, 2 * node + 1, at) <= TOUCHING2
+            left = node_distance2(tree, base + 2 * node, at) <= TOUCHING2
+            right = node_distance2(tree, base + 2 * node + 1, at) <= TOUCHING2
             if left and right:
                 nodes[waiting] = 2 * node + 1
                 waiting = waiting + 1

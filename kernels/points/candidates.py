@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, Tree, first_triangle
+from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, Tree, first_triangle, nodes_of, slots_of
 from sdm.kernels.culling.leaf_filter import full_of_leaves, node_matters, push, triangles_that_matter
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import Witness
@@ -45,7 +45,7 @@ def gather_near(
                 child = 2 * descent.node + side
                 keep = False
                 if descent.node > 0:
-                    keep = node_matters(box, radius, known, tree, cones, 0, child)
+                    keep = node_matters(box, radius, known, tree, cones, nodes_of(tree, 0), child)
                 descent = keep_children(tree, scratch, at, descent, child, keep, lane)
         else:
             taken = wp.min(full_of_leaves(lanes), descent.ripe)
@@ -107,7 +107,7 @@ def gather_on_rays(
                 child = 2 * descent.node + side
                 keep = False
                 if descent.node > 0:
-                    keep = meets_ray(tree, child, ray)
+                    keep = meets_ray(tree, nodes_of(tree, 0) + child, ray)
                 descent = keep_children(tree, scratch, at, descent, child, keep, lane)
         else:
             taken = wp.min(full_of_leaves(lanes), descent.ripe)
@@ -118,8 +118,8 @@ def gather_on_rays(
                 slot = int(0)
                 if i < taken * _LEAF:
                     leaf = scratch[at + LEAVES + descent.ripe + i / _LEAF]
-                    slot = first_triangle(tree, leaf) + i % _LEAF
-                    if slot < first_triangle(tree, leaf + 1):
+                    slot = slots_of(tree, 0) + first_triangle(tree, leaf) + i % _LEAF
+                    if slot < slots_of(tree, 0) + first_triangle(tree, leaf + 1):
                         keep = triangle_meets(tree, slot, ray, low, high)
                 found = found + push(scratch, at + FOUND + found, keep, slot, lane)
                 i = i + lanes

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_distance2
-from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.bvh.tree import Tree, tree_of
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, read_witness
 from sdm.kernels.launch import launch
@@ -21,6 +21,7 @@ from sdm.kernels.points.packets import (
     PACKET,
     POINT_BLOCKS_PER_SM,
     Packets,
+    mesh_of,
     packet_end,
     point_or_middle,
     read_box,
@@ -77,13 +78,14 @@ def _find_nearest(
         known = read_witness(packets.witnesses, packet)
         found = int(0)
         if known.distance2 < LARGEST_SQUARE and box.half2 < LARGEST_SQUARE:
-            found = gather_near(tree, balls, cones, box, known, scratch, room, lane, lanes)
-        end = packet_end(packet, points.shape[0])
+            one = tree_of(tree, mesh_of(packets, packet))
+            found = gather_near(one, balls, cones, box, known, scratch, room, lane, lanes)
+        end = packet_end(packets, packet)
         first = PACKET * packet
         while first < end:
             at = first + lane
             # All lanes work on each other's triangles, those without a point as if it were at the box's middle.
-            p = wp.vec3(point_or_middle(tree, points, order, at, end, box))
+            p = wp.vec3(point_or_middle(tree, mesh_of(packets, packet), points, order, at, end, box))
             left = int(0)
             if found > 0:
                 left = keep_nearest(tree, balls, p, scratch, room, found, lane, lanes)

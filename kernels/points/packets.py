@@ -1,6 +1,7 @@
 """Packets of neighbouring points, which share most of the work of a query, as rays do in packet traversal.
 
-Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a packet. Of a
+Points are sorted along the tree's curve, so that neighbours follow each other, and each run of them is a packet. Where
+meshes differ, each has packets of its own: the order has places without a point at the end of the last of them. Of a
 packet this file keeps the box around its points (`VoxelBox`); the triangle nearest to its centre;
 and what can be said about the signs of all its points at once (see `hole_caps` for open meshes).
 """
@@ -10,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit
-from sdm.kernels.bvh.tree import DIAGONAL, SCALE, Tree
+from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree, tree_of
 from sdm.kernels.culling.witness_bound import no_witness, write_witness
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_rows
 from sdm.kernels.launch import launch
@@ -46,6 +47,8 @@ class Packets:
     nearest: wp.array(dtype=wp.int32)  # (count) the slot of the triangle that it is on
     hints: wp.array(dtype=wp.int32)  # (count)
     count: wp.int32
+    places: wp.int32  # of the order: as many as points, and where meshes differ those without one
+    meshes: wp.array(dtype=wp.int32)  # (count) the mesh that each packet asks about; empty if there is one
     counts: wp.array(dtype=wp.int32)  # (COUNTS) which packet each stage takes next, zero at the start
 
 
@@ -56,50 +59,81 @@ def is_finite(p: wp.vec3):
 
 @wp.func
 def numbered(order: wp.array(dtype=wp.int32), at: int):
-    """Number of the point at a place in the order, which may be empty: as they come."""
+    """Number of the point at a place in the order, -1 for none; the order may be empty: as they come."""
     if order.shape[0] > 0:
         return order[at]
     return at
 
 
 @wp.func
-def packet_end(packet: int, points: int):
+def packet_end(packets: Packets, packet: int):
     """One past the last of a packet's places in the order."""
-    return wp.min(PACKET * (packet + 1), points)
+    return wp.min(PACKET * (packet + 1), packets.places)
+
+
+@wp.func
+def mesh_of(packets: Packets, packet: int):
+    """The mesh that a packet asks about."""
+    mesh = int(0)
+    if packets.meshes.shape[0] > 0:
+        mesh = packets.meshes[packet]
+    return mesh
+
+
+@wp.func
+def scale_of(tree: Tree, mesh: int):
+    """The factor from a mesh's unit to scaled coordinates."""
+    return tree.frame[mesh * FRAME_SIZE + SCALE]
 
 
 @wp.func
 def point_or_middle(
-    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), at: int, end: int, box: VoxelBox
+    tree: Tree,
+    mesh: int,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    at: int,
+    end: int,
+    box: VoxelBox,
 ):
     """The point at a place before `end`, scaled; without one, or if it is not finite, its packet's middle."""
     p = wp.vec3d(box.centre)
     if at < end:
-        point = points[numbered(order, at)]
-        if is_finite(point):
-            p = tree.frame[SCALE] * wp.vec3d(point)
+        i = numbered(order, at)
+        if i >= 0:
+            point = points[i]
+            if is_finite(point):
+                p = scale_of(tree, mesh) * wp.vec3d(point)
     return p
 
 
 @wp.func
 def box_around(
-    tree: Tree, points: wp.array(dtype=wp.vec3), order: wp.array(dtype=wp.int32), packet: int, lane: int, lanes: int
+    tree: Tree,
+    mesh: int,
+    points: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=wp.int32),
+    packets: Packets,
+    packet: int,
+    lane: int,
+    lanes: int,
 ):
     """The box around a packet's finite points, scaled; without any, or where it is not finite, at the origin."""
     low = wp.vec3(wp.inf, wp.inf, wp.inf)
     negated_high = low
     at = PACKET * packet + lane
-    while at < packet_end(packet, points.shape[0]):
+    while at < packet_end(packets, packet):
         i = numbered(order, at)
-        if is_finite(points[i]):
-            p = float(tree.frame[SCALE]) * points[i]
-            low = wp.min(low, p)
-            negated_high = wp.min(negated_high, -p)
+        if i >= 0:
+            if is_finite(points[i]):
+                p = float(scale_of(tree, mesh)) * points[i]
+                low = wp.min(low, p)
+                negated_high = wp.min(negated_high, -p)
         at = at + lanes
     low = wp.vec3(least_of_lanes(low[0]), least_of_lanes(low[1]), least_of_lanes(low[2]))
     high = -wp.vec3(least_of_lanes(negated_high[0]), least_of_lanes(negated_high[1]), least_of_lanes(negated_high[2]))
     box = VoxelBox()
-    box.diagonal = float(tree.frame[DIAGONAL])
+    box.diagonal = float(tree.frame[mesh * FRAME_SIZE + DIAGONAL])
     box.centre = 0.5 * low + 0.5 * high
     if is_finite(box.centre):
         # A rounding more than the points need, so that none sticks out.
@@ -132,8 +166,9 @@ def _look_around(
     lane = thread % lanes
     packet = fetch_add_once(packets.counts, NEXT_BOX, 1, lane)
     while packet < packets.count:
-        box = box_around(tree, points, order, packet, lane, lanes)
-        slot = nearest_together(tree, box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
+        mesh = mesh_of(packets, packet)
+        box = box_around(tree, mesh, points, order, packets, packet, lane, lanes)
+        slot = nearest_together(tree_of(tree, mesh), box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
         known = no_witness()
         hint = int(0)
         if winding.kind == CLOSED:

@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
-from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree, node_box
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, UNSCALE, Tree, node_box, nodes_of, tree_of
 from sdm.kernels.closest.hits import Hits
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
@@ -35,20 +35,27 @@ from sdm.kernels.points.packets import (
     Packets,
     is_finite,
     look_around,
+    mesh_of,
     numbered,
+    scale_of,
 )
 from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
 from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
+from sdm.kernels.winding.ray_crossings import winding_of_closed
 from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
+
+# Of a point's place along the curve; the number of its mesh is above.
+_CODE_BITS = 3 * POINT_BITS
 
 
 @wp.kernel
 def _point_keys(
     begin: int,
     points: wp.array(dtype=wp.vec3),
+    owners: wp.array(dtype=wp.int32),
     tree: Tree,
     corner: wp.vec3,
     edge: float,
@@ -59,17 +66,22 @@ def _point_keys(
     if edge > 0.0:
         keys[i] = curve_code(points[i], corner, corner + wp.vec3(edge, edge, edge), POINT_BITS)
     else:
-        p = float(tree.frame[SCALE]) * points[i]
+        mesh = int(0)
+        if owners.shape[0] > 0:
+            mesh = owners[i]
+        p = float(scale_of(tree, mesh)) * points[i]
         # Twice the mesh's box: most points that people ask for are inside it.
-        low, high = node_box(tree, 1)
+        low, high = node_box(tree, nodes_of(tree_of(tree, mesh), mesh) + 1)
         middle = 0.5 * (low + high)
-        keys[i] = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
+        code = curve_code(p, 2.0 * low - middle, 2.0 * high - middle, POINT_BITS)
+        keys[i] = code | (wp.int64(mesh) << wp.int64(_CODE_BITS))
     order[i] = i
 
 
 @wp.func
 def answer(
     tree: Tree,
+    mesh: int,
     slot: int,
     inside: bool,
     point: wp.vec3,
@@ -78,8 +90,8 @@ def answer(
     hits: Hits,
 ):
     """Write what is asked of point i, whose nearest triangle is in a slot."""
-    hit = exact_hit(tree, slot, tree.frame[SCALE] * wp.vec3d(point))
-    distance = float(wp.sqrt(hit.distance2) * tree.frame[UNSCALE])
+    hit = exact_hit(tree, slot, scale_of(tree, mesh) * wp.vec3d(point))
+    distance = float(wp.sqrt(hit.distance2) * tree.frame[mesh * FRAME_SIZE + UNSCALE])
     values[i] = wp.where(inside, -distance, distance)
     if hits.wanted != 0:
         # For `name_faces`.
@@ -92,6 +104,7 @@ def _finish(
     tree: Tree,
     points: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=wp.int32),
+    packets: Packets,
     slots: wp.array(dtype=wp.int32),
     sides: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
@@ -99,8 +112,10 @@ def _finish(
 ):
     at = begin + wp.tid()
     i = numbered(order, at)
+    if i < 0:
+        return
     if slots[at] >= 0 and sides[at] != UNKNOWN and is_finite(points[i]):
-        answer(tree, slots[at], sides[at] == INSIDE, points[i], i, values, hits)
+        answer(tree, mesh_of(packets, at / PACKET), slots[at], sides[at] == INSIDE, points[i], i, values, hits)
 
 
 @wp.kernel
@@ -118,14 +133,15 @@ def _query(
     hits: Hits,
 ):
     run = begin + wp.tid()
-    scale = tree.frame[SCALE]
     guess = int(-1)
     # The bound is a variable so that Warp does not write the loop out.
     steps = int(length)
     for step in range(steps):
         at = run * steps + step
-        if at < points.shape[0]:
+        i = int(-1)
+        if at < packets.places:
             i = numbered(order, at)
+        if i >= 0:
             point = points[i]
             slot = int(-1)
             side = UNKNOWN
@@ -137,16 +153,23 @@ def _query(
                 if hits.wanted != 0:
                     hits.faces[i] = -1
             elif slot < 0 or side == UNKNOWN:
+                mesh = mesh_of(packets, at / PACKET)
+                scale = scale_of(tree, mesh)
                 if slot < 0:
                     if guess < 0:
                         guess = packets.nearest[at / PACKET]
-                    slot = nearest_slot(tree, 0, float(scale) * point, guess)
+                    slot = nearest_slot(tree_of(tree, mesh), mesh, float(scale) * point, guess)
                     guess = slot
                 inside = side == INSIDE
                 if side == UNKNOWN:
                     hint = packets.hints[at / PACKET]
-                    inside = inside_at(tree, winding, scale * wp.vec3d(point), (hint & FAR) != 0, (hint & COVERED) != 0)
-                answer(tree, slot, inside, point, i, values, hits)
+                    p = scale * wp.vec3d(point)
+                    if (hint & FAR) != 0 and (hint & COVERED) == 0:
+                        inside = winding_of_closed(tree_of(tree, mesh), mesh, p) > 0
+                    else:
+                        # There is one mesh, as of many each is taken for closed.
+                        inside = inside_at(tree, winding, p, (hint & FAR) != 0, (hint & COVERED) != 0)
+                answer(tree, mesh, slot, inside, point, i, values, hits)
 
 
 @wp.kernel
@@ -160,21 +183,27 @@ def _winding(
 
 
 def sort_points(
-    points: wp.array, tree: Tree, keys: wp.array, order: wp.array, cube: Sequence[float] | None = None
+    points: wp.array,
+    owners: wp.array,
+    tree: Tree,
+    keys: wp.array,
+    order: wp.array,
+    cube: Sequence[float] | None = None,
 ) -> None:
     """Fill `order` with the points' order along a curve through the tree's box, or through a cube.
 
     Args:
         points: (N,) vec3.
-        tree: One mesh's hierarchy.
+        owners: (N,) where meshes differ, that of each point: points of a mesh follow each other. Else empty.
+        tree: One mesh's hierarchy, or that of meshes that differ.
         keys: (2N,) int64, scratch.
         order: (2N,) int32, filled: the first N are the order.
         cube: The least x, y and z, and the edge. The curve takes each eighth of it as a whole, each eighth of that, ...
     """
     count = points.shape[0]
     *corner, edge = cube or (0.0, 0.0, 0.0, 0.0)
-    launch(_point_keys, count, [points, tree, wp.vec3(*corner), edge, keys, order], points.device)
-    wp.utils.radix_sort_pairs(keys, order, count, end_bit=3 * POINT_BITS)
+    launch(_point_keys, count, [points, owners, tree, wp.vec3(*corner), edge, keys, order], points.device)
+    wp.utils.radix_sort_pairs(keys, order, count, end_bit=_CODE_BITS + int(tree.meshes).bit_length())
 
 
 def query_points(
@@ -188,25 +217,29 @@ def query_points(
     hits: tuple[wp.array, wp.array, wp.array] | None,
     empty: Callable[[int, Any], wp.array],
     plan: PointsPlan,
+    meshes: wp.array | None = None,
 ) -> None:
     """Signed distances, and closest points, faces and barycentric coordinates if `hits` has room for them.
 
     Args:
-        tree: One mesh's hierarchy.
+        tree: One mesh's hierarchy, or that of meshes that differ.
         features: Its triangles' balls.
         cones: Its cones of normals.
-        winding: How its winding number is found.
+        winding: How its winding number is found; meshes that differ are taken for closed.
         points: (N,) vec3; one that is not finite gives NaN and face -1.
-        order: (N,) the order to go through them, or empty: as they come.
+        order: (N,) the order to go through them, or empty: as they come. Where meshes differ (packets * PACKET,): of
+            each packet the points of one mesh, and -1 for places without one.
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
         empty: Allocates scratch: `empty(length, dtype)`.
         plan: Decisions about the query; distances are exact whatever they are.
+        meshes: (packets,) where meshes differ, that of each packet.
     """
-    count, device = points.shape[0], points.device
+    count, device = points.shape[0] if meshes is None else order.shape[0], points.device
     lanes = GPU_LANES if device.is_cuda else 1
     packets = Packets()
-    packets.count = plan.packets
+    packets.count, packets.places = plan.packets, count
+    packets.meshes = empty(0, wp.int32) if meshes is None else meshes
     packets.boxes = empty(8 * packets.count, wp.float32)
     packets.witnesses = empty(4 * packets.count, wp.float32)
     packets.nearest = empty(packets.count, wp.int32)
@@ -224,11 +257,11 @@ def query_points(
     if plan.lists:
         find_nearest(tree, features.balls, cones, points, order, packets, scratch, slots, workers, lanes)
         find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
-        launch(_finish, count, [tree, points, order, slots, sides, values, wanted], device)
+        launch(_finish, count, [tree, points, order, packets, slots, sides, values, wanted], device)
     inputs = [plan.run, tree, winding, points, order, packets, slots, sides, values, wanted]
     launch(_query, -(-count // plan.run), inputs, device)
     if hits is not None:
-        name_faces(tree, points, order, wanted)
+        name_faces(tree, points, order, packets, wanted)
 
 
 def query_winding(tree: Tree, winding: Winding, points: wp.array, values: wp.array) -> None:

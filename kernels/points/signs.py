@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, to_lattice
+from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, to_lattice, tree_of
 from sdm.kernels.culling.witness_bound import LARGEST_SQUARE
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
@@ -24,6 +24,7 @@ from sdm.kernels.points.packets import (
     PACKET,
     POINT_BLOCKS_PER_SM,
     Packets,
+    mesh_of,
     packet_end,
     point_or_middle,
     read_box,
@@ -41,6 +42,7 @@ UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2
 @wp.func
 def list_rays(
     tree: Tree,
+    mesh: int,
     box: VoxelBox,
     back: bool,
     scratch: wp.array(dtype=wp.int32),
@@ -60,8 +62,8 @@ def list_rays(
     return gather_on_rays(
         tree,
         ray,
-        to_lattice(tree, 0, low[1], low[2]),
-        to_lattice(tree, 0, high[1], high[2]),
+        to_lattice(tree, mesh, low[1], low[2]),
+        to_lattice(tree, mesh, high[1], high[2]),
         scratch,
         room,
         lane,
@@ -72,6 +74,7 @@ def list_rays(
 @wp.func
 def crossings_in_list(
     tree: Tree,
+    mesh: int,
     p: wp.vec3d,
     back: bool,
     scratch: wp.array(dtype=wp.int32),
@@ -81,10 +84,10 @@ def crossings_in_list(
     lanes: int,
 ):
     """`count_on_ray` from the lane's p (scaled), of the triangles found for its packet."""
-    q = to_lattice(tree, 0, p[1], p[2])
+    q = to_lattice(tree, mesh, p[1], p[2])
     kept = keep_covering(tree, q, scratch, room, found, lane, lanes)
     if kept > OWN_ROOM:
-        return count_on_ray(tree, 0, p, back)
+        return count_on_ray(tree_of(tree, mesh), mesh, p, back)
     total = int(0)
     for k in range(kept):
         slot = own_slot(scratch, room, k, lane, lanes)
@@ -107,9 +110,10 @@ def _find_sides(
     thread = begin + wp.tid()
     lane = thread % lanes
     room = (thread / lanes) * SCRATCH
-    low, high = node_box(tree, 1)
     packet = fetch_add_once(packets.counts, NEXT_SIDE, 1, lane)
     while packet < packets.count:
+        mesh = mesh_of(packets, packet)
+        low, high = node_box(tree, nodes_of(tree_of(tree, mesh), mesh) + 1)
         box = read_box(packets, packet)
         hint = packets.hints[packet]
         covered = (hint & COVERED) != 0
@@ -119,17 +123,17 @@ def _find_sides(
         if (hint & FAR) != 0 and box.half2 < LARGEST_SQUARE:
             if apart:
                 box.half = wp.vec3(0.0, 0.0, 0.0)
-            found = list_rays(tree, box, back, scratch, room, lane, lanes)
-        end = packet_end(packet, points.shape[0])
+            found = list_rays(tree_of(tree, mesh), mesh, box, back, scratch, room, lane, lanes)
+        end = packet_end(packets, packet)
         first = PACKET * packet
         while first < end:
             at = first + lane
             p = wp.vec3d(box.centre)
             if not apart:
-                p = point_or_middle(tree, points, order, at, end, box)
+                p = point_or_middle(tree, mesh, points, order, at, end, box)
             side = UNKNOWN
             if found >= 0:
-                total = crossings_in_list(tree, p, back, scratch, room, found, lane, lanes)
+                total = crossings_in_list(tree, mesh, p, back, scratch, room, found, lane, lanes)
                 if covered:
                     total = total + count_crossings(winding.caps.tree, 0, p)
                 side = wp.where(total > 0, INSIDE, OUTSIDE)

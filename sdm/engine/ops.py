@@ -62,10 +62,10 @@ def _query(
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, structure.memory[0]):
         tree, winding, _, features, cones = structure.view
-        where = as_warp(at, wp.vec3)
+        where, empty = as_warp(at, wp.vec3), workspace(at.device)
         by = as_warp(order, wp.int32)
         if sort:
-            sort_points(where, tree, as_warp(keys, wp.int64), by, cube)
+            sort_points(where, empty(0, wp.int32), tree, as_warp(keys, wp.int64), by, cube)
         room = None
         if hits:
             room = (as_warp(found[0], wp.vec3), as_warp(found[1], wp.int32), as_warp(found[2], wp.vec3))
@@ -78,7 +78,7 @@ def _query(
             by,
             as_warp(values, wp.float32),
             room,
-            workspace(at.device),
+            empty,
             plan_points(count, at.is_cuda, OPTIONS.get()),
         )
     return [values, *found]

@@ -99,7 +99,7 @@ SIGNS = [
 
 
 @pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(2, 5),
@@ -124,21 +124,25 @@ def test_maps_by_every_method_are_those_of_single_calls(seed, count, options, cl
 
 
 @pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=10)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    count=st.integers(1, 6),
+    count=st.integers(1, 4),
     sign=st.sampled_from(["winding", "none"]),
     closest=st.booleans(),
+    method=st.sampled_from(["search", "lists"]),
+    many=st.sampled_from([60, 2500]),
+    max_bytes=st.sampled_from([None, 1 << 21]),
 )
-def test_distances_are_those_of_single_calls(seed, count, sign, closest):
+def test_distances_are_those_of_single_calls(seed, count, sign, closest, method, many, max_bytes):
     rng = np.random.default_rng(seed)
     meshes = [random_mesh(rng) for _ in range(count)]
-    points = [torch.from_numpy(rng.normal(size=(rng.integers(0, 60), 3)).astype(np.float32)) for _ in meshes]
+    points = [torch.from_numpy(rng.normal(size=(rng.integers(0, many), 3)).astype(np.float32)) for _ in meshes]
     for i, at in enumerate(points):
         at[: i % 3] = np.nan
     asked = {"device": "cpu", "sign": sign, "return_closest": closest}
-    found = sdm.signed_distances(meshes, points, **asked)
+    with plan_override(points_method=method):
+        found = sdm.signed_distances(meshes, points, max_bytes=max_bytes, **asked)
     for i, (made, mesh, at) in enumerate(zip(found, meshes, points, strict=True)):
         alone = sdm.signed_distance(mesh, at, **asked)
         values, own = (made[0], alone[0]) if closest else (made, alone)

@@ -1,10 +1,10 @@
-"""Scattered points of lists of meshes: chunks of those that can be built together, the others one by one."""
+"""Scattered points of lists of meshes: chunks of those that can be asked together, the others one by one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,13 +12,26 @@ from torch import Tensor
 from sdm.core.as_mesh import MeshLike
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.arguments import Sign
-from sdm.engine.points import at_points
-from sdm.engine.ragged.chunks import Load, bytes_for, in_chunks
+from sdm.engine.closest_points import Closest
+from sdm.engine.points import as_points, at_points
+from sdm.engine.ragged.chunks import bytes_for, in_chunks
+from sdm.engine.ragged.joint_points import ragged_points
 from sdm.engine.ragged.lists import each_points, in_pairs, is_crowded, is_plain, numbered
 from sdm.engine.ragged.structure import RaggedBuild
 from sdm.engine.repeated_faces import may_be_crowded
+from sdm.runtime.operators import is_eager
+
+# Voxels whose memory a point takes: for keys and orders, and its closest point.
+POINT_VOXELS = 12
+
+
+class PointsJob(NamedTuple):
+    """A mesh, on its device, and points (...,3) there."""
+
+    number: int  # of the mesh in the whole list
+    mesh: TriangleMesh
+    points: Tensor
 
 
 def distances_of(
@@ -43,36 +56,52 @@ def distances_of(
         max_bytes: Memory of a chunk.
     """
 
-    def asked() -> Iterator[tuple[int, TriangleMesh, Any]]:
+    def asked() -> Iterator[PointsJob]:
         for number, mesh, at in in_pairs(meshes, each_points(meshes, points), "points"):
             where = choose_device(device, at if isinstance(at, Tensor) else None, mesh.vertices)
-            yield number, mesh.to(where), at
+            placed = mesh.to(where)
+            yield PointsJob(number, placed, numbered(number, partial(as_points, at, where)))
 
-    def load(item: tuple[int, TriangleMesh, Any]) -> Load:
-        return Load(len(item[1]))
+    def load(job: PointsJob) -> tuple[int, int]:
+        # A point takes as much as so many voxels, while it is sorted and looked up.
+        return job.mesh.faces.shape[0], POINT_VOXELS * (job.points.numel() // 3)
 
-    for chunk in in_chunks(asked(), load, lambda item: max_bytes or bytes_for(item[1].device)):
-        built = _built(chunk)
-        for number, mesh, at in chunk:
-            own = built.get(number)
-            if own is None:
-                yield numbered(number, partial(single, mesh, at, mesh.device))
+    for chunk in in_chunks(asked(), load, lambda job: max_bytes or bytes_for(job.mesh.device)):
+        found = _together(chunk, closest, sign)
+        for job in chunk:
+            if job.number in found:
+                yield found.pop(job.number)
             else:
-                yield numbered(number, lambda mesh=mesh, at=at, own=own: at_points(mesh, at, closest, own(), sign=sign))
+                yield numbered(job.number, partial(single, job.mesh, job.points, job.mesh.device))
 
 
-def _built(chunk: Sequence[tuple[int, TriangleMesh, Any]]) -> dict[int, Callable[[], AccelerationStructure]]:
-    """The structures of the meshes that can be built together, by their numbers."""
-    alike: dict[torch.device, list[tuple[int, TriangleMesh]]] = {}
-    for number, mesh, _ in chunk:
-        if is_plain(mesh) and not is_crowded(mesh):
-            alike.setdefault(mesh.device, []).append((number, mesh))
-    built = {}
-    for some in alike.values():
-        if len(some) > 1:
-            numbers, together = zip(*some, strict=True)
-            structure = RaggedBuild(together).finish(numbers)
-            for place, number in enumerate(numbers):
-                if not may_be_crowded(together[place], structure.boundary_of(place)):
-                    built[number] = partial(structure.of_mesh, place)
-    return built
+def _together(chunk: Sequence[PointsJob], closest: bool, sign: Sign) -> dict[int, Any]:
+    """The results of meshes that can be built together, by their numbers."""
+    alike: dict[torch.device, list[PointsJob]] = {}
+    for job in chunk:
+        if is_plain(job.mesh) and is_eager(job.points) and not is_crowded(job.mesh):
+            alike.setdefault(job.mesh.device, []).append(job)
+    found: dict[int, Any] = {}
+    for jobs in alike.values():
+        if len(jobs) < 2:
+            continue
+        structure = RaggedBuild([job.mesh for job in jobs]).finish([job.number for job in jobs])
+        kept = [i for i, job in enumerate(jobs) if not may_be_crowded(job.mesh, structure.boundary_of(i))]
+        joint = [i for i in kept if sign == "none" or i not in structure.topologies]
+        some = ragged_points(structure, joint, [jobs[i].points.reshape(-1, 3) for i in joint], closest) if joint else []
+        for i, (values, *hit) in zip(joint, some, strict=True):
+            found[jobs[i].number] = _shaped(jobs[i], values.abs() if sign == "none" else values, hit)
+        # Those with holes have winding numbers of their own kinds.
+        for i in set(kept).difference(joint):
+            job = jobs[i]
+            found[job.number] = at_points(job.mesh, job.points, closest, structure.of_mesh(i), sign=sign)
+    return found
+
+
+def _shaped(job: PointsJob, values: Tensor, hit: Sequence[Tensor]) -> Any:
+    shape = job.points.shape[:-1]
+    if not hit:
+        return values.reshape(shape)
+    point, face, barycentric = hit
+    places = point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3)
+    return values.reshape(shape), Closest(*places, job.mesh, job.points)
