@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import sdm
-from tests.property.test_ragged_lists import random_grid, random_mesh
+from tests.property.test_ragged_lists import SIGNS, assert_same_closest, random_grid, random_mesh
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("ignore::sdm.SDMWarning")]
 
@@ -26,6 +26,35 @@ def test_maps_and_distances_are_those_of_single_calls(seed: int, max_bytes: int 
     points = [torch.randn(int(rng.integers(0, 9000)), 3, device="cuda") for _ in meshes]
     for values, mesh, at in zip(sdm.signed_distances(meshes, points, max_bytes=max_bytes), meshes, points, strict=True):
         assert torch.equal(values, sdm.signed_distance(mesh, at))
+
+
+@pytest.mark.parametrize("options", SIGNS, ids=str)
+@pytest.mark.parametrize("closest", [False, True])
+def test_every_method_and_closest_points_are_those_of_single_calls(options: dict, closest: bool) -> None:
+    rng = np.random.default_rng(3)
+    meshes = [random_mesh(rng).to("cuda") for _ in range(8)]
+    grids = [sdm.Grid.around(mesh, int(rng.integers(3, 30))) for mesh in meshes]
+    asked = {**options, "return_closest": closest}
+    for made, mesh, grid in zip(sdm.signed_distance_maps(meshes, grids, **asked), meshes, grids, strict=True):
+        alone = sdm.signed_distance_map(mesh, grid, **asked)
+        field, own = (made[0], alone[0]) if closest else (made, alone)
+        assert torch.equal(field.values, own.values), (mesh, grid)
+        assert field.ambiguous_voxels == own.ambiguous_voxels
+        assert field.sign_disagreements == own.sign_disagreements
+        if closest:
+            assert_same_closest(made[1], alone[1], mesh.vertices, (mesh, grid))
+
+
+@pytest.mark.parametrize("sign", ["winding", "none"])
+def test_closest_points_of_point_lists_are_those_of_single_calls(sign: str) -> None:
+    rng = np.random.default_rng(4)
+    meshes = [random_mesh(rng).to("cuda") for _ in range(12)]
+    points = [torch.randn(int(rng.integers(0, 9000)), 3, device="cuda") for _ in meshes]
+    asked = {"sign": sign, "return_closest": True}
+    for (values, hit), mesh, at in zip(sdm.signed_distances(meshes, points, **asked), meshes, points, strict=True):
+        alone, own = sdm.signed_distance(mesh, at, **asked)
+        assert torch.equal(values, alone)
+        assert_same_closest(hit, own, mesh.vertices, mesh)
 
 
 def test_meshes_of_the_host_are_taken_there() -> None:
