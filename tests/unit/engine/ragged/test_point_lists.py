@@ -17,7 +17,7 @@ OPEN = sdm.TriangleMesh(CLOSED[1].vertices, CLOSED[1].faces[3:])
 
 @pytest.fixture
 def queries(monkeypatch):
-    """How many packets each query asks about."""
+    """Numbers of packets that each query asks about."""
     made: list[int] = []
 
     def counted(*args):
