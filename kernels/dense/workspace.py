@@ -17,7 +17,7 @@ from sdm.kernels.dense.counters import COUNTS, LENGTHS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.launch import set_array, set_number
-from sdm.kernels.launches.arrays import line_at, size_of
+from sdm.kernels.launches.arrays import array_at, size_of
 
 # Arrays begin at multiples of this many bytes.
 ALIGNMENT = 256
@@ -92,7 +92,7 @@ class _Places:
         self.end, self._device = address, device
 
     def __call__(self, length: int, dtype: Any) -> wp.array:
-        array = line_at(self.end, length, dtype, self._device)
+        array = array_at(self.end, (length,), dtype, self._device)
         size = length * size_of(dtype)
         self.end += size + -size % ALIGNMENT
         return array

@@ -38,31 +38,24 @@ def _prototype(dtype: Any, dimensions: int, device: str) -> tuple[dict[str, Any]
     return attributes, type(descriptor), size
 
 
-def line_at(address: int, length: int, dtype: Any, device: str) -> wp.array:
-    """The array of one axis at an address; `device` is the alias of Warp's."""
-    known, descriptor, step = _prototype(dtype, 1, device)
-    attributes = known.copy()
-    attributes["ptr"], attributes["shape"], attributes["strides"] = address, (length,), (step,)
-    attributes["size"], attributes["capacity"] = length, length * step
-    attributes["ctype"] = descriptor.from_buffer_copy(_pack(address, 0, length, 0, 0, 0, step, 0, 0, 0, 1, 0))
-    array = _new(wp.array)
-    array.__dict__ = attributes
-    return array
-
-
 def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: str) -> wp.array:
-    """The contiguous array at an address, of up to four axes."""
-    if len(shape) == 1:
-        return line_at(address, shape[0], dtype, device)
+    """The contiguous array at an address, of up to four axes; `device` is the alias of Warp's."""
     known, descriptor, step = _prototype(dtype, len(shape), device)
-    strides: tuple[int, ...] = ()
-    for length in reversed(shape):
-        strides = (step, *strides)
-        step *= length
-    attributes, rest = known.copy(), (0,) * (4 - len(shape))
+    if len(shape) == 1:
+        # Nearly all are.
+        size, strides = shape[0], (step,)
+        nbytes = size * step
+        packed = _pack(address, 0, size, 0, 0, 0, step, 0, 0, 0, 1, 0)
+    else:
+        nbytes, strides, rest = step, (), (0,) * (4 - len(shape))
+        for length in reversed(shape):
+            strides = (nbytes, *strides)
+            nbytes *= length
+        size = nbytes // step
+        packed = _pack(address, 0, *shape, *rest, *strides, *rest, len(shape), 0)
+    attributes = known.copy()
     attributes["ptr"], attributes["shape"], attributes["strides"] = address, shape, strides
-    attributes["size"], attributes["capacity"] = step // size_of(dtype), step
-    packed = _pack(address, 0, *shape, *rest, *strides, *rest, len(shape), 0)
+    attributes["size"], attributes["capacity"] = size, nbytes
     attributes["ctype"] = descriptor.from_buffer_copy(packed)
     array = _new(wp.array)
     array.__dict__ = attributes

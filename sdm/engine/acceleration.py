@@ -292,35 +292,30 @@ def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> Accel
     Raises:
         MeshError: More triangles in all than the kernels can count.
     """
-    check_count(vertices, faces)
     vertices, faces = vertices.contiguous(), faces.contiguous()
     return queue_build(vertices, faces, topology_for(vertices, faces, edges))
 
 
-def check_count(vertices: Tensor, faces: Tensor) -> None:
-    """Refuse vertices (B,V,3) and faces with more triangles in all than the kernels can count.
+def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
+    """The topology of a batch of meshes, with the caps of its holes if `queue_build` looks at them.
 
     Raises:
-        MeshError: There are.
+        MeshError: More triangles in all than the kernels can count.
     """
-    if vertices.shape[0] * faces.shape[0] > MOST_TRIANGLES:
+    meshes = vertices.shape[:-2].numel()
+    if meshes * faces.shape[0] > MOST_TRIANGLES:
         raise MeshError(
-            f"{vertices.shape[0]:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
+            f"{meshes:,} meshes of {faces.shape[0]:,} triangles are more than the {MOST_TRIANGLES:,} that "
             "one call can take; use smaller batches, or a coarser mesh"
         )
-
-
-def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
-    """The topology of a batch of meshes, with the caps of its holes if `queue_build` looks at them."""
     pairing = pairing_of(faces, vertices.shape[-2])
     if edges is None:
         closed = pairing.unmatched.shape[0] == 0
         edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
     kind, caps = kind_of(edges.shape[0], faces.shape[0]), edges
-    if closed_by_faces(kind, edges.shape[0], faces.shape[0]):
-        caps = turned_faces(faces)
-    elif kind in VISITING:
-        caps = cap_triangles(edges)
+    if kind in VISITING:
+        by_faces = closed_by_faces(kind, edges.shape[0], faces.shape[0])
+        caps = turned_faces(faces) if by_faces else cap_triangles(edges)
     return MeshTopology(pairing.neighbours, edges, caps)
 
 

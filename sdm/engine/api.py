@@ -14,7 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
-from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
+from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
@@ -22,6 +22,7 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.runtime.operators import is_eager
+from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
 
 

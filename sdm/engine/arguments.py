@@ -1,4 +1,4 @@
-"""Arguments of the public calls: orientation, signs, names of grids in errors, derivatives that there are not."""
+"""Arguments of the public calls: orientation, signs, names of grids in errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Literal, get_args
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
@@ -123,17 +122,3 @@ def oriented(mesh: TriangleMesh, orient: Orient, device: torch.device) -> Triang
 def described(grid: Grid) -> str:
     """A map of this grid, as errors name it."""
     return f"a map of {' x '.join(map(str, grid.shape))} voxels"
-
-
-def has_forward_mode() -> bool:
-    """True where a tensor may have a forward-mode derivative at all."""
-    return getattr(forward_ad, "_current_level", 0) >= 0
-
-
-def refuse_forward_mode(tensor: Tensor) -> None:
-    """Refuse a tensor with a forward-mode derivative."""
-    # Torch would take the derivatives of operators like these for zero, without a word.
-    if not torch.compiler.is_compiling() and forward_ad.unpack_dual(tensor).tangent is not None:
-        raise NotImplementedError(
-            "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
-        )

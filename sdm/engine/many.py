@@ -19,7 +19,7 @@ from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.api import signed_distance, signed_distance_map
-from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient, refuse_forward_mode
+from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import batch_maps
@@ -29,6 +29,7 @@ from sdm.engine.ragged.calls import Found, Wanted, maps_of
 from sdm.engine.ragged.lists import are_meshes, as_sequence
 from sdm.engine.ragged.point_calls import distances_of
 from sdm.errors import MeshError, SDMError
+from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.face_pairing import neighbours
 
 

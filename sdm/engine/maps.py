@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine.acceleration import AccelerationStructure, Sizes, build, check_count, queue_build, topology_for
+from sdm.engine.acceleration import AccelerationStructure, Sizes, build, queue_build, topology_for
 from sdm.engine.capacity.classes import class_of
 from sdm.engine.capacity.closed_maps import class_call, class_key, to_record
 from sdm.engine.first_build import build_first
@@ -145,7 +145,6 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
     meshes, voxels = vertices.shape[0], math.prod(grid.shape)
     if is_recordable(vertices, 4 * meshes * voxels):
-        check_count(vertices, faces)
         return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
     if meshes * voxels <= LARGEST_SLAB:
         return map_slab(vertices, faces, build(vertices.detach(), faces, edges), grid, 0, grid.shape[0])[0]

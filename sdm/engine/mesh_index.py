@@ -17,7 +17,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
-from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented, refuse_forward_mode
+from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented
 from sdm.engine.closest_points import Closest, Layers
 from sdm.engine.flood import flooded, rims_of
 from sdm.engine.map_check import MapCheck, checked
@@ -36,6 +36,7 @@ from sdm.engine.points import as_points, at_points
 from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError
 from sdm.runtime.operators import is_eager
+from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import pairing_of
 

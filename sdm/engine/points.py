@@ -9,11 +9,12 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.engine.acceleration import AccelerationStructure, build
-from sdm.engine.arguments import Sign, SignMethod, refuse_forward_mode
+from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.closest_points import Closest
 from sdm.engine.ops import points_closest, points_distance
 from sdm.engine.repeated_faces import RepeatedFaces
 from sdm.errors import MeshError, SDMError
+from sdm.runtime.torch_warp import refuse_forward_mode
 
 
 def as_points(points: Any, device: torch.device) -> Tensor:

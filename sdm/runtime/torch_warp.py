@@ -18,6 +18,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from sdm.kernels.launches import arrays
 
@@ -104,6 +105,19 @@ def version_of(tensor: Tensor) -> int | None:
     return None if tensor.is_inference() else tensor._version
 
 
+def has_forward_mode() -> bool:
+    """True where a tensor may have a forward-mode derivative at all."""
+    return getattr(forward_ad, "_current_level", 0) >= 0
+
+
+def refuse_forward_mode(tensor: Tensor) -> None:
+    """Refuse a tensor with a forward-mode derivative, which torch would take for zero after Warp's kernels."""
+    if not torch.compiler.is_compiling() and forward_ad.unpack_dual(tensor).tangent is not None:
+        raise NotImplementedError(
+            "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
+        )
+
+
 def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
     """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
     kept: list[Tensor] = []
@@ -118,11 +132,11 @@ def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
             kept.append(torch.empty(size if alone else CHUNK, dtype=torch.uint8, device=device))
             address = kept[-1].data_ptr()
             if alone:
-                return arrays.line_at(address, length, dtype, name)
+                return arrays.array_at(address, (length,), dtype, name)
             free, end = address, address + CHUNK
         address = free
         free += size + -size % ALIGNMENT
-        return arrays.line_at(address, length, dtype, name)
+        return arrays.array_at(address, (length,), dtype, name)
 
     return empty
 

@@ -16,7 +16,7 @@ from sdm.core.device import choose_device, memory_guard
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.arguments import Orient, SignMethod, has_forward_mode, oriented, refuse_forward_mode
+from sdm.engine.arguments import Orient, SignMethod, oriented
 from sdm.engine.closest_points import Closest
 from sdm.engine.flood import flooded, rims_of
 from sdm.engine.map_check import MapCheck, checked, later_check, named
@@ -28,6 +28,7 @@ from sdm.engine.ragged.joint_maps import JointMaps, MapJob, ragged_maps
 from sdm.engine.ragged.lists import each_grid, in_pairs, is_crowded, numbered
 from sdm.kernels.dense.cost_model import search_is_faster
 from sdm.runtime.operators import are_eager
+from sdm.runtime.torch_warp import has_forward_mode, refuse_forward_mode
 
 # A map of more voxels fills a device by itself.
 LARGEST_JOINED = 1 << 27

@@ -13,10 +13,10 @@ from torch import Tensor
 
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.arguments import refuse_forward_mode
 from sdm.engine.repeated_faces import CROWDED
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.runtime.operators import is_eager
+from sdm.runtime.torch_warp import refuse_forward_mode
 
 T = TypeVar("T")
 

@@ -8,9 +8,9 @@ from sdm.bench.dense.host_calls import calls, measured
 
 # Functions and files of the project before the first launch, and in a whole call.
 LIMITS = {
-    "signed_distance_maps, mesh seen before": ((23, 10), (62, 33)),
-    "signed_distance_map, mesh seen before": ((33, 15), (90, 40)),
-    "signed_distance_map, new mesh": ((27, 12), (114, 42)),
+    "signed_distance_maps, mesh seen before": ((20, 8), (58, 29)),
+    "signed_distance_map, mesh seen before": ((30, 14), (87, 38)),
+    "signed_distance_map, new mesh": ((25, 12), (108, 41)),
 }
 
 
