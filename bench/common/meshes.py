@@ -135,7 +135,7 @@ def load_case(name: str) -> Case:
     if name in DIRTY:
         make, kinds = DIRTY[name]
         return Case(name, *make(), frozenset(kinds.split()) | {"generated"})
-    if name.startswith("torus-") and name[6:].isdigit():
+    if name.startswith("torus-") and name[6:].isdigit() and int(name[6:]) > 0:
         return Case(name, *torus(int(name[6:])), frozenset(("closed", "smooth", "generated")))
     if Path(name).is_file():
         return Case(Path(name).stem, *_read(Path(name)), frozenset(("own",)))

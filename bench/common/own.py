@@ -59,7 +59,11 @@ def load_own(files: Sequence[Path]) -> Own:
     for path in files:
         if not path.is_file():
             raise sdm.FormatError(f"there is no file {path} with meshes or peers to add")
-        names = runpy.run_path(str(path), run_name=f"added_{path.stem}")
+        try:
+            names = runpy.run_path(str(path), run_name=f"added_{path.stem}")
+        # Whatever a user's program does.
+        except Exception as error:
+            raise sdm.FormatError(f"{path} does not run as a Python file: {type(error).__name__}: {error}") from error
         # Those that were only imported belong to another module.
         classes = [c for c in names.values() if inspect.isclass(c) and c.__module__ == names["__name__"]]
         classes = [c for c in classes if not inspect.isabstract(c)]

@@ -19,11 +19,7 @@ def write_results(report: dict[str, Any], out: Path) -> list[Path]:
     from sdm.bench.dense.plot_results import draw
 
     alone = out.suffix == ".json"
-    folder = out.parent if alone else out
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"the folder {folder} cannot be made: {error.strerror or error}") from error
+    folder_for(out)
     written = [out if alone else out / "results.json"]
     write(written[0], report)
     if not alone:
@@ -31,3 +27,16 @@ def write_results(report: dict[str, Any], out: Path) -> list[Path]:
         put(written[1], results_markdown(report))
         written += draw(report, out, "results")
     return written
+
+
+def folder_for(out: Path) -> None:
+    """Make the folder that a report is written to.
+
+    Raises:
+        FormatError: It cannot be made.
+    """
+    folder = out.parent if out.suffix == ".json" else out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f"the folder {folder} cannot be made: {error.strerror or error}") from error

@@ -24,7 +24,7 @@ from sdm.bench.common.machine import describe, version_of
 from sdm.bench.common.meshes import Case, load_case, missing_note
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.own import Own, load_own
-from sdm.bench.common.results_folder import write_results
+from sdm.bench.common.results_folder import folder_for, write_results
 from sdm.bench.common.tables import print_results
 from sdm.bench.common.timing import median, once
 from sdm.bench.peers import Peer, all_peers
@@ -139,6 +139,9 @@ def run(options: Options) -> int:
     options = options.filled()
     device = options.device or "cpu"
     choose_device(device)
+    if options.out is not None:
+        # Before the measuring, which takes minutes.
+        folder_for(options.out)
     known = [*all_peers(device), *own.peers(device)]
     peers = [p for p in known if not options.peers or any(w.lower() in p.name.lower() for w in options.peers)]
     if not peers:

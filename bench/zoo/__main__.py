@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         device = str(choose_device(given.device))
         files = list(files_of(given.folder))
     except SDMError as error:
-        print(error, file=sys.stderr)
+        print(f"sdm: {error}", file=sys.stderr)
         return 2
     made_on = describe(device)
     rows: list[dict[str, Any]] = []

@@ -51,7 +51,10 @@ def files_of(folder: Path) -> Iterator[Found]:
     """
     if not folder.is_dir():
         raise FormatError(f"there is no folder {folder} with meshes")
-    for path in sorted(folder.rglob("*")):
+    paths = sorted(folder.rglob("*"))
+    if not any(_is_read(path) and path.is_file() for path in paths):
+        raise FormatError(f"there is no mesh file in {folder}")
+    for path in paths:
         if _is_read(path) and path.is_file():
             yield Found(path, path.relative_to(folder).as_posix().removesuffix(NUMPY))
 

@@ -157,7 +157,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             warnings.simplefilter("ignore", SDMWarning)
             return _run(given)
     except SDMError as error:
-        print(error, file=sys.stderr)
+        print(f"sdm: {error}", file=sys.stderr)
         return 2
 
 

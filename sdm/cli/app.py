@@ -151,6 +151,9 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
 
     if words[:1] == ["--version"]:
         return _print_version
+    # As a path it would be the folder one is in.
+    if "" in words:
+        raise UsageError("an argument is empty, as a variable of the shell that is not set gives; see sdm --help")
     brief = not (words and words[0] in COMMANDS)
     if words and brief and not words[0].startswith("-"):
         raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")

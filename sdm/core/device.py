@@ -116,9 +116,14 @@ def plain_defaults() -> Iterator[None]:
         torch.set_default_dtype(before)
 
 
+def gibibytes(count: int) -> str:
+    """A number of bytes in words; of very many three digits are enough."""
+    return f"{count / 2**30:.1f} GiB" if count < 2**50 else f"{count / 2**30:.3g} GiB"
+
+
 def _refuse_beyond(free: int, needed: int, device: torch.device, what: str) -> None:
     if needed > free:
         raise GridError(
-            f"{what} needs {needed / 2**30:.1f} GiB, but {device} has {free / 2**30:.1f} GiB free; "
+            f"{what} needs {gibibytes(needed)}, but {device} has {gibibytes(free)} free; "
             "choose a lower resolution, or write a .zarr file, which goes slab by slab"
         )

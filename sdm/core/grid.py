@@ -17,6 +17,10 @@ from sdm.errors import GridError
 if TYPE_CHECKING:
     Numbers = Sequence[float] | np.ndarray
 
+# Ten times as far as a mesh's largest coordinate: the squares of much longer distances are infinite in float32.
+FARTHEST = 1e31
+# Voxels along an axis that float32 coordinates tell apart.
+MOST_VOXELS = 2**24
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -34,7 +38,8 @@ class Grid:
     Voxel (i,j,k) has its centre at `origin + direction @ (spacing * (i,j,k))`, rounded to float32.
 
     Raises:
-        GridError: No voxels, a spacing that is not positive and finite, or a direction that is not orthonormal.
+        GridError: No voxels, more than 2**24 of them along an axis, a spacing that is not positive and finite, a grid
+            that reaches beyond 1e31, or a direction that is not orthonormal.
     """
 
     origin: tuple[float, float, float]
@@ -62,6 +67,17 @@ class Grid:
             raise GridError(f"the grid's spacing {spacing} must be three positive lengths")
         if not all(math.isfinite(n) and n == int(n) and n >= 1 for n in size):
             raise GridError(f"the grid's shape {tuple(self.shape)} must be three whole numbers of at least 1")
+        if max(size) > MOST_VOXELS:
+            raise GridError(
+                f"the grid has {max(size):.9g} voxels along an axis; at most {MOST_VOXELS:,} are supported, as many as "
+                "float32 coordinates tell apart: choose a larger spacing or a lower resolution"
+            )
+        reach = max(abs(x) + s * (n - 1) for x, s, n in zip(origin, spacing, size, strict=True))
+        if reach > FARTHEST:
+            raise GridError(
+                f"the grid reaches too far: its origin and its length add up to {reach:.3g}; at most {FARTHEST:g} is "
+                "supported: use a larger unit, or a smaller margin or spacing"
+            )
         direction = _orthonormal(self.direction)
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "spacing", spacing)
@@ -105,7 +121,7 @@ class Grid:
             count = np.ceil((high - low + 2 * room) / step - 1e-6) + 1
             if count.max() >= 2**31:
                 raise GridError(
-                    f"a spacing of {spacing} gives {count.max():.0f} voxels along an axis: choose a larger one"
+                    f"a spacing of {spacing} gives {count.max():.3g} voxels along an axis: choose a larger one"
                 )
             origin = (low + high) / 2 - step * (count - 1) / 2
             return cls(origin, step, count)

@@ -16,7 +16,7 @@ from sdm.core.to_libraries import mesh_to_open3d, mesh_to_pyvista, mesh_to_trime
 from sdm.errors import MeshError
 
 # Squared lengths, areas and volumes of a mesh within this bound stay finite in float64, lengths in float32.
-LARGEST_COORDINATE = 1e30
+LARGEST_COORDINATE = float(np.float32(1e30))
 # Kernels count up to 20 numbers a triangle with 32 bits.
 MOST_TRIANGLES = 100_000_000
 

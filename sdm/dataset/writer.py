@@ -25,6 +25,9 @@ from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker
 
+# Files of one dataset: beyond, folders and the list of checksums are slower than the maps.
+MOST_FILES = 10_000_000
+
 Progress = Callable[[int, int], None]
 
 
@@ -115,6 +118,12 @@ def generate(
         "device": None if ray is not None else device_kind(devices[0]),
         "source": source,
     }
+    files = layout.shard_count(manifest)
+    if files > MOST_FILES:
+        raise SDMError(
+            f"{count:,} samples in files of {manifest['shard']:,} are {files:,} files; at most {MOST_FILES:,} are "
+            "supported: give a lower count or resolution, or more samples in one file (--shard)"
+        )
     # How many samples are in one file is the dataset's own affair, unless somebody says.
     wanted = {**manifest, "shard": shard}
     if resume and target.exists():

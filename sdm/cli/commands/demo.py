@@ -36,8 +36,10 @@ def demo(
         out: Folder to write to; made if it is not there.
         device: cpu, cuda or cuda:N; by default a GPU if there is one.
     """
+    import torch
+
     from sdm.core.demo_mesh import demo_mesh
-    from sdm.core.device import choose_device
+    from sdm.core.device import choose_device, require_memory
     from sdm.core.grid import Grid
     from sdm.errors import FormatError
     from sdm.io.meshes.write import write_ply
@@ -46,6 +48,8 @@ def demo(
     mesh = demo_mesh()
     grid = Grid.around(mesh, resolution=resolution)
     chosen = choose_device(device)
+    # Before a folder is made, and before the small map that the demo begins with.
+    require_memory(grid.nbytes, torch.device("cpu"), f"a map of {' x '.join(map(str, grid.shape))} voxels")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

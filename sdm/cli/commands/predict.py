@@ -35,10 +35,13 @@ def predict(
         backend: What runs the network; all but torch are optional, and prepare for seconds before they are quick.
     """
     from sdm.cli.common.inputs import refuse_inputs
+    from sdm.errors import SDMError
     from sdm.io.maps.formats import check_target
     from sdm.surrogate.infer.exact_map import exact_map
     from sdm.surrogate.infer.predict import Predictor
 
+    if exact and (weights is not None or backend != "torch"):
+        raise SDMError("--exact computes the map without a network: leave out --weights and --backend, or --exact")
     refuse_inputs([out], [weights])
     check_target(out)
     theta = [a, alpha, b, phi]

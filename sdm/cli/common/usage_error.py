@@ -43,6 +43,9 @@ def sentence(drawn: str) -> str:
     if not whole:
         return "the arguments cannot be understood"
     meant = re.search(rf"{PROPOSAL}.*?(--[\w-]+)", " ".join(whole[1:]))
+    # tyro proposes an option of another command too, which has the very name.
+    if meant and re.search(rf"{meant[1]}(?![\w-])", whole[0]):
+        meant = None
     return _in_plain_words(whole[0]) + (f"; perhaps {meant[1]} is meant" if meant else "")
 
 

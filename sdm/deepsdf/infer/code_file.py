@@ -48,7 +48,7 @@ def load_code(path: str | Path) -> ShapeCode:
             version, code, sphere = int(file["version"]), file["code"], file["sphere"]
     except FileNotFoundError:
         raise FormatError(f"{path} is not there; make it with sdm encode") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
         raise FormatError(f"{path} is no code of a shape; give a file that sdm encode wrote") from error
     if version != VERSION:
         raise FormatError(f"{path} is a code of version {version}, and this program reads version {VERSION}")

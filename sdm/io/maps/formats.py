@@ -10,7 +10,7 @@ from types import ModuleType
 
 import torch
 
-from sdm.core.device import free_memory, require_memory
+from sdm.core.device import free_memory, gibibytes, require_memory
 from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
 from sdm.io.files.atomic import try_to_write
@@ -143,5 +143,5 @@ def require_memory_to_write(chosen: Format, grid: Grid, device: torch.device) ->
         if needed > SMALL and needed > (free := free_memory(where)):
             raise GridError(
                 f"a .zarr map of {shape} voxels is computed {layers} layers at a time, which needs "
-                f"{needed / 2**30:.1f} GiB, but {where} has {free / 2**30:.1f} GiB free; choose a lower resolution"
+                f"{gibibytes(needed)}, but {where} has {gibibytes(free)} free; choose a lower resolution"
             )

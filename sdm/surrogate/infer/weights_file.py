@@ -75,6 +75,11 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
     # An empty path, a dot and the root.
     if not source.name:
         raise FormatError(f"{source} cannot be read: it is a folder; give a file that sdm train sdmnn wrote")
+    # Asked of the weights first, so that the message names what was given and not the file beside it.
+    if not source.is_file():
+        raise FormatError(f"{source} cannot be read: no such file; give a .safetensors that sdm train sdmnn wrote")
+    if source.suffix == ".json" or not source.with_suffix(".json").is_file():
+        raise FormatError(f"{source} {NO_SURROGATE}: a .safetensors file with its .json beside it is needed")
     try:
         config = json.loads(source.with_suffix(".json").read_text())
         packed = load(source.read_bytes())

@@ -37,6 +37,15 @@ def test_reads_a_folder_in_order_of_names(folder):
     assert len(family.faces) == 1500
 
 
+def test_reads_folders_in_it_and_every_format(folder):
+    (folder / "1234" / "models").mkdir(parents=True)
+    trimesh.Trimesh(*solid(Cuboid(triangles=700)).numpy(), process=False).export(folder / "1234" / "models" / "a.glb")
+    (folder / "1234" / "bad.off").write_bytes(b"nonsense")
+    family = MeshFolder(folder, skip_bad=True)
+    assert [name for name, _ in family.rejected] == ["1234/bad.off"]
+    assert len(family.meshes) == 3
+
+
 def test_a_bad_file_is_named_with_its_reason(folder):
     box = trimesh.creation.box()
     box.update_faces(np.arange(10))

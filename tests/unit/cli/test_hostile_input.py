@@ -1,0 +1,189 @@
+"""Hostile and clumsy command lines: each ends in one sentence and exit code 2, and leaves every file as it was.
+
+A table of one case a line; `test_bad_input.py` has those of `sdm compute` that any user meets.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import nibabel
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sdm.cli import main
+
+COCHLEA = "predict --a 3 --alpha 0.5 --b 0.1 --phi 0 -o new.npz"
+EMPTY, LONG, ODD = "<empty>", "<long>", "<odd>"
+SPECIAL = {EMPTY: "", LONG: f"{'x' * 300}", ODD: os.fsdecode(b"b\xff.ply")}
+
+CASES = [
+    # Names.
+    ("compute <empty> -o new.npz", "an argument is empty"),
+    ("compute ball.ply -o <empty>", "an argument is empty"),
+    ("inspect <empty>", "an argument is empty"),
+    ("compute loop.ply -o new.npz", "there is no mesh file loop.ply"),
+    ("compute folder.ply -o new.npz", "no mesh file was found"),
+    ("compute empty.ply -o new.npz", "empty.ply is empty"),
+    ("compute empty.stl -o new.npz", "empty.stl is empty"),
+    ("compute pipe.ply -o new.npz", "pipe.ply is empty"),
+    ("compute <odd> -o new.npz", "is not UTF-8"),
+    ("compute <long>.ply -o new.npz", "File name too long"),
+    ("compute ball.ply -o <long>.npz", "File name too long"),
+    ("compute ball.ply -o <long>/new.npz", "File name too long"),
+    ("compute ball.ply -o .npz", "does not end like a map"),
+    ("compute ball.ply -o /dev/null", "/dev/null cannot be made"),
+    ("compute ball.ply -o /dev/null/new.npz", "/dev/null is not a folder"),
+    ("compute ball.ply -o ball.ply", "does not end like a map"),
+    ("compute ball.ply -o map.npz --grid-like map.npz", "is an input too"),
+    ("inspect folder.ply", "folder.ply is a folder"),
+    ("inspect loop.ply", "there is no mesh file loop.ply"),
+    ("inspect map.npz", "no mesh has the ending .npz"),
+    # Numbers.
+    ("compute ball.ply -o new.npz --resolution 1e9", "takes a whole number"),
+    ("compute ball.ply -o new.npz --resolution 1.5", "takes a whole number"),
+    ("compute ball.ply -o new.npz --resolution nan", "takes a whole number"),
+    ("compute ball.ply -o new.npz --resolution 2 2 2 2", "one number or three, not 4"),
+    ("compute ball.ply -o new.npz --resolution 1000000000", "1e+09 voxels along an axis; at most 16,777,216"),
+    ("compute ball.ply -o new.npz --resolution 1000000000 1 1", "1e+09 voxels along an axis; at most 16,777,216"),
+    ("compute ball.ply -o new.zarr --resolution 1 1 3000000000", "3e+09 voxels along an axis"),
+    ("compute ball.ply -o new.npz --spacing inf", "must be positive"),
+    ("compute ball.ply -o new.npz --spacing 1e-300", "gives 2.2e+300 voxels along an axis"),
+    ("compute ball.ply -o new.npz --margin nan", "margin nan"),
+    ("compute ball.ply -o new.npz --margin 1e300 --resolution 8", "the grid reaches too far"),
+    ("compute ball.ply -o new.npz --margin 1e32 --resolution 8", "the grid reaches too far"),
+    ("compute ball.ply -o new.npz --scale 0", "--scale is 0"),
+    ("compute ball.ply -o new.npz --scale nan", "--scale is nan"),
+    ("compute ball.ply -o new.npz --scale 1e300", "every coordinate must be finite"),
+    ("compute ball.ply -o new.npz --scale 1e-300", "has size zero"),
+    ("compute ball.ply -o new.npz --hole-size 1", "with sign='winding' it says nothing"),
+    ("compute ball.ply -o new.npz --sign flood --hole-size nan", "hole_size is nan"),
+    ("compute nan.off -o new.npz", "vertex 4 of nan.off is [nan, nan, nan]"),
+    ("compute float64.off -o new.npz", "every coordinate must be finite"),
+    ("compute largest.off -o new.npz", "at most 1e+30 is supported"),
+    ("compute ball.ply -o new.npz --device cuda:-1", "no device called 'cuda:-1'"),
+    ("compute ball.ply -o new.npz --device meta", "meta is not supported"),
+    ("compute ball.ply -o new.npz --grid-like nan_origin.nii", "must be a finite 4 x 4 matrix"),
+    ("compute ball.ply -o new.npz --grid-like flat.nii", "its voxels have no volume"),
+    ("compute ball.ply -o new.npz --grid-like four.nii", "three dimensions"),
+    ("compute ball.ply -o new.npz --grid-like cut.nii.gz", "is damaged"),
+    ("compute ball.ply -o new.npz --grid-like empty.nii.gz", "is not a NIfTI image"),
+    # Datasets.
+    ("generate cuboid -o new.zarr", "say how many samples"),
+    ("generate cuboid -o new.zarr --count -1", "give at least 1"),
+    ("generate cuboid -o new.zarr --count 1000000000000000 --resolution 999", "at most 10,000,000 are supported"),
+    ("generate cuboid -o new.zarr --count 2 --sampler grid:0", "has no width"),
+    ("generate cuboid -o new.zarr --count 2 --truncate nan", "must be a positive distance"),
+    ("generate cuboid -o file --count 2", "file is there already"),
+    ("generate cubiod -o new.zarr --count 2", "neither a family"),
+    ("generate folder.ply -o new.zarr --count 2", "no mesh to use"),
+    ("generate -o file --verify", "is not a dataset"),
+    ("generate -o new.zarr --resume", "is not a dataset"),
+    # Networks.
+    (f"{COCHLEA} --weights empty.pt", "empty.pt is not a surrogate that sdm wrote"),
+    (f"{COCHLEA} --weights cut.safetensors", "cut.safetensors is not a surrogate"),
+    (f"{COCHLEA} --weights cut.json", "cut.json is not a surrogate"),
+    (f"{COCHLEA} --weights nowhere.safetensors", "nowhere.safetensors cannot be read: no such file"),
+    (f"{COCHLEA} --weights empty.pt --exact", "leave out --weights"),
+    (f"{COCHLEA} --exact --a inf", "give four finite numbers"),
+    (f"{COCHLEA} --a nan", "a of theta is nan"),
+    ("encode ball.ply -m list.pt -o new.npz", "is no DeepSDF model"),
+    ("encode ball.ply -m nowhere -o new.npz", "train a model first"),
+    ("encode ball.ply -m cochlea -o new.npz --sphere 0 0 0 0", "a positive radius"),
+    ("encode sheet.off -m cochlea -o new.npz", "is not closed"),
+    ("decode empty.npz -m cochlea -o new.ply", "empty.npz is no code of a shape"),
+    ("decode cut.npz -m cochlea -o new.ply", "cut.npz is no code of a shape"),
+    ("decode map.npz -m cochlea -o map.npz", "is an input too"),
+    ("segment label.nii.gz --model list.pt -o new", "list.pt is not a trained segmentation network"),
+    ("segment label.nii.gz --model nowhere.pt -o new", "nowhere.pt is not there"),
+    ("train deepsdf folder.ply -o new --epochs 1", "there are no meshes"),
+    ("train deepsdf cuboid -o new --epochs 0", "epochs is 0"),
+    ("train sdmnn -o new --budget-s nan", "a budget of nan seconds"),
+    ("train sdmnn -o new --open-meshes keep", "(applied to sdm train sdmnn); see sdm train --help"),
+    ("train segmentation --data folder.ply -o new", "holds no cases to train"),
+    # Images.
+    ("fit empty.nii.gz -o new.json", "is not a NIfTI image"),
+    ("fit four.nii -o new.json", "three dimensions"),
+    ("fit label.nii.gz -o label.nii.gz", "is an input too"),
+    ("fit label.nii.gz -o new.json --blur nan", "blur is nan"),
+    ("fit label.nii.gz -o new.json --triangles 1000000000", "500 to 4,000,000 are supported"),
+    ("evaluate label.nii.gz other.nii.gz", "has the shape"),
+    ("evaluate label.nii.gz label.nii.gz --json label.nii.gz", "is an input too"),
+    ("evaluate folder.ply label.nii.gz", "no labels to evaluate"),
+    ("view map.npz --out new.txt", "does not end in .png"),
+    ("view ball.ply --resolution 0 --out new.png", "resolution 0"),
+    ("view cut.npz --out new.png", "cut.npz cannot be read"),
+    # The repository's own.
+    ("demo --resolution 100000 --out new", "GiB free"),
+    ("demo --out file", "the folder file cannot be made"),
+    ("bench --meshes torus-0 --quick --peers sdm", "there is no mesh called 'torus-0'"),
+    ("bench --meshes ball.ply --quick --peers sdm --out file", "the folder file cannot be made"),
+    ("bench --add file --quick", "file does not run as a Python file: NameError"),
+    ("bench --runs 0 --quick", "runs must be at least 1"),
+    ("bench zoo folder.ply", "there is no mesh file in folder.ply"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder of good files, and of bad ones of every kind."""
+    place = tmp_path_factory.mktemp("hostile")
+    before = Path.cwd()
+    os.chdir(place)
+    yield _filled(place)
+    os.chdir(before)
+
+
+def _filled(place: Path) -> Path:
+    trimesh.creation.icosphere(1).export("ball.ply")
+    Path("loop.ply").symlink_to("loop.ply")
+    Path("folder.ply").mkdir()
+    Path("pipe.ply").symlink_to("/dev/null")
+    Path("file").write_text("nothing\n")
+    shutil.copy("ball.ply", SPECIAL[ODD])
+    for name in ("empty.ply", "empty.stl", "empty.npz", "empty.nii.gz", "empty.pt"):
+        Path(name).touch()
+    tetrahedron = "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
+    for name, far, more in (("nan", "1", "nan nan nan\n"), ("float64", "1e39", ""), ("largest", "2e30", "")):
+        corners = f"0 0 0\n{far} 0 0\n0 {far} 0\n0 0 {far}\n{more}"
+        Path(f"{name}.off").write_text(f"OFF\n{len(corners.splitlines())} 4 0\n{corners}{tetrahedron}")
+    Path("sheet.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    zeros = np.zeros((8, 8, 8), np.uint8)
+    for name, values in (("label.nii.gz", zeros), ("other.nii.gz", zeros[:7]), ("four.nii", zeros[..., None, None])):
+        nibabel.save(nibabel.Nifti1Image(np.repeat(values, 2, -1), np.eye(4)), name)
+    # By its bytes: nibabel writes no such header. The first row of the affine begins at 280.
+    for name, at, number in (("nan_origin.nii", 292, np.nan), ("flat.nii", 280, 0.0)):
+        nibabel.save(nibabel.Nifti1Image(zeros, np.eye(4)), name)
+        image = bytearray(Path(name).read_bytes())
+        image[at : at + 4] = np.float32(number).tobytes()
+        Path(name).write_bytes(image)
+    assert main(["compute", "ball.ply", "-o", "map.npz", "--resolution", "4", "--device", "cpu"]) == 0
+    for name in ("map.npz", "label.nii.gz"):
+        whole = Path(name).read_bytes()
+        Path(name.replace("map", "cut").replace("label", "cut")).write_bytes(whole[: len(whole) // 2])
+    torch.save([1, 2], "list.pt")
+    Path("cut.safetensors").write_bytes(b"x" * 100)
+    Path("cut.json").write_text("{}")
+    return place
+
+
+def _state(place: Path) -> dict[str, tuple[int, int]]:
+    return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in place.rglob("*")}
+
+
+@pytest.mark.parametrize(("words", "expected"), CASES, ids=[words for words, _ in CASES])
+def test_one_sentence_and_nothing_touched(words, expected, folder, capsys):
+    for mark, text in SPECIAL.items():
+        words = words.replace(mark, text or "\0")
+    before = _state(folder)
+    assert main(["" if word == "\0" else word for word in words.split(" ")]) == 2
+    said = capsys.readouterr()
+    (line,) = said.err.splitlines()
+    assert line.startswith("sdm: ")
+    assert expected in line
+    assert said.out == ""
+    assert _state(folder) == before
