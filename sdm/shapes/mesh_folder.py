@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,6 +21,9 @@ from sdm.kernels.shapes import warped
 from sdm.shapes.family import Family, Group, Parameter, as_theta
 from sdm.shapes.triage import reason_to_reject
 from sdm.shapes.vertex_op import vertex_op
+
+if TYPE_CHECKING:
+    from sdm.engine.arguments import Orient
 
 # Half a wave of the warp spans a mesh of half-length 1, so it bends a shape as a whole.
 FREQUENCY = math.pi / 2
@@ -52,12 +56,14 @@ class MeshFolder(Family):
             (1 - warp)^3, so it never folds a surface through itself. Corners are moved and triangles stay flat: where
             two sheets are closer than their triangles are long, a strong warp can still make them meet.
         open_meshes: "reject" meshes with holes or turned faces, whose inside would not be defined, or "keep" them.
+        orient: How each mesh is turned outward, as for `sdm.signed_distance_map`: "auto" by its components, "parts" by
+            what sees each patch of its faces from outside, or "keep", not at all.
         skip_bad: Go on without the files that cannot be used. `rejected` lists them with the reason either way.
         split: Of a folder that `sdm split` has split, the part to use, such as "train": streams of two parts never
             show the same shape.
 
     Attributes:
-        meshes: Those that are used, outward oriented.
+        meshes: Those that are used, turned outward as `orient` says.
         rejected: (name, reason) of each file that is not; of a file its path below the folder.
 
     Parameters (26): `mesh`, whose whole part is the number of the mesh; `scale`; three of the rotation; three of the
@@ -85,13 +91,14 @@ class MeshFolder(Family):
         shift: float = 0.1,
         warp: float = 0.5,
         open_meshes: str = "reject",
+        orient: Orient = "auto",
         skip_bad: bool = False,
         split: str | None = None,
     ) -> None:
         self.parameters = _parameters(rotation, scale, shift, warp)
         if open_meshes not in ("reject", "keep"):
             raise MeshError(f"open_meshes is {open_meshes!r}; use 'reject' or 'keep'")
-        self.meshes, self.rejected = _read(source, open_meshes == "keep", split)
+        self.meshes, self.rejected = _read(source, open_meshes == "keep", orient, split)
         if self.rejected and not skip_bad:
             name, reason = self.rejected[0]
             others = f" (and {len(self.rejected) - 1} more)" if len(self.rejected) > 1 else ""
@@ -239,12 +246,13 @@ def _parameters(rotation: float | None, scale: tuple[float, float], shift: float
 
 
 def _read(
-    source: str | Path | Sequence[TriangleMesh], keep_open: bool, split: str | None
+    source: str | Path | Sequence[TriangleMesh], keep_open: bool, orient: Orient, split: str | None
 ) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
-    from sdm.inspect import orient_outward
+    from sdm.engine.arguments import check_orient, oriented
     from sdm.io import load_mesh, mesh_tree
     from sdm.io.meshes.split_file import files_of_part
 
+    check_orient(orient)
     folder = Path()
     if isinstance(source, str | Path):
         folder = Path(source)
@@ -260,7 +268,9 @@ def _read(
     for item in items:
         name = item.relative_to(folder).as_posix() if isinstance(item, Path) else item.name
         try:
-            mesh = orient_outward(load_mesh(item) if isinstance(item, Path) else item.to("cpu"))
+            mesh = load_mesh(item) if isinstance(item, Path) else item.to("cpu")
+            # On the host, so that the same meshes come of it whatever the device.
+            mesh = oriented(mesh, orient, mesh.device)
             why = reason_to_reject(mesh, keep_open=keep_open)
         except (SDMError, OSError) as error:
             why = str(error)

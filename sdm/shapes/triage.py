@@ -13,7 +13,7 @@ def reason_to_reject(mesh: TriangleMesh, *, keep_open: bool = False) -> str | No
     """Why the inside of a mesh is not what its maker meant, as a sentence; None for a mesh that is fine.
 
     Args:
-        mesh: A mesh as `orient_outward` returns it, on the host.
+        mesh: A mesh that has been turned outward, if it is to be, on the host.
         keep_open: Take meshes with holes or turned faces, whose inside follows the generalised winding number.
 
     A mesh that meets itself is fine: inside is where the winding number is more than one half. Repeated and zero-area

@@ -50,6 +50,10 @@ def generate(
     open_meshes: Annotated[
         Literal["reject", "keep"] | None, tyro.conf.arg(metavar="{reject,keep}", help_behavior_hint="(default: reject)")
     ] = None,
+    orient: Annotated[
+        Literal["auto", "parts", "keep"] | None,
+        tyro.conf.arg(metavar="{auto,parts,keep}", help_behavior_hint="(default: auto)"),
+    ] = None,
     triangles: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the family's own)")
     ] = None,
@@ -92,6 +96,8 @@ def generate(
         split: The part of the folder to use, of those that sdm split made of it.
         open_meshes: What to do with files of the folder whose mesh has holes or turned faces; the inside of one that
             is kept follows the generalised winding number.
+        orient: auto turns components of the folder's meshes that are inside out; parts turns each patch of faces
+            outward by what sees it from outside; keep takes them as they are.
         triangles: About how many triangles a shape of a family has.
         rotation: Largest random rotation of the folder's meshes.
         scale: Least and greatest random factor of the folder's meshes.
@@ -107,6 +113,7 @@ def generate(
 
     options = {
         "open_meshes": open_meshes,
+        "orient": orient,
         "split": split,
         "triangles": triangles,
         "rotation": rotation,

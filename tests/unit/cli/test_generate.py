@@ -100,6 +100,21 @@ def test_meshes_with_holes_are_kept_if_one_says_so(tmp_path, folder, capsys):
     assert shard.read_bytes() == content
 
 
+def test_meshes_are_turned_and_signed_as_one_says(tmp_path, folder, capsys):
+    out = tmp_path / "d.zarr"
+    words = ["--sign", "flood", "--hole-size", "0.2", "--orient", "parts", "--open-meshes", "keep"]
+    assert run(folder, *SMALL, *words, "-o", out) == 0
+    data = SDMDataset(out)
+    assert data.manifest["source"]["orient"] == "parts"
+    assert (data.manifest["recipe"]["sign"], data.manifest["recipe"]["hole_size"]) == ("flood", 0.2)
+    family = MeshFolder(folder, orient="parts", open_meshes="keep")
+    stream = SDMStream(family, family.grid(10), 5, device="cpu", sign="flood", hole_size=0.2)
+    assert torch.equal(torch.stack([data[i].sdm for i in range(5)]), next(iter(stream)).sdm)
+    capsys.readouterr()
+    assert run("ellipsoid", *SMALL, "--orient", "parts", "-o", tmp_path / "e.zarr") == 2
+    assert "--orient is for a folder of meshes" in capsys.readouterr().err
+
+
 def test_resume_and_verify_need_no_more_than_the_name(tmp_path, folder, monkeypatch, capsys):
     whole, out = tmp_path / "whole.zarr", tmp_path / "d.zarr"
     assert run(folder, *SMALL, "-o", whole) == 0

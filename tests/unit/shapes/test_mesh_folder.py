@@ -8,6 +8,7 @@ import torch
 import trimesh
 
 import sdm
+from sdm.bench.common.meshes import sphere
 from sdm.errors import MeshError
 from sdm.shapes import Cochlea, Cuboid, Ellipsoid, MeshFolder
 
@@ -256,8 +257,26 @@ def test_gradient_is_the_finite_difference(rotation):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"warp": 1.0}, {"scale": (0, 1)}, {"shift": -1}, {"rotation": 200}, {"open_meshes": "maybe"}]
+    "arguments",
+    [{"warp": 1.0}, {"scale": (0, 1)}, {"shift": -1}, {"rotation": 200}, {"open_meshes": "maybe"}, {"orient": "up"}],
 )
 def test_senseless_options(arguments):
     with pytest.raises(MeshError):
         MeshFolder(meshes(), **arguments)
+
+
+def test_meshes_are_turned_as_one_says():
+    vertices, faces = sphere(10)
+    turned = np.random.default_rng(0).random((len(faces), 1)) < 0.4
+    mixed = sdm.TriangleMesh(vertices, np.where(turned, faces[:, ::-1], faces), "mixed")
+    for orient, expected in (
+        ("auto", sdm.inspect.orient_outward(mixed)),
+        ("parts", sdm.orient_faces(mixed, "cpu")),
+        ("keep", mixed),
+    ):
+        (found,) = MeshFolder([mixed], orient=orient, open_meshes="keep").meshes
+        assert torch.equal(found.faces, expected.faces), orient
+    # Of these nobody can tell the inside.
+    with pytest.raises(MeshError, match="faces disagree which side is out"):
+        MeshFolder([mixed], orient="keep")
+    assert len(MeshFolder([mixed], orient="parts").meshes) == 1
