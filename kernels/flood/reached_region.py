@@ -1,9 +1,6 @@
 """The region that a ball reaches from beyond the mesh's box, moving from voxel to voxel: connected components.
 
-Every voxel points to another with a smaller number, or to itself: a forest, whose trees are merged wherever the ball
-passes between two voxels (union by the smaller root; Playne and Hawick, A new algorithm for parallel
-connected-component labelling on GPUs, IEEE TPDS 29(6), 2018). The trees that there are in the end do not depend on the
-order of the merges.
+Voxels are merged wherever the ball passes between two (`sdm.kernels.primitives.union_find`).
 """
 
 from __future__ import annotations
@@ -12,42 +9,12 @@ import warp as wp
 
 from sdm.kernels.flood.flood_grid import FloodGrid, is_beyond, is_in_grid, is_open, length_of, number_of
 from sdm.kernels.launch import launch
-from sdm.kernels.primitives.atomics import fetch_least
+from sdm.kernels.primitives.union_find import merge, root_of
 
 wp.set_module_options({"enable_backward": False})
 
 # Beyond the mesh's box all is one region, whose root is voxel 0.
 REACHED = wp.constant(0)
-
-
-@wp.func
-def _root(labels: wp.array(dtype=wp.int32), number: int):
-    at = number
-    up = labels[at]
-    while up != at:
-        further = labels[up]
-        # Halves the way for whoever comes next; a write that comes late puts back an ancestor.
-        labels[at] = further
-        at = up
-        up = further
-    return at
-
-
-@wp.func
-def _merge(labels: wp.array(dtype=wp.int32), one: int, other: int):
-    a = _root(labels, one)
-    b = _root(labels, other)
-    while a != b:
-        low = wp.min(a, b)
-        high = wp.max(a, b)
-        before = fetch_least(labels, high, low)
-        if before == high:
-            a = low
-            b = low
-        else:
-            # Another thread was faster: what it merged with is merged with now.
-            a = _root(labels, before)
-            b = _root(labels, low)
 
 
 @wp.kernel
@@ -106,13 +73,13 @@ def _merge_rows(begin: int, grid: FloodGrid, distances: wp.array(dtype=wp.float3
                 if not (beyond and is_beyond(grid, i + di, j + dj, k + dk)):
                     other = number_of(grid, i + di, j + dj, k + dk)
                     if is_open(grid, wp.float64(distances[other]), here, length_of(grid, di, dj, dk)):
-                        _merge(labels, at, other)
+                        merge(labels, at, other)
 
 
 @wp.kernel
 def _find_roots(begin: int, labels: wp.array(dtype=wp.int32)):
     at = begin + wp.tid()
-    labels[at] = _root(labels, at)
+    labels[at] = root_of(labels, at)
 
 
 def find_reached(grid: FloodGrid, distances: wp.array, labels: wp.array) -> None:

@@ -1,14 +1,12 @@
-"""Edge-connected components of a mesh's faces, and what each encloses: union-find over the pairing of faces.
-
-Each face points to one with a lower number of its component, the lowest, the root, to itself.
-"""
+"""Edge-connected components of a mesh's faces, and what each encloses: union-find over the pairing of faces."""
 
 from __future__ import annotations
 
 import warp as wp
 
 from sdm.kernels.launch import launch
-from sdm.kernels.primitives.atomics import add_double, fetch_least
+from sdm.kernels.primitives.atomics import add_double
+from sdm.kernels.primitives.union_find import merge, root_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,20 +15,6 @@ wp.set_module_options({"enable_backward": False})
 CORNERS, NORMALS, VOLUME, AREA, COUNT, SUMS = 0, 3, 6, 7, 8, 9
 # Neighbouring faces that one thread adds up before it tells the others.
 CPU_RUN, GPU_RUN = 2048, 16
-
-
-@wp.func
-def root_of(parent: wp.array(dtype=wp.int32), face: int):
-    """The root that a face leads to; what lies on the way is brought nearer to it."""
-    here = face
-    above = parent[here]
-    while above != here:
-        further = parent[above]
-        # Another thread may have found a better one: both lead to the same root.
-        parent[here] = further
-        here = above
-        above = further
-    return here
 
 
 @wp.kernel
@@ -43,19 +27,10 @@ def _start(begin: int, parent: wp.array(dtype=wp.int32)):
 def _join(begin: int, neighbours: wp.array2d(dtype=wp.int32), parent: wp.array(dtype=wp.int32)):
     face = begin + wp.tid()
     for k in range(3):
-        one = face
         # Faces at an edge are in ascending order: that the last leads back to the first joins nothing.
-        other = wp.max(face, neighbours[face, k] / 3)
-        while one != other:
-            one = root_of(parent, one)
-            other = root_of(parent, other)
-            if one != other:
-                high = wp.max(one, other)
-                other = wp.min(one, other)
-                # If the higher one is a root no more, what it points to instead remains to be joined.
-                one = fetch_least(parent, high, other)
-                if one == high:
-                    one = other
+        other = neighbours[face, k] / 3
+        if other > face:
+            merge(parent, face, other)
 
 
 @wp.kernel

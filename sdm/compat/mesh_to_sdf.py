@@ -14,6 +14,7 @@ import torch
 from sdm.core.as_mesh import as_mesh
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
+from sdm.core.random import derive_seed
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 
@@ -144,7 +145,7 @@ def sample_sdf_near_surface(
         BadMeshException: Less than `min_size` is inside.
     """
     scaled = scale_to_unit_sphere(mesh)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(None if seed is None else derive_seed(seed, "samples about a mesh"))
     near = int(number_of_points * NEAR) // 2
     surface = _surface_points(scaled, near, random)
     about = [surface + random.normal(scale=deviation, size=surface.shape) for deviation in DEVIATIONS]

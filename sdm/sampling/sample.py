@@ -99,7 +99,7 @@ def sample(
     measured = oriented(found if by is None else by.normalised(found), orient, where).to(where)
     index = MeshIndex(measured, where, warn=False)
     numbers = torch.arange(first, first + count, dtype=torch.int64, device=where)
-    points, normals = draw_points(index.mesh, law, derive_seed(seed, "samples of a mesh", name or found.name), numbers)
+    points, normals = draw_points(index.mesh, law, mesh_seed(seed, name or found.name), numbers)
     return measure(index, points, law.kinds(numbers), normals, by, sign=sign, hole_size=hole_size, closest=closest)
 
 
@@ -134,6 +134,11 @@ def measure(
     elif near is not None and face_normals is not None:
         near, face_normals = torch.where(on[:, None], points, near), torch.where(on[:, None], normals, face_normals)
     return PointSamples(points, distances, kinds, normalization, near, face_normals, unsure)
+
+
+def mesh_seed(seed: int, name: str) -> int:
+    """The seed of a mesh's samples."""
+    return derive_seed(seed, "samples of a mesh", name)
 
 
 def draw_points(mesh: TriangleMesh, law: SampleLaw, seed: int, numbers: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
 from sdm.core.normalization import Normalization
-from sdm.core.random import derive_seed
 from sdm.engine.arguments import oriented
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError
@@ -27,7 +26,7 @@ from sdm.runtime.pipeline.thread_count import threads_beside
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
-from sdm.sampling.sample import PointSamples, draw_points, measure
+from sdm.sampling.sample import PointSamples, draw_points, measure, mesh_seed
 from sdm.topology.boundary_edges import boundary_edges
 
 
@@ -154,7 +153,7 @@ class FolderSampling:
             return None
         start, recipe = time.perf_counter(), self._recipe
         index = MeshIndex(read.mesh, self._device, warn=False)
-        seed = derive_seed(recipe.seed, "samples of a mesh", read.task.instance.path)
+        seed = mesh_seed(recipe.seed, read.task.instance.path)
         points, normals = draw_points(index.mesh, recipe.law, seed, self._numbers)
         kinds = recipe.law.kinds(self._numbers)
         closest = recipe.closest or self._layout.with_normals
