@@ -3,7 +3,8 @@
     python -m sdm.bench.dense.dirty --device cuda --resolution 256 --out dirty-cuda.json
 
 Meshes are torn, opened, turned inside out here, or are files (`--meshes`, `--zoo`). A row tells the boundary edges,
-milliseconds of the signed map, of the distances alone and, on a GPU, of stock Warp; how many boxes of voxels of each
+milliseconds of the signed map, of the distances alone and, on a GPU, of stock Warp (on a CPU also the seconds of all
+its cores, which do not tell how busy it is otherwise, and which the ratio is of); how many boxes of voxels of each
 size were looked at, how many voxels by themselves and in float64, and which share of all voxels each of these decided;
 and the wrong signs among random voxels whose winding number, summed up over all
 triangles in float64, is further than 1e-3 from one half.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -61,19 +63,35 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
             calls["unsigned"] = _without_signs(query)
     calls["unsigned"]()
     times = by_turns(calls, device, runs, 20_000.0)
+    signed, alone = times["signed"].ms, times["unsigned"].ms
     found = {
         "mesh": case.name,
         "triangles": len(case),
         "boundary_edges": ours.index._structure.sizes.edges,
-        "signed_ms": times["signed"].ms,
-        "unsigned_ms": times["unsigned"].ms,
-        "ratio": times["signed"].ms / times["unsigned"].ms,
+        "signed_ms": signed,
+        "unsigned_ms": alone,
+        "ratio": signed / alone,
         "looked_at": looked,
         "wrong_signs": _wrong(case, grid, values),
     }
+    if not gpu:
+        seconds = _cpu_seconds(calls, runs)
+        found |= {f"{name}_cpu_s": taken for name, taken in seconds.items()}
+        found["ratio"] = seconds["signed"] / seconds["unsigned"]
     if gpu:
         found["stock_warp_ms"] = min(_stock(peer, case, grid, device) for peer in (StockWarp, StockWarpSah))
     return found
+
+
+def _cpu_seconds(calls: dict[str, Callable[[], Any]], turns: int) -> dict[str, float]:
+    """Seconds of all cores that each call takes: the least of some turns."""
+    least = dict.fromkeys(calls, float("inf"))
+    for _ in range(turns):
+        for name, call in calls.items():
+            begin = time.process_time()
+            call()
+            least[name] = min(least[name], time.process_time() - begin)
+    return least
 
 
 def _without_signs(query: Callable[[], Any]) -> Callable[[], Any]:

@@ -26,7 +26,7 @@ from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_rest
-from sdm.kernels.winding.near_caps import UNIT, WIDER, corners_from, near_cap
+from sdm.kernels.winding.near_caps import UNIT, WIDER, corners_from, near_cap, place_of_cap
 
 wp.set_module_options({"enable_backward": False})
 
@@ -181,7 +181,8 @@ def see_caps(
             single = single - taken
             if lane < taken:
                 node = stack[_SINGLE + single + lane]
-                a, b, c = corners_from(caps, mesh, node - leaves, centre)
+                cap = place_of_cap(caps, mesh, node - leaves)
+                a, b, c = corners_from(caps, cap, centre)
                 angle, wrong = near_cap(a, b, c)
                 t = Taylor()
                 if radius > 0.0:
@@ -205,7 +206,7 @@ def see_caps(
             if keep:
                 stack[_HANDED + place] = node
             else:
-                stack[LARGE_STACK - 1 - place] = node - leaves
+                stack[LARGE_STACK - 1 - place] = place_of_cap(caps, mesh, node - leaves)
         near = near + members(mask)
         if keep and near > MOST_HANDED:
             field.error = float(wp.inf)

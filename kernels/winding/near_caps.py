@@ -66,14 +66,19 @@ def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 
 @wp.func
-def corners_from(caps: Caps, mesh: int, leaf: int, p: wp.vec3):
-    """The ways from p (scaled) to the corners of the cap in a leaf of a mesh's tree."""
-    slot = 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
-    return caps.tree.corners[slot] - p, caps.tree.corners[slot + 1] - p, caps.tree.corners[slot + 2] - p
+def place_of_cap(caps: Caps, mesh: int, leaf: int):
+    """The place of the first corner of the cap in a leaf of a mesh's tree, by which near caps are listed."""
+    return 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
 
 
 @wp.func
-def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
+def corners_from(caps: Caps, place: int, p: wp.vec3):
+    """The ways from p (scaled) to the corners of the cap whose first one is at a place."""
+    return caps.tree.corners[place] - p, caps.tree.corners[place + 1] - p, caps.tree.corners[place + 2] - p
+
+
+@wp.func
+def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
     """A lane's part of the solid angle of the listed caps seen from p (scaled), and the largest error of it.
 
     As `near_cap`, but half angles add up as the arguments of a product of complex numbers, and a count of its full
@@ -85,15 +90,15 @@ def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dty
     error = float(0.0)
     i = lane
     while i < near:
-        a, b, c = corners_from(caps, mesh, stack[LARGE_STACK - 1 - i], p)
+        a, b, c = corners_from(caps, stack[LARGE_STACK - 1 - i], p)
         f, v, size, least = cap_factor(a, b, c)
         most = wp.max(wp.abs(v), wp.abs(f))
         room = (ROUNDINGS * least + SNAP) * size
         if is_known(f, v, most, room, least):
-            inverse = about_quotient(1.0, most)
-            error = error + 2.0 * WIDER * about_quotient(room * inverse, least)
-            x = f * inverse
-            y = v * inverse
+            inverse = about_quotient(1.0, most * least)
+            error = error + 2.0 * WIDER * (room * inverse)
+            x = f * (inverse * least)
+            y = v * (inverse * least)
             new_re = re * x - im * y
             new_im = re * y + im * x
             if im >= 0.0 and y > 0.0 and new_im < 0.0:
@@ -112,9 +117,9 @@ def near_angle(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dty
 
 
 @wp.func
-def near_share(caps: Caps, mesh: int, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
+def near_share(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
     """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
-    angle, error = near_angle(caps, mesh, near, p, stack, lane, lanes)
+    angle, error = near_angle(caps, near, p, stack, lane, lanes)
     angle = sum_of_lanes(angle)
     error = sum_of_lanes(error) + 8.0 * UNIT * FULL
     return angle / FULL, error / FULL

@@ -112,7 +112,7 @@ def settle_box(
         angle = float(0.0)
         wrong = float(0.0)
         if is_whole(whole):
-            angle, wrong = near_angle(caps, mesh, field.near, p, stack, lane % share, share)
+            angle, wrong = near_angle(caps, field.near, p, stack, lane % share, share)
         if share == 4:
             # Also, all have read the whole number before it goes.
             angle = sum_of_four(angle)

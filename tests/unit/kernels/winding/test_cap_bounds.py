@@ -52,7 +52,7 @@ def _field(
             handed = whole.near
     field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, stack, 0, 1)
     for k in range(off.shape[1]):
-        near, wrong = near_share(caps, 0, field.near, at[i] + off[i, k], stack, 0, 1)
+        near, wrong = near_share(caps, field.near, at[i] + off[i, k], stack, 0, 1)
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
         error[i, k] = doubt(field) + wrong
 
