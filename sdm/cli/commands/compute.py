@@ -98,7 +98,6 @@ def compute(
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
     from sdm.cli.common.inputs import refuse_inputs
-    from sdm.cli.common.label_maps import write_label_maps
     from sdm.cli.common.output_files import plan
     from sdm.cli.maps.map_settings import Settings
     from sdm.cli.maps.run import run
@@ -120,6 +119,22 @@ def compute(
     if len(meshes) == 1 and is_map_name(meshes[0]):
         if both:
             raise GridError(f"{meshes[0]} is a label volume, whose maps are on its own grid: leave out {both[0]}")
+        from sdm.cli.common.label_maps import refuse_mesh_options, write_label_maps
+
+        asked = {
+            "--sign flood": sign == "flood",
+            "--orient": orient != "keep",
+            "--hole-size": hole_size is not None,
+            "--scale": scale != 1,
+            "--mesh-space": mesh_space != "ras",
+            "--normalize": normalize is not None,
+            "--dtype": dtype != "float32",
+            "--truncate": truncate is not None,
+            "--band": band is not None,
+            "--resume": resume,
+            "--report": report is not None,
+        }
+        refuse_mesh_options(meshes[0], [name for name, is_given in asked.items() if is_given])
         write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
         return None
     if not (math.isfinite(scale) and scale > 0):

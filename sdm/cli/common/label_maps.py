@@ -20,6 +20,18 @@ from sdm.io.maps.formats import FORMATS
 LARGEST = 1 << 24
 
 
+def refuse_mesh_options(source: Path, options: list[str]) -> None:
+    """Refuse options that say something of meshes alone, for a label volume.
+
+    Raises:
+        SDMError: There are such options.
+    """
+    if options:
+        raise SDMError(
+            f"{source} is a label volume, whose maps are its classes' distance transforms: {options[0]} is for meshes"
+        )
+
+
 def write_label_maps(
     source: Path,
     out: Path,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import nibabel as nib
 import numpy as np
 import pytest
@@ -81,3 +83,19 @@ def test_other_images_are_no_labels(labels, capsys):
     assert "no label volume" in capsys.readouterr().err
     assert main(["edt", "empty.nii", "-o", "m.npz"]) == 2
     assert "nothing but 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--sign", "flood", "--hole-size", "1"], "--sign flood"),
+        (["--orient", "parts"], "--orient"),
+        (["--scale", "1000"], "--scale"),
+        (["--truncate", "3"], "--truncate"),
+        (["--band", "3"], "--band"),
+    ],
+)
+def test_compute_refuses_what_only_meshes_take(labels, words, named, capsys):
+    assert main(["compute", "labels.nii.gz", "-o", "maps.nii.gz", "--device", "cpu", *words]) == 2
+    assert f"{named} is for meshes" in capsys.readouterr().err
+    assert not list(Path().glob("maps*"))
