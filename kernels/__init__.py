@@ -11,6 +11,7 @@ current stream. Folders know only those below them, so read them from the bottom
 - `closest`: closest points, and the face that is named where several are equally near.
 - `dense`: distances at every voxel. First `voxel_search`, the plain path; then `plan`, which decides, and `query`,
   which runs the stages `stage1_witnesses` to `stage7_merge`.
+- `band`: distances at the voxels of blocks near the surface alone, by the stages of `dense`.
 - `points`: distances at scattered points. First `query`, the plain path and the fast one.
 - `flood`: signs for meshes whose faces say none, by what a ball reaches from outside.
 - `edt`: the distance transform of volumes. `surface`: surfaces of maps. `shapes`: parameters, vertices and samples of

@@ -14,6 +14,7 @@ itself takes.
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=2000, help="voxels of the band that are compared")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", action="store_true", help="without OpenVDB")
+    parser.add_argument("--add", action="store_true", help="keep the other rows of the file that is there")
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     note = "OpenVDB was not asked for" if given.alone else openvdb.missing()
@@ -58,7 +60,7 @@ def main() -> None:
         f"{'':36}{'seconds':>5}{'cpu':>9}{'error':>11}{'signs':>7}{'active voxels':>13}{'MiB':>9}{'peak':>9}",
         flush=True,
     )
-    rows = []
+    rows = json.loads(given.out.read_text())["rows"] if given.add else []
     for name in given.meshes:
         if (why := missing_note(name)) is not None:
             print(why)
@@ -70,12 +72,12 @@ def main() -> None:
             )
             for one in found:
                 print(line(name, resolution, one), flush=True)
-            rows += found
-    if given.out:
-        packages = ("warp-lang", "torch", "numpy")
-        report = {"machine": describe(given.device, packages), "half_width": given.half_width, "rows": rows}
-        json_file.write(given.out, report | {"note": note})
-        draw(report, given.out.with_suffix(".png"))
+            rows = [row for row in rows if (row["mesh"], row["resolution"]) != (case.name, resolution)] + found
+            if given.out:
+                report = {"machine": describe(given.device), "half_width": given.half_width, "note": note, "rows": rows}
+                json_file.write(given.out, report)
+    if given.out and rows:
+        draw(json.loads(given.out.read_text()), given.out.with_suffix(".png"))
 
 
 if __name__ == "__main__":
