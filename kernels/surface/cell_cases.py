@@ -41,6 +41,7 @@ class CellCases:
         centres: (cases) a bit for each loop that has a vertex at its middle.
         loops: (cases) number of loops.
         loop: (12 cases) the loop of each edge, NO_LOOP if the surface does not cross it.
+        opposite: (12) of each face, two of its edges that have no common corner.
         corners: (24) the corners of the six faces, in turn; faces 2a and 2a + 1 are the low and the high one of axis a.
     """
 
@@ -51,6 +52,7 @@ class CellCases:
     centres: np.ndarray
     loops: np.ndarray
     loop: np.ndarray
+    opposite: np.ndarray
     corners: np.ndarray
 
 
@@ -158,5 +160,7 @@ def cell_cases() -> CellCases:
             centres.append(middles)
             loops.append(len(found))
             loop_of += row
-    tables = (first, ambiguous, np.array(triangles).reshape(-1), start, centres, loops, loop_of, np.ravel(FACES))
+    opposite = [edges[n] for edges in _FACE_EDGES for n in (0, 2)]
+    triples = np.array(triangles).reshape(-1)
+    tables = (first, ambiguous, triples, start, centres, loops, loop_of, opposite, np.ravel(FACES))
     return CellCases(*(np.array(table, np.int32) for table in tables))

@@ -26,6 +26,7 @@ class Cases:
     centres: wp.array(dtype=wp.int32)
     loops: wp.array(dtype=wp.int32)
     loop: wp.array(dtype=wp.int32)
+    opposite: wp.array(dtype=wp.int32)
     corners: wp.array(dtype=wp.int32)
 
 

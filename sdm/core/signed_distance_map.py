@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -307,11 +307,16 @@ class SDM:
 
         save(self, path)
 
-    def to_mesh(self, level: float = 0.0) -> TriangleMesh:
-        """The surface where the distance is `level`, by marching cubes on the map's device.
+    def to_mesh(
+        self, level: float = 0.0, *, method: Literal["cubes", "dual"] = "cubes", mesh: Any = None
+    ) -> TriangleMesh:
+        """The surface where the distance is `level`, by marching cubes or dual contouring on the map's device.
 
         Args:
             level: In the mesh's unit. Voxels of less are inside; those of exactly the level are outside.
+            method: `"cubes"`, or `"dual"`, whose vertices lie in cells, on sharp edges and corners where there are any.
+            mesh: For `"dual"`, the mesh or the `MeshIndex` that the map is of: crossings and normals are then those of
+                its closest points, and edges stay sharp. Without it they are the map's, which blurs edges by a voxel.
 
         Returns:
             A mesh on the map's device that faces outward: one vertex for each voxel edge that the surface crosses, at
@@ -319,16 +324,18 @@ class SDM:
             cells one in the middle. Each edge has two triangles, one each way, but at the grid's border, where the
             surface ends. The order of vertices and triangles is the same on every device. Whether inside corners of a
             voxel face are joined across it is decided by its four values (Nielson and Hamann's asymptotic decider).
+            By `"dual"` a vertex for each piece of the surface in a cell, and two triangles around each voxel edge.
 
         Raises:
-            SDMError: No voxel edge crosses `level`, or the grid is one voxel thin.
+            SDMError: No voxel edge crosses `level`, the grid is one voxel thin, or another method.
 
-        Memory grows with the surface; of the map's size are two numbers for each 8^3 voxels. Waits for a GPU once.
+        Memory grows with the surface; of the map's size are two numbers for each 8^3 voxels. Waits for a GPU once, by
+        `"dual"` twice.
         """
         from sdm.engine.surface import isosurface
 
         self._check()
-        return isosurface(self.values, self.grid, level)
+        return isosurface(self, level, method, mesh)
 
 
 # `torch.load` makes no objects but those of classes that it was told of: these hold tensors and numbers alone.

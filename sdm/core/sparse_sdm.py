@@ -211,7 +211,9 @@ class SparseSDM:
 
         save(self, path)
 
-    def to_mesh(self, level: float = 0.0) -> TriangleMesh:
+    def to_mesh(
+        self, level: float = 0.0, *, method: Literal["cubes", "dual"] = "cubes", mesh: Any = None
+    ) -> TriangleMesh:
         """The surface where the distance is `level`: the very mesh of the dense map's `SDM.to_mesh`, without the map.
 
         Raises:
@@ -220,7 +222,7 @@ class SparseSDM:
         """
         from sdm.engine.surface import band_isosurface
 
-        return band_isosurface(self, level)
+        return band_isosurface(self, level, method, mesh)
 
     def to_warp(self) -> Any:
         """A `warp.Volume` (NanoVDB) on the band's device: a level set whose active voxels are those of the band.

@@ -14,6 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
 from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.surface import Method
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.inspect import MeshReport, inspect_mesh
 from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
@@ -36,6 +37,7 @@ def watertight(
     hole_size: float | None = None,
     *,
     hidden: Hidden = "drop",
+    method: Method = "cubes",
     device: str | torch.device | None = None,
     return_report: Literal[False] = False,
 ) -> TriangleMesh: ...
@@ -47,6 +49,7 @@ def watertight(
     hole_size: float | None = None,
     *,
     hidden: Hidden = "drop",
+    method: Method = "cubes",
     device: str | torch.device | None = None,
     return_report: Literal[True],
 ) -> tuple[TriangleMesh, WatertightReport]: ...
@@ -57,6 +60,7 @@ def watertight(
     hole_size: float | None = None,
     *,
     hidden: Hidden = "drop",
+    method: Method = "cubes",
     device: str | torch.device | None = None,
     return_report: bool = False,
 ) -> TriangleMesh | tuple[TriangleMesh, WatertightReport]:
@@ -75,6 +79,8 @@ def watertight(
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
             cavities: of a closed mesh with faces that agree by winding numbers, of others as the space that is more
             than `offset` away from all faces.
+        method: `"cubes"`, or `"dual"`: dual contouring with the mesh's normals keeps edges and corners sharp; see
+            `SDM.to_mesh`.
         device: Where to compute; by default a GPU if there is one.
         return_report: Also return a `WatertightReport`, with the distances between the mesh and its surface.
 
@@ -114,7 +120,7 @@ def watertight(
             f"nothing of {mesh.name} is as thick as a voxel of {step:g}: give an offset of at least {step / 2:g}, or a "
             "higher resolution"
         )
-    surface = field.to_mesh(level)
+    surface = field.to_mesh(level, method=method, mesh=index if method == "dual" else None)
     closed_mesh = TriangleMesh(surface.vertices, surface.faces, mesh.name, check=False)
     if not return_report:
         return closed_mesh

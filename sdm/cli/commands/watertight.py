@@ -24,6 +24,7 @@ def watertight(
         float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: two voxels)")
     ] = None,
     hidden: Literal["drop", "keep"] = "drop",
+    method: Literal["cubes", "dual"] = "cubes",
     format: Annotated[  # noqa: A002
         Literal["ply", "stl", "obj", "off", "glb"] | None,
         tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or ply)"),
@@ -47,6 +48,7 @@ def watertight(
         offset: Distance of the surface from the mesh, in its unit. From 0.87 voxels on nothing of a mesh is lost.
         hole_size: Gaps narrower than this length are closed.
         hidden: drop fills what no way leads into from outside; keep keeps cavities.
+        method: cubes (marching cubes), or dual (dual contouring), which keeps edges and corners sharp.
         format: File format, for surfaces written to a folder.
         report: JSON file to write about all meshes.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
@@ -54,7 +56,9 @@ def watertight(
     """
     from sdm.cli.surfaces.closing import Closing, run, targets_of
 
-    options = Closing(resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, device=device)
+    options = Closing(
+        resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, method=method, device=device
+    )
     jobs, folder = targets_of(meshes, out, format)
     if report is None and folder:
         report = out / "report.json"

@@ -14,6 +14,7 @@ from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
 from sdm.core.device import choose_device
+from sdm.engine.surface import Method
 from sdm.errors import FormatError, MeshError
 from sdm.io import load_mesh
 from sdm.io.meshes.write import WRITERS, ending_to_write, save_mesh
@@ -31,6 +32,7 @@ class Closing:
     offset: float | None
     hole_size: float | None
     hidden: Hidden
+    method: Method
     device: str
 
 
@@ -104,6 +106,7 @@ def _close(source: Path, target: Path, options: Closing) -> WatertightReport:
         options.offset,
         options.hole_size,
         hidden=options.hidden,
+        method=options.method,
         device=options.device,
         return_report=True,
     )
