@@ -1,0 +1,1 @@
+"""From disk to disk: rates, stages and limits."""

@@ -1,0 +1,161 @@
+"""The pipelines from disk to disk: rates, the busy share of each stage, and the engine alone beside them."""
+
+from __future__ import annotations
+
+import io
+import time
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import sdm
+from sdm.bench.disk.inputs import write_meshes
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.run import run as compute
+from sdm.cli.maps.sample_run import SampleOptions
+from sdm.cli.maps.sample_run import run as sample
+from sdm.dataset import generate
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.shapes import Cochlea
+from sdm.stream.sample_maker import Maker
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sizes:
+    """Sizes of the runs.
+
+    Args:
+        meshes: Files of `compute` and `sample`.
+        triangles: Of each mesh.
+        resolution: Of the maps of `compute`.
+        maps: Of `generate`, 64^3.
+        points: Samples of each mesh.
+    """
+
+    meshes: int
+    triangles: int
+    resolution: int
+    maps: int
+    points: int
+
+
+def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str, Any]], StageTimes]:
+    """`sdm compute` of many binary PLY files, and the clock of the first run."""
+    files = write_meshes(folder / "meshes", sizes.meshes, sizes.triangles, "ply")
+    settings = Settings(
+        resolution=sizes.resolution,
+        spacing=None,
+        like=None,
+        like_image=None,
+        margin=0.05,
+        device=torch.device(device),
+        orient="keep",
+        resume=False,
+    )
+    meshes = [sdm.load_mesh(file) for file in files]
+    # Before anything is timed: kernels are compiled, and recordings made.
+    for mesh in meshes[:4]:
+        sdm.signed_distance_map(mesh, resolution=sizes.resolution, device=device)
+    alone = _seconds(device, lambda: _maps(meshes, sizes.resolution, device))
+    rows, first = [], None
+    for ending in ("npz", "nii.gz"):
+        out = folder / f"maps-{ending}"
+        out.mkdir()
+        times = StageTimes(keep_spans=True)
+        jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
+        seconds, cpu = _quietly(lambda jobs=jobs, times=times: compute(jobs, settings, times=times))
+        rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, sizes.meshes / alone, out))
+        first = first or times
+    return rows, first or StageTimes()
+
+
+def generate_rows(folder: Path, sizes: Sizes, device: str) -> list[dict[str, Any]]:
+    """`sdm generate cochlea`, 64^3, 20,000 triangles."""
+    family = Cochlea(20_000)
+    grid = family.grid(64)
+    maker = Maker(family, grid, seed=0, sampler="uniform", device=device)
+    numbers = torch.arange(sizes.maps, dtype=torch.int64, device="cpu").split(maker.at_once)
+    for part in numbers[:4]:
+        maker.make(part)
+    alone = _seconds(device, lambda: [maker.make(part) for part in numbers])
+    rows = []
+    for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
+        times, out = StageTimes(), folder / f"{compression}.zarr"
+        seconds, cpu = _quietly(
+            lambda out=out, dtype=dtype, compression=compression, times=times: generate(
+                family, grid, sizes.maps, out, dtype=dtype, compression=compression, device=device, times=times
+            )
+        )
+        name = f"generate {str(dtype).removeprefix('torch.')} {compression}"
+        rows.append(_row(name, "maps", sizes.maps, seconds, cpu, times, sizes.maps / alone, out))
+    return rows
+
+
+def sample_row(folder: Path, sizes: Sizes, device: str) -> dict[str, Any]:
+    """`sdm sample`, the layout of DeepSDF."""
+    options = SampleOptions(
+        law="paper",
+        shares=(None, None, None),
+        deviations=None,
+        box=None,
+        normalize=None,
+        count=sizes.points,
+        closest=False,
+        sign="winding",
+        hole_size=None,
+        open_meshes="reject",
+        seed=0,
+    )
+    meshes = sorted((folder / "meshes").glob("*.ply"))
+    for mesh in meshes[:1]:
+        sdm.sampling.sample(mesh, sizes.points, device=device)
+    loaded = [sdm.load_mesh(mesh) for mesh in meshes]
+    alone = _seconds(device, lambda: [sdm.sampling.sample(mesh, sizes.points, device=device) for mesh in loaded])
+    times, out = StageTimes(), folder / "samples"
+    seconds, cpu = _quietly(lambda: sample([folder / "meshes"], out, "deepsdf", options, device=device, times=times))
+    return _row(f"sample {sizes.points:,}", "meshes", len(meshes), seconds, cpu, times, len(meshes) / alone, out)
+
+
+def _maps(meshes: list[sdm.TriangleMesh], resolution: int, device: str) -> None:
+    if device == "cpu":
+        for mesh in meshes:
+            sdm.signed_distance_map(mesh, resolution=resolution, device=device)
+        return
+    for begin in range(0, len(meshes), 8):
+        sdm.signed_distance_maps(meshes[begin : begin + 8], resolution=resolution, device=device)
+
+
+def _seconds(device: str, work: Any) -> float:
+    start = time.perf_counter()
+    work()
+    if device != "cpu":
+        torch.cuda.synchronize(device)
+    return time.perf_counter() - start
+
+
+def _quietly(work: Any) -> tuple[float, float]:
+    """Seconds, and those of the CPU."""
+    start, cpu = time.perf_counter(), time.process_time()
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        work()
+    return time.perf_counter() - start, time.process_time() - cpu
+
+
+def _row(
+    name: str, unit: str, count: int, seconds: float, cpu: float, times: StageTimes, alone: float, out: Path
+) -> dict[str, Any]:
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return {
+        "work": name,
+        "unit": unit,
+        "count": count,
+        "per_second": round(count / seconds, 2),
+        "engine_alone_per_second": round(alone, 2),
+        "of_engine": round(count / seconds / alone, 3),
+        "cpu_ms_each": round(1e3 * cpu / count, 2),
+        "written_mb_per_s": round(size / 1e6 / seconds, 1),
+        "busy_seconds": {stage: round(busy, 3) for stage, busy in times.seconds.items()},
+    }
