@@ -44,6 +44,8 @@ def main() -> None:
     parser.add_argument("--points", type=int)
     parser.add_argument("--out", type=Path, help="JSON file; the picture lies beside it")
     options = parser.parse_args()
+    # The engine has threads of its own; those of torch wait for each other by spinning, which a CPU's clock counts.
+    torch.set_num_threads(1)
     plain = LARGE if options.device != "cpu" else SMALL
     sizes = Sizes(
         meshes=options.meshes or plain.meshes,

@@ -67,7 +67,7 @@ def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str
         times = StageTimes(keep_spans=True)
         jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
         seconds, cpu = _quietly(lambda jobs=jobs, times=times: compute(jobs, settings, times=times))
-        rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, sizes.meshes / alone, out))
+        rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, alone, out))
         first = first or times
     return rows, first or StageTimes()
 
@@ -90,7 +90,7 @@ def generate_rows(folder: Path, sizes: Sizes, device: str) -> list[dict[str, Any
             )
         )
         name = f"generate {str(dtype).removeprefix('torch.')} {compression}"
-        rows.append(_row(name, "maps", sizes.maps, seconds, cpu, times, sizes.maps / alone, out))
+        rows.append(_row(name, "maps", sizes.maps, seconds, cpu, times, alone, out))
     return rows
 
 
@@ -116,7 +116,7 @@ def sample_row(folder: Path, sizes: Sizes, device: str) -> dict[str, Any]:
     alone = _seconds(device, lambda: [sdm.sampling.sample(mesh, sizes.points, device=device) for mesh in loaded])
     times, out = StageTimes(), folder / "samples"
     seconds, cpu = _quietly(lambda: sample([folder / "meshes"], out, "deepsdf", options, device=device, times=times))
-    return _row(f"sample {sizes.points:,}", "meshes", len(meshes), seconds, cpu, times, len(meshes) / alone, out)
+    return _row(f"sample {sizes.points:,}", "meshes", len(meshes), seconds, cpu, times, alone, out)
 
 
 def _maps(meshes: list[sdm.TriangleMesh], resolution: int, device: str) -> None:
@@ -128,12 +128,13 @@ def _maps(meshes: list[sdm.TriangleMesh], resolution: int, device: str) -> None:
         sdm.signed_distance_maps(meshes[begin : begin + 8], resolution=resolution, device=device)
 
 
-def _seconds(device: str, work: Any) -> float:
-    start = time.perf_counter()
+def _seconds(device: str, work: Any) -> tuple[float, float]:
+    """Seconds, and those of the CPU."""
+    start, cpu = time.perf_counter(), time.process_time()
     work()
     if device != "cpu":
         torch.cuda.synchronize(device)
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - cpu
 
 
 def _quietly(work: Any) -> tuple[float, float]:
@@ -145,7 +146,14 @@ def _quietly(work: Any) -> tuple[float, float]:
 
 
 def _row(
-    name: str, unit: str, count: int, seconds: float, cpu: float, times: StageTimes, alone: float, out: Path
+    name: str,
+    unit: str,
+    count: int,
+    seconds: float,
+    cpu: float,
+    times: StageTimes,
+    alone: tuple[float, float],
+    out: Path,
 ) -> dict[str, Any]:
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     return {
@@ -153,9 +161,10 @@ def _row(
         "unit": unit,
         "count": count,
         "per_second": round(count / seconds, 2),
-        "engine_alone_per_second": round(alone, 2),
-        "of_engine": round(count / seconds / alone, 3),
+        "engine_alone_per_second": round(count / alone[0], 2),
+        "of_engine": round(alone[0] / seconds, 3),
         "cpu_ms_each": round(1e3 * cpu / count, 2),
+        "engine_alone_cpu_ms_each": round(1e3 * alone[1] / count, 2),
         "written_mb_per_s": round(size / 1e6 / seconds, 1),
         "busy_seconds": {stage: round(busy, 3) for stage, busy in times.seconds.items()},
     }

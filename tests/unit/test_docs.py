@@ -30,7 +30,7 @@ def place_with_demo_mesh(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", [*PAGES, "docs/from-disk-to-disk.md"])
 def test_python_samples_run(name, root, place_with_demo_mesh):
     """The samples of a page run one after the other, as a reader would type them."""
     code = samples(root / name, "python")

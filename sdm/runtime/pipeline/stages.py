@@ -52,8 +52,21 @@ def in_threads(
     When the generator is closed, by an error or an interrupt of who goes through it, work that has not begun is
     dropped, and work that has is waited for.
     """
+    # Here, and not when the first result is asked for, so that stages are known in the order of the pipeline.
     times.declare(name, workers)
     room = 2 * workers if ahead is None else ahead
+    return _in_threads(outcomes, name, work, workers, times, room, nbytes)
+
+
+def _in_threads(
+    outcomes: Iterable[Done[A] | Failed],
+    name: str,
+    work: Callable[[A], B],
+    workers: int,
+    times: StageTimes,
+    room: int,
+    nbytes: Callable[[A], int] | None,
+) -> Iterator[Done[B] | Failed]:
     held: deque[tuple[int, Future[B] | Failed, int]] = deque()
     used, source, more = 0, iter(outcomes), True
 
@@ -64,8 +77,9 @@ def in_threads(
     pool = ThreadPoolExecutor(workers, thread_name_prefix=f"sdm-{name}")
     try:
         while more or held:
-            # What is done is given on before more is taken, which may have to be waited for.
-            while held and (_is_there(held[0][1]) or not more or len(held) >= room):
+            # One is given on, then one is taken: what is asked for next is worked on while the caller has this one, and
+            # what is done does not wait for a source that is slow.
+            if held and (_is_there(held[0][1]) or not more or len(held) >= room):
                 used -= held[0][2]
                 yield _outcome(*held.popleft()[:2])
             if not more:
@@ -107,6 +121,16 @@ def in_groups(
     Where a group fails, its items are done one by one, so that only the one that is at fault fails.
     """
     times.declare(name, 1)
+    return _in_groups(outcomes, name, work, times, most)
+
+
+def _in_groups(
+    outcomes: Iterable[Done[A] | Failed],
+    name: str,
+    work: Callable[[Sequence[A]], Sequence[B]],
+    times: StageTimes,
+    most: int,
+) -> Iterator[Done[B] | Failed]:
     group: list[Done[A] | Failed] = []
     for outcome in outcomes:
         group.append(outcome)

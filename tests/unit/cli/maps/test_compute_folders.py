@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -169,3 +173,30 @@ def test_a_full_disk_is_one_sentence(shapenet, tmp_path, capsys, monkeypatch):
     (line,) = capsys.readouterr().err.splitlines()
     assert "No space left on device; --resume goes on from there" in line
     assert not [path for path in (tmp_path / "maps").rglob("*") if path.is_file()]
+
+
+def test_kill_9_leaves_no_broken_map_and_is_resumed_to_the_same_bytes(tmp_path):
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    for number in range(80):
+        BALL.export(folder / f"{number}.stl")
+    words = ["compute", str(folder), "--resolution", "40", "--device", "cpu", "--format", "npz", "-o"]
+    program = "import sys; from sdm.cli import main; sys.exit(main())"
+    child = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", program, *words, str(out)], stdout=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 90
+    while len(list(out.glob("[0-9]*.npz"))) < 3:
+        assert time.monotonic() < deadline
+        assert child.poll() is None
+        time.sleep(0.005)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    there = sorted(out.glob("[0-9]*.npz"))
+    expected = sdm.signed_distance_map(folder / "0.stl", resolution=40, device="cpu").numpy()
+    for path in there:
+        np.testing.assert_array_equal(sdm.load(path).numpy(), expected)
+    before = {path: path.stat().st_mtime_ns for path in there}
+    assert main([*words, str(out), "--resume"]) == 0
+    assert len(list(out.glob("[0-9]*.npz"))) == 80
+    assert {path: path.stat().st_mtime_ns for path in there} == before

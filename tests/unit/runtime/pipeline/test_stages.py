@@ -24,6 +24,7 @@ def test_results_come_in_the_order_of_the_items(workers, most):
     times, results = pipeline(range(20), workers, most=most)
     assert [found.value for found in results] == [x * x + 1 for x in range(20)]
     assert sum(span.stage == "write" for span in times.spans) == 20
+    assert list(times.seconds) == ["read", "device", "write"]
     assert {span.thread for span in times.spans} <= set(range(workers))
 
 
@@ -63,6 +64,20 @@ def test_no_more_is_taken_than_there_is_room_for():
     next(results)
     assert len(taken) <= 4
     results.close()
+
+
+def test_the_next_items_are_worked_on_while_the_caller_has_one():
+    begun = [threading.Event() for _ in range(12)]
+
+    def work(x):
+        begun[x].set()
+        return x
+
+    results = in_threads(numbered(range(12)), "s", work, workers=1, times=StageTimes(), ahead=2)
+    for outcome in results:
+        # Without asking for more.
+        if outcome.number + 1 < len(begun):
+            assert begun[outcome.number + 1].wait(5)
 
 
 def test_memory_is_a_limit_too():
