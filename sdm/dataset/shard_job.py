@@ -109,6 +109,7 @@ class Job:
                     workers=min(threads, WRITERS),
                     ahead=min(threads, WRITERS),
                     times=times,
+                    prompt=True,
                 )
                 for outcome in written:
                     if isinstance(outcome, Failed):

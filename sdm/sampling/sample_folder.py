@@ -118,7 +118,9 @@ class FolderSampling:
         nbytes = 40 * self._recipe.count
         read = in_threads(numbered(self._tasks), "read", self._read, workers=threads, times=times)
         measured = one_by_one(read, str(self._device), self._measure, times=times)
-        written = in_threads(measured, "write", self._write, workers=threads, times=times, nbytes=lambda _: nbytes)
+        written = in_threads(
+            measured, "write", self._write, workers=threads, times=times, nbytes=lambda _: nbytes, prompt=True
+        )
         done = [False] * len(self._tasks)
         for outcome in written:
             done[outcome.number] = isinstance(outcome, Done)

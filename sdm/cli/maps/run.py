@@ -56,7 +56,13 @@ def run(
         read = in_threads(tasks, "read", stages.read, workers=threads, times=times, ahead=max(2 * threads, most))
         measured = in_groups(read, str(settings.device), stages.measure, times=times, most=min(most, len(jobs)))
         written = in_threads(
-            measured, "write", stages.write, workers=threads, times=times, nbytes=lambda found: found.nbytes
+            measured,
+            "write",
+            stages.write,
+            workers=threads,
+            times=times,
+            nbytes=lambda found: found.nbytes,
+            prompt=True,
         )
         progress.begin(jobs[0][0].name)
         for outcome in written:

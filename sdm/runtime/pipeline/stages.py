@@ -37,6 +37,7 @@ def in_threads(
     times: StageTimes,
     ahead: int | None = None,
     nbytes: Callable[[A], int] | None = None,
+    prompt: bool = False,
 ) -> Iterator[Done[B] | Failed]:
     """A stage in threads of its own; results in the order of the items.
 
@@ -48,6 +49,8 @@ def in_threads(
         times: Where busy times go.
         ahead: Items that the stage holds at most; twice the threads by default.
         nbytes: Memory that an item takes here; all together at most `MOST_BYTES`.
+        prompt: Give on what is done before more is taken: for the last stage, behind one that works in the caller's
+            thread. Otherwise as much is taken as there is room for, and worked on while the caller has something.
 
     When the generator is closed, by an error or an interrupt of who goes through it, work that has not begun is
     dropped, and work that has is waited for.
@@ -55,7 +58,7 @@ def in_threads(
     # Here, and not when the first result is asked for, so that stages are known in the order of the pipeline.
     times.declare(name, workers)
     room = 2 * workers if ahead is None else ahead
-    return _in_threads(outcomes, name, work, workers, times, room, nbytes)
+    return _in_threads(outcomes, name, work, workers, times, room, nbytes, prompt)
 
 
 def _in_threads(
@@ -66,6 +69,7 @@ def _in_threads(
     times: StageTimes,
     room: int,
     nbytes: Callable[[A], int] | None,
+    prompt: bool,
 ) -> Iterator[Done[B] | Failed]:
     held: deque[tuple[int, Future[B] | Failed, int]] = deque()
     used, source, more = 0, iter(outcomes), True
@@ -77,11 +81,11 @@ def _in_threads(
     pool = ThreadPoolExecutor(workers, thread_name_prefix=f"sdm-{name}")
     try:
         while more or held:
-            # One is given on, then one is taken: what is asked for next is worked on while the caller has this one, and
-            # what is done does not wait for a source that is slow.
-            if held and (_is_there(held[0][1]) or not more or len(held) >= room):
+            while held and (not more or len(held) >= room or (prompt and _is_there(held[0][1]))):
                 used -= held[0][2]
                 yield _outcome(*held.popleft()[:2])
+                if not prompt:
+                    break
             if not more:
                 continue
             found = next(source, None)

@@ -15,7 +15,7 @@ def pipeline(items, workers, *, most=3, work=lambda x: x * x):
     times = StageTimes(keep_spans=True)
     read = in_threads(numbered(items), "read", lambda x: x, workers=workers, times=times)
     made = in_groups(read, "device", lambda group: [work(x) for x in group], times=times, most=most)
-    return times, in_threads(made, "write", lambda x: x + 1, workers=workers, times=times)
+    return times, in_threads(made, "write", lambda x: x + 1, workers=workers, times=times, prompt=True)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
@@ -78,6 +78,21 @@ def test_the_next_items_are_worked_on_while_the_caller_has_one():
         # Without asking for more.
         if outcome.number + 1 < len(begun):
             assert begun[outcome.number + 1].wait(5)
+
+
+def test_what_is_done_is_given_on_before_a_slow_source_is_asked():
+    asked = []
+
+    def slow():
+        for x in range(4):
+            asked.append(x)
+            yield x
+            time.sleep(0.05)
+
+    results = in_threads(numbered(slow()), "s", lambda x: x, workers=1, times=StageTimes(), ahead=3, prompt=True)
+    next(results)
+    assert len(asked) <= 2
+    results.close()
 
 
 def test_memory_is_a_limit_too():
