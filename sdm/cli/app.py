@@ -151,8 +151,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
 
     if words[:1] == ["--version"]:
         return _print_version
-    # As a path it would be the folder one is in.
-    if "" in words:
+    # As a path it would be the folder one is in. `--mirrors ""` is no axis.
+    if any(word == "" and before != "--mirrors" for before, word in zip(["", *words], words, strict=False)):
         raise UsageError("an argument is empty, as a variable of the shell that is not set gives; see sdm --help")
     brief = not (words and words[0] in COMMANDS)
     if words and brief and not words[0].startswith("-"):

@@ -167,7 +167,7 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path, capsys, words, message):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("out", ["", ".", "/"])
+@pytest.mark.parametrize("out", [".", "/"])
 @pytest.mark.parametrize("words", [["cuboid", *SMALL], ["cuboid", *SMALL, "--resume"], ["--resume"]])
 def test_a_dataset_without_a_name(tmp_path, monkeypatch, capsys, words, out):
     monkeypatch.chdir(tmp_path)

@@ -230,7 +230,7 @@ def test_truths_without_a_prediction_are_named(tmp_path, capsys):
     assert "nothing was predicted" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["", "nowhere/scores.json", "folder"])
+@pytest.mark.parametrize("name", ["nowhere/scores.json", "folder"])
 def test_a_place_for_scores_that_cannot_be_is_refused_before_they_are_made(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
