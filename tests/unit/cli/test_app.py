@@ -234,3 +234,15 @@ def test_warnings_of_the_library_are_a_line(monkeypatch, capsys):
     monkeypatch.setattr(app, "_parse", lambda words: lambda: warn("ball.ply: it is inside out"))
     assert main(["view"]) == main(["view"]) == 0
     assert capsys.readouterr().err == 2 * "sdm: warning: ball.ply: it is inside out\n"
+
+
+def test_a_kernel_cache_that_cannot_be_written(tmp_path):
+    mesh = tmp_path / "one.off"
+    mesh.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    program = f'"{sys.executable}" -m sdm.cli compute {mesh} -o {tmp_path}/x.npz --resolution 2 --device cpu'
+    done = bash(program, WARP_CACHE_PATH="/dev/null")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("sdm: compiled kernels cannot be kept in /dev/null")
+    assert "WARP_CACHE_PATH" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["one.off"]
