@@ -127,7 +127,8 @@ class Grid:
             return cls(origin, step, count)
         count = _resolution(128 if resolution is None else resolution)
         if extent == 0:
-            raise GridError(f"{mesh.name} has size zero, so a resolution says nothing: give a spacing")
+            far = f" (in float32, at coordinates of up to {np.abs(high).max():.3g})" if np.abs(high).max() > 1e6 else ""
+            raise GridError(f"{mesh.name} has size zero{far}, so a resolution says nothing: give a spacing")
         box = np.full(3, extent) if resolution is None or np.ndim(resolution) == 0 else high - low
         step = float(((box + 2 * room) / np.maximum(count - 1, 1)).max())
         origin = (low + high) / 2 - step * (count - 1) / 2

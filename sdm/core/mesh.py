@@ -159,13 +159,22 @@ def _host_array(array: Any, what: str) -> np.ndarray:
     return host.astype(np.float64) if host.dtype == np.longdouble else host
 
 
+def _turned(array: Tensor) -> str:
+    """Said of an array that has rows for columns."""
+    return ": transpose it" if array.ndim == 2 and array.shape[0] == 3 else ""
+
+
 def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
     if faces.numel() == 0 or vertices.numel() == 0:
         raise MeshError(f"{name} has no triangles; give a surface mesh, not points or lines")
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise MeshError(f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed")
+        meant = _turned(vertices)
+        raise MeshError(
+            f"the vertices of {name} have shape {tuple(vertices.shape)}; (V, 3) is needed{_turned(vertices)}"
+        )
     if faces.ndim != 2 or faces.shape[1] != 3:
-        raise MeshError(f"the faces of {name} have shape {tuple(faces.shape)}; (F, 3) is needed: triangulate first")
+        meant = _turned(faces) or ": triangulate first"
+        raise MeshError(f"the faces of {name} have shape {tuple(faces.shape)}; (F, 3) is needed{meant}")
     if faces.shape[0] > MOST_TRIANGLES:
         raise MeshError(f"{name} has {faces.shape[0]:,} triangles; at most {MOST_TRIANGLES:,} are supported: split it")
 
@@ -177,7 +186,10 @@ def _check_values(vertices: Float32[Tensor, "V 3"], faces: Int32[Tensor, "F 3"],
     low, high, largest = torch.stack([bound.double() for bound in bounds]).tolist()
     if low < 0 or high >= count:
         bad = int(low if low < 0 else high)
-        raise MeshError(f"a face of {name} uses vertex {bad}, but its {count} vertices are numbered 0 to {count - 1}")
+        meant = "; they seem to be counted from 1, as in OBJ files: subtract 1" if low == 1 and high == count else ""
+        raise MeshError(
+            f"a face of {name} uses vertex {bad}, but its {count} vertices are numbered 0 to {count - 1}{meant}"
+        )
     # A NaN in a vertex that no face uses cannot matter, yet it tells of a damaged file.
     if not math.isfinite(largest):
         index = int((~torch.isfinite(vertices.detach()).all(1)).nonzero()[0])

@@ -19,7 +19,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import SDMWarning
-from sdm.inspect.placement import placement_problems, resolves
+from sdm.inspect.placement import placement_problems, resolves, rounding_problems, thinness, too_large_for
 from sdm.inspect.problems import FLOOD, NOTHING_INSIDE, PARTS
 from sdm.inspect.quick_look import look_at
 from sdm.inspect.recommendation import NEARLY_CLOSED
@@ -48,18 +48,27 @@ def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str |
         # The way that faces face does not matter.
         return [] if inside_voxels else placement_problems(*mesh.bounds, grid) or [NOTHING_SHUT_OFF]
     found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
-    if found or inside_voxels:
-        return found
-    return placement_problems(*mesh.bounds, grid) or _though_closed(mesh, grid)
+    box = mesh.bounds
+    if lost := rounding_problems(*box, grid):
+        # Whatever else there is may come of it.
+        return lost
+    if inside_voxels:
+        return found or (too_large_for(*box, grid) if inside_voxels == grid.size else [])
+    # A mesh that is inside out may lie elsewhere, too: by an axis that is mirrored, or by two that are swapped.
+    misplaced = placement_problems(*box, grid)
+    return misplaced + found or _though_closed(mesh, grid)
 
 
 def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
     """Said of a mesh of which nothing is inside although it has hardly a gap."""
-    if not resolves(*mesh.bounds, grid):
+    thin = thinness(*mesh.bounds, grid)
+    if thin is None and not resolves(*mesh.bounds, grid):
         return []
     shut = inspect_mesh(mesh).shut_area
     if shut < NEARLY_CLOSED:
         return []
+    if thin is not None:
+        return [thin]
     text = (
         f"nothing is inside although components that are closed, or open by little, make up {100 * shut:.3g} % of the "
         f"area: they are thinner than the voxels, or faces face all ways; use a finer grid, {PARTS} or {FLOOD}"

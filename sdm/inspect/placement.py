@@ -25,12 +25,19 @@ MILLIMETRES = (
     "divided by 1000 it lies inside: the mesh seems to be in millimetres and the grid in metres; "
     "divide the vertices by 1000 (--scale 0.001)"
 )
-# Factors of x, y and z, and what to say if they bring a mesh into its grid.
-MISTAKES = (
-    ((-1.0, -1.0, 1.0), LPS),
-    ((1e3, 1e3, 1e3), METRES),
-    ((1e-3, 1e-3, 1e-3), MILLIMETRES),
+SWAPPED = (
+    "with x and z swapped it lies inside: the mesh seems to have the order of an array's axes, z, y, x; "
+    "turn the columns of its vertices round"
 )
+# The order in which x, y and z are taken, their factors, and what to say if that brings a mesh into its grid.
+MISTAKES = (
+    ((0, 1, 2), (-1.0, -1.0, 1.0), LPS),
+    ((0, 1, 2), (1e3, 1e3, 1e3), METRES),
+    ((0, 1, 2), (1e-3, 1e-3, 1e-3), MILLIMETRES),
+    ((2, 1, 0), (1.0, 1.0, 1.0), SWAPPED),
+)
+# A voxel has this many times the length of a float32 step at least where coordinates tell it from its neighbour well.
+STEPS_IN_A_VOXEL = 8
 
 
 def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> list[str]:
@@ -45,8 +52,9 @@ def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray,
     meets = _meets(begin, end, grid)
     if meets and (end - begin).max() >= FEWEST_VOXELS:
         return []
-    for factors, sentence in MISTAKES:
-        if _lies_within(*_in_voxels(np.multiply(low, factors), np.multiply(high, factors), grid), grid):
+    for order, factors, sentence in MISTAKES:
+        corners = [np.multiply(corner[list(order)], factors) for corner in (low, high)]
+        if _lies_within(*_in_voxels(*corners, grid), grid):
             return [f"no voxel is inside: the mesh's box, {_box(low, high)}, {_where(meets, grid)}, but {sentence}"]
     if not meets:
         return [f"no voxel is inside: the mesh's box, {_box(low, high)}, {_where(meets, grid)}"]
@@ -54,6 +62,45 @@ def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray,
     if (end - begin).max() < TINY and max(grid.shape) > 2:
         return [f"no voxel is inside: the mesh's box, {_box(low, high)}, is smaller than a voxel; use a finer grid"]
     return []
+
+
+def too_large_for(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> list[str]:
+    """Sentences, one at most, about the box of a mesh that has every voxel of a grid inside."""
+    begin, end = _in_voxels(low, high, grid)
+    if not (begin <= -0.5).all() or not (end >= np.asarray(grid.shape) - 0.5).all():
+        return []
+    if not _lies_within(*_in_voxels(low / 1000, high / 1000, grid), grid):
+        return []
+    return [f"every voxel is inside: the mesh's box, {_box(low, high)}, is larger than the grid, but {MILLIMETRES}"]
+
+
+def rounding_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> list[str]:
+    """Sentences, one at most, about coordinates so far from the origin that float32 tells voxels apart badly."""
+    largest = float(max(np.abs(low).max(), np.abs(high).max()))
+    step, voxel = float(np.spacing(np.float32(largest))), min(grid.spacing)
+    if step * STEPS_IN_A_VOXEL <= voxel:
+        return []
+    text = (
+        f"coordinates of up to {largest:.4g} have steps of {step:.2g} in float32, and voxels are {voxel:.2g}: digits "
+        "of the mesh are lost; move it towards the origin before it becomes float32"
+    )
+    return [text]
+
+
+def thinness(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> str | None:
+    """Said of a box of coordinates within a grid that is thinner than a voxel along an axis, and not flat."""
+    begin, end = _in_voxels(low, high, grid)
+    size = end - begin
+    if not ((begin >= -0.5) & (end <= np.asarray(grid.shape) - 0.5)).all() or not 0 < size.min() < TINY:
+        return None
+    # Of the eight corners of a box around it none can be inside.
+    if max(grid.shape) <= 2:
+        return None
+    axis = int(size.argmin())
+    return (
+        f"no voxel is inside: the mesh is {size[axis] * grid.spacing[axis]:.3g} thick along {'xyz'[axis]}, and the "
+        f"voxels are {grid.spacing[axis]:.3g}; use a finer grid"
+    )
 
 
 def resolves(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> bool:

@@ -126,8 +126,13 @@ def fit_shape(
         raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
     grid = as_grid(grid)
     values = image_tensor(image, grid, backend.device)
-    with one_thread_for(values.numel(), backend.device):
-        found = _fit(values, grid, backend, finish, options, report)
+    try:
+        with one_thread_for(values.numel(), backend.device):
+            found = _fit(values, grid, backend, finish, options, report)
+    except torch.linalg.LinAlgError as error:
+        raise SDMError(
+            f"the fit came to numbers that are not finite, in an image of {grid.summary} mm: is that its unit?"
+        ) from error
     return replace(found, seconds=time.perf_counter() - begin)
 
 

@@ -48,6 +48,19 @@ CASES = {
     "no volume": (
         ball(faces=np.concatenate([BALL.faces[:9], BALL.faces[:9, ::-1]])), GRID, ["closed but encloses no volume"]
     ),
+    "millimetres around the whole grid": (
+        TriangleMesh(50 * BALL.vertices, BALL.faces), Grid((-0.8,) * 3, (0.2,) * 3, (9,) * 3), ["every voxel", "0.001"]
+    ),
+    "axes as of an array": (
+        TriangleMesh((BALL.vertices + AT)[:, ::-1].copy(), BALL.faces), GRID, ["x and z swapped", "inside out"]
+    ),
+    "too far for float32": (
+        TriangleMesh(BALL.vertices + 1e8, BALL.faces), Grid((1e8 - 24,) * 3, (4,) * 3, (13,) * 3), ["steps of 8 in"]
+    ),
+    "thinner than a voxel": (
+        TriangleMesh(BALL.vertices * [1, 1, 0.01] + [0, 0, 1], BALL.faces), Grid((-24,) * 3, (4,) * 3, (13,) * 3),
+        ["0.4 thick along z", "a finer grid"],
+    ),
     "between voxels": (
         TriangleMesh(BALL.vertices / 200 + 2, BALL.faces), Grid((0,) * 3, (4,) * 3, (9,) * 3), ["a finer grid"]
     ),
@@ -137,7 +150,8 @@ def test_convex_and_round_shapes_raise_no_alarm(shape):
         Grid(low, size / 10, (1, 11, 11)),
     ]
     for grid in grids:
-        assert found_by(lambda grid=grid: sdm.signed_distance_map(mesh, grid, device="cpu")) == []
+        said = found_by(lambda grid=grid: sdm.signed_distance_map(mesh, grid, device="cpu"))
+        assert said == [] or (size.min() < max(grid.spacing) and "thick along z" in said[0])
 
 
 def test_sheets_cavities_and_overlaps_raise_no_alarm():
