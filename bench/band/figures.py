@@ -14,6 +14,7 @@ MARKS = ("o", "s", "D", "^", "v", "P")
 def draw(report: dict[str, Any], path: Path) -> None:
     """Processor seconds, and bytes of the process, of each mesh and library, against voxels along an axis."""
     import matplotlib as mpl
+    from matplotlib.ticker import LogLocator, NullLocator
 
     rows = report["rows"]
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
@@ -35,7 +36,8 @@ def draw(report: dict[str, Any], path: Path) -> None:
             log_axes(axes)
             sizes = sorted({row["resolution"] for row in rows})
             axes.set_xticks(sizes, [str(size) for size in sizes])
-            axes.minorticks_off()
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.set_xlabel("voxels along each axis")
             plain_ticks(axes.yaxis)
         left.set_ylabel("seconds of all cores")

@@ -77,7 +77,7 @@ def _some_voxels(band: sdm.SparseSDM, count: int) -> torch.Tensor:
     rng = np.random.default_rng(0)
     blocks = band.blocks[torch.from_numpy(rng.integers(0, len(band), 8 * count)).to(band.device)].cpu()
     voxels = blocks.long() * 8 + torch.from_numpy(rng.integers(0, 8, (8 * count, 3)))
-    voxels = voxels[(voxels < torch.tensor(band.shape)).all(1)]
+    voxels = voxels[(voxels < torch.tensor(band.shape, device="cpu")).all(1)]
     near = band.at(voxels).abs().cpu() < band.width
     return voxels[near][:count]
 

@@ -121,7 +121,7 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> Spar
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
     if sign == "none":
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
-    inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values)
+    inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values, beyond=beyond)
     band = SparseSDM(blocks, values, inside, grid, width, ambiguous, sign)
     if index._check is not None and band.device.type == "cpu":
         # On a GPU it would be waited for.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Int32, Int64
@@ -20,13 +21,13 @@ if TYPE_CHECKING:
 
 
 def inside_runs(
-    index: MeshIndex, grid: Grid, keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"]
+    index: MeshIndex, grid: Grid, keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"], *, beyond: bool
 ) -> Int32[Tensor, "r 4"]:
     """Runs (R,4) along z of blocks that are not stored and lie inside, sorted: x and y, first z, one after the last.
 
     Next to a block that is not stored a closed mesh has no surface, so it is on the side of any voxel that faces it. Of
     other meshes winding numbers tell, in the first and the last block of a run; where these differ, a bisection finds
-    where they change. Rows without a block are outside, unless the mesh reaches beyond the grid; then a voxel of each
+    where they change. Rows without a block are outside, unless the mesh reaches `beyond` the grid; then a voxel of each
     is asked.
     """
     count = blocks_along(grid.shape)
@@ -34,7 +35,7 @@ def inside_runs(
         begin, end = _gaps_inside(keys, values, count)
     else:
         begin, end = _inner_parts(index, grid, *gaps_of(keys, count))
-    if reaches_beyond(index, grid):
+    if beyond:
         empty = _empty_rows(keys, count)
         empty = empty[_are_inside(index, grid, empty * count[2] + count[2] // 2)]
         begin = torch.cat([begin, empty * count[2]])
@@ -93,11 +94,9 @@ def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool
 def reaches_beyond(index: MeshIndex, grid: Grid) -> bool:
     """True if a corner of the mesh's box is outside the grid, so that rows far from its surface may be inside."""
     low, high = index.mesh.bounds
-    corners = torch.tensor([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    turn = torch.tensor(grid.direction, dtype=torch.float64, device="cpu")
-    place = (corners.double() - torch.tensor(grid.origin, dtype=torch.float64, device="cpu")) @ turn
-    place = place / torch.tensor(grid.spacing, dtype=torch.float64, device="cpu")
-    return bool(((place < 0) | (place > torch.tensor(grid.shape, device="cpu") - 1)).any())
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
+    place = (corners - grid.origin) @ np.asarray(grid.direction) / grid.spacing
+    return bool(((place < 0) | (place > np.asarray(grid.shape) - 1)).any())
 
 
 def _empty_rows(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> Int64[Tensor, " m"]:

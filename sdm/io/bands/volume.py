@@ -7,6 +7,7 @@ own bytes, which are laid out as NanoVDB's `NanoVDB.h` (version 32) says, on wha
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import warp as wp
@@ -55,7 +56,10 @@ class Nodes:
 
 def nodes_of(volume: wp.Volume) -> Nodes:
     """The parts of a volume of float values."""
-    data = wp.to_torch(volume.array()).view(torch.uint8)
+    array: Any = volume.array()
+    # On a CPU Warp's own way would go by torch's default device.
+    data = torch.from_numpy(array.numpy()) if array.device.is_cpu else wp.to_torch(array)
+    data = data.view(torch.uint8)
     offsets = data[TREE : TREE + 32].clone().view(torch.int64).tolist()
     counts = data[TREE + COUNTS : TREE + COUNTS + 12].clone().view(torch.int32).tolist()
     sizes = LEAF, LOWER, UPPER
