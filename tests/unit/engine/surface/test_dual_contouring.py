@@ -92,3 +92,16 @@ def test_what_cannot_be_is_refused():
         field.to_mesh(mesh=box())
     with pytest.raises(SDMError, match="no surface at level 5"):
         field.to_mesh(5.0, method="dual")
+
+
+@pytest.mark.gpu
+def test_a_gpu_gives_the_same_surface():
+    mesh = box()
+    field = sdm.signed_distance_map(mesh, sdm.Grid.around(mesh, 40, margin=0.2), device="cpu")
+    for given in (None, mesh):
+        host = field.to_mesh(method="dual", mesh=given)
+        there = field.to("cuda").to_mesh(method="dual", mesh=given)
+        assert_edges_cancel(there.numpy()[1], len(there.vertices))
+        # A diagonal may be the other one where both are as near.
+        assert len(host) == len(there)
+        torch.testing.assert_close(host.vertices, there.vertices.cpu(), rtol=1e-4, atol=1e-3 * field.grid.spacing[0])

@@ -1,0 +1,42 @@
+"""Picture of surfaces: seconds against resolution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sdm.bench.common.figure import STYLE, log_axes, plain_ticks, sheet
+
+MARKS = ("o", "s", "D", "^", "v", "P")
+
+
+def draw(report: dict[str, Any], path: Path) -> None:
+    """Processor seconds of each method against voxels along an axis, a panel for each mesh."""
+    import matplotlib as mpl
+
+    rows = report["rows"]
+    meshes = list(dict.fromkeys(row["mesh"] for row in rows))
+    sizes = sorted({row["resolution"] for row in rows})
+    with mpl.rc_context(STYLE), sheet(path, (4.6 * len(meshes) + 1, 5.0), dpi=110, layout="constrained") as figure:
+        panels = figure.subplots(1, len(meshes), squeeze=False, sharey=True)[0]
+        for axes, mesh in zip(panels, meshes, strict=True):
+            for number, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
+                found = [row for row in rows if (row["mesh"], row["method"]) == (mesh, method)]
+                dash = "-" if method.startswith("sdm") else "--"
+                axes.plot(
+                    [row["resolution"] for row in found],
+                    [row["cpu"] for row in found],
+                    dash,
+                    marker=MARKS[number % len(MARKS)],
+                    label=method,
+                )
+            log_axes(axes)
+            axes.set_xticks(sizes, [str(size) for size in sizes])
+            axes.minorticks_off()
+            axes.set_xlabel("voxels along each axis")
+            axes.set_title(mesh)
+            plain_ticks(axes.yaxis)
+        panels[0].set_ylabel("seconds of all cores")
+        panels[0].legend(fontsize=8)
+        machine = report["machine"]
+        figure.supxlabel(f"{machine['device']}, {machine['cores']} cores, repeated calls", fontsize=8)
