@@ -10,6 +10,7 @@ from jaxtyping import Int32, Int64
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of
+from sdm.core.device import free_memory
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, MeshKind
 from sdm.engine.band.near_blocks import keys_near, regions_with
@@ -17,6 +18,7 @@ from sdm.engine.gradients import IDENTITY
 from sdm.engine.ops import slab_view
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, scales_of
+from sdm.errors import GridError
 from sdm.kernels.band.block_lists import gather_blocks, list_regions_of
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
@@ -28,6 +30,11 @@ from sdm.kernels.geometry.block_table import BlockTable
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
+# Voxels are counted with 32 bits.
+MOST_BLOCKS = (1 << 22) - 1
+BLOCK_BYTES = 4 * BLOCK**3
+# Bytes that are always there; asking takes time.
+SMALL = 1 << 26
 # Rows of blocks that a table has all of.
 MOST_ROWS = 1 << 20
 # More than the spacing along x, at which a crossing is from the voxel that it is marked at.
@@ -55,6 +62,7 @@ def measured_blocks(
         if signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
             caps = keys_near(winding.caps.tree, slab, grid, STEP_ROOM * grid.spacing[0], device)
             keys = torch.unique(torch.cat([keys, caps]))
+        _refuse_too_many(len(keys), device)
         blocks = blocks_of(keys, blocks_along(grid.shape))
         values = torch.empty((len(keys), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
         if not len(keys):
@@ -120,6 +128,25 @@ def measured_blocks(
         del rows
     unclear = 0 if structure.kind is MeshKind.CLOSED or not signed else int(ambiguous)
     return kept_blocks, kept_values, unclear
+
+
+def _refuse_too_many(blocks: int, device: torch.device) -> None:
+    """Refuse a band that does not fit, before it is measured.
+
+    Raises:
+        GridError: More blocks than kernels can count, or than there is memory for.
+    """
+    # What is measured, and what is kept of it.
+    needed, advice = 2 * BLOCK_BYTES * blocks, "choose larger voxels, or a smaller half_width"
+    if blocks > MOST_BLOCKS:
+        raise GridError(
+            f"a narrow band of {blocks:,} blocks is more than the {MOST_BLOCKS:,} that there can be: {advice}"
+        )
+    if needed > SMALL and needed > (free := free_memory(device)):
+        raise GridError(
+            f"a narrow band of {blocks:,} blocks needs {needed / 2**30:.1f} GiB, but {device} has "
+            f"{free / 2**30:.1f} GiB free: {advice}"
+        )
 
 
 def _regions_of(table: Any, blocks: int, cell: int, device: torch.device) -> Int32[Tensor, "r 4"]:

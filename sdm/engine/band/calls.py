@@ -94,7 +94,8 @@ def narrow_band(
 
     Raises:
         DeviceError: The device is not there.
-        GridError: Nothing says what the grid is, or several things do; or the band is too narrow.
+        GridError: Nothing says what the grid is, or several things do; or the band is too narrow, or does not fit into
+            memory.
         MeshError: What is given is no mesh, or one that cannot be used.
         SDMError: A sign that there is not, or `"flood"`.
     """

@@ -8,6 +8,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere
+from sdm.engine.band import block_distances
 from sdm.errors import GridError, SDMError
 
 
@@ -133,6 +134,28 @@ def test_many_copies_of_a_triangle():
     grid = sdm.Grid.around(crowded, 30)
     band = index.narrow_band(grid)
     assert_is_the_band(band, index.signed_distance_map(grid))
+
+
+def test_a_band_that_does_not_fit(monkeypatch):
+    monkeypatch.setattr(block_distances, "SMALL", 0)
+    monkeypatch.setattr(block_distances, "free_memory", lambda _: 1 << 10)
+    with pytest.raises(GridError, match=r"needs 0\.\d GiB, but cpu has 0\.0 GiB free: choose larger voxels"):
+        sdm.narrow_band(mesh(), 0.05, device="cpu")
+
+
+def test_vertices_that_ask_for_gradients():
+    """Values are those of the mesh as it is; gradients go to points and values alone."""
+    asking = sdm.TriangleMesh(mesh().vertices.clone().requires_grad_(), mesh().faces)
+    band = sdm.narrow_band(asking, 0.15, device="cpu")
+    assert not band.values.requires_grad
+    assert torch.equal(band.values, sdm.narrow_band(mesh(), 0.15, device="cpu").values)
+
+
+def test_a_mesh_that_moved():
+    index = sdm.MeshIndex(mesh(), "cpu")
+    index.update(1.3 * mesh().vertices)
+    moved = sdm.TriangleMesh(1.3 * mesh().vertices, mesh().faces)
+    assert torch.equal(index.narrow_band(0.15).values, sdm.narrow_band(moved, 0.15, device="cpu").values)
 
 
 def test_one_warning_about_a_mesh_inside_out():
