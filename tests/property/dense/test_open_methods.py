@@ -85,7 +85,7 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
     return found
 
 
-@settings(max_examples=120)
+@settings(max_examples=80)
 @given(mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), seed=strategies.seeds)
 def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, seed):
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")

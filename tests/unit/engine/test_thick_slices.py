@@ -94,8 +94,7 @@ def both_ways(mesh: sdm.TriangleMesh, grid: sdm.Grid) -> tuple[sdm.SDM, sdm.SDM]
 
 
 @pytest.mark.parametrize("name", ["torus-2000", "open hemisphere", "overlapping shells", "random soup"])
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("turn", [np.eye(3), TURN], ids=["straight", "turned"])
+@pytest.mark.parametrize(("axis", "turn"), [(0, TURN), (1, np.eye(3)), (2, TURN)], ids=["0 turned", "1", "2 turned"])
 def test_the_same_map(measured, name, axis, turn):
     case = load_case(name)
     mesh, grid = sdm.TriangleMesh(case.vertices, case.faces), grid_of(axis, turn)

@@ -13,9 +13,9 @@ from sdm.errors import FormatError
 TRIALS = {
     "numerics": 20,
     "near_degenerate": 25,
-    "mesh_files": 800,
-    "map_files": 500,
-    "datasets": 40,
+    "mesh_files": 500,
+    "map_files": 300,
+    "datasets": 24,
     "models": 150,
 }
 LONG = 60.0
