@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.remarks import remarks
+from sdm.cli.maps.remarks import is_closed, remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
@@ -141,12 +141,13 @@ class MapStages:
     def write(self, found: Measured) -> Written:
         """Write a map, and look at it."""
         start = time.perf_counter()
+        closed = is_closed(found.read.measured)
         if found.read.there:
-            return Written(found.read)
+            return Written(found.read, closed)
         inside, ambiguous = self._save(found)
-        warnings = remarks(found.read, inside, ambiguous, self._settings.sign)
+        warnings = remarks(found.read, closed, inside, ambiguous, self._settings.sign)
         seconds = found.seconds + time.perf_counter() - start
-        return Written(found.read, inside, ambiguous, seconds, warnings)
+        return Written(found.read, closed, inside, ambiguous, seconds, warnings)
 
     def _save(self, found: Measured) -> tuple[int, int]:
         if found.map is None:

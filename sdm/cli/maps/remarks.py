@@ -10,12 +10,12 @@ from sdm.engine.map_check import doubts_about
 from sdm.topology.boundary_edges import boundary_edges
 
 
-def remarks(read: ReadMesh, inside: int, ambiguous: int, sign: Sign) -> list[str]:
+def remarks(read: ReadMesh, closed: bool, inside: int, ambiguous: int, sign: Sign) -> list[str]:
     """All there is to know about a map, the gravest first."""
     found = [] if read.measured is read.mesh else [_turned(read.mesh, read.measured)]
     doubts = doubts_about(read.measured, read.grid, inside, sign)
     found += [f": {doubt}" for doubt in doubts]
-    if sign == "winding" and not is_closed(read.measured):
+    if sign == "winding" and not closed:
         found += _about_gaps(inside, ambiguous, bool(doubts), read.grid)
     return found
 

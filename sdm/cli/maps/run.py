@@ -11,7 +11,6 @@ from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
-from sdm.cli.maps.remarks import is_closed
 from sdm.cli.maps.work import MapTask, Written
 from sdm.errors import FormatError
 from sdm.runtime.pipeline.outcome import Done, Failed
@@ -95,7 +94,7 @@ def _entry(
         state="there already" if found.read.there else "done",
         output=str(target),
         triangles=len(mesh),
-        closed=is_closed(mesh),
+        closed=found.closed,
         sign=settings.sign,
         inside=found.inside,
         ambiguous_voxels=found.ambiguous if settings.sign == "winding" else None,

@@ -80,6 +80,7 @@ class Written:
 
     Args:
         read: The mesh.
+        closed: Whether the mesh has no boundary.
         inside: Voxels inside.
         ambiguous: Voxels whose side is ambiguous.
         seconds: That it took in all stages.
@@ -87,6 +88,7 @@ class Written:
     """
 
     read: ReadMesh
+    closed: bool
     inside: int | None = None
     ambiguous: int | None = None
     seconds: float = 0.0
