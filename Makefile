@@ -1,11 +1,11 @@
-# Everything happens in .venv, which the first target makes. PYTHON= chooses the interpreter (3.11 to 3.13).
+# Everything happens in .venv, which the first target makes. PYTHON= chooses the interpreter (3.11 to 3.14).
 # PIP_ARGS= goes to every `pip install`, for example --extra-index-url with PyTorch's CPU builds. RECORDS= is where
 # `make records` writes.
 
 VENV ?= .venv
 BIN := $(VENV)/bin
-SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
-PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell $(name) -c '$(SUPPORTED)' 2>/dev/null && echo $(name))))
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
+PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11,$(shell $(name) -c '$(SUPPORTED)' 2>/dev/null && echo $(name))))
 PIP_ARGS ?=
 ARGS ?=
 # Processes that run tests; ARGS="-n 0" is one that a debugger can stop.
@@ -59,7 +59,7 @@ clean: ## Remove what the targets made
 # Debian and Ubuntu keep ensurepip in the package python3-venv; where it is missing, the system's own pip fills the folder.
 $(VENV)/.made:
 	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUPPORTED)' || \
-	{ echo "Python 3.11, 3.12 or 3.13 is needed: install one, or name it with PYTHON=/path/to/python3" >&2; exit 1; }
+	{ echo "Python 3.11, 3.12, 3.13 or 3.14 is needed: install one, or name it with PYTHON=/path/to/python3" >&2; exit 1; }
 	@echo "Making $(VENV) with $$($(PYTHON) --version)"
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || \

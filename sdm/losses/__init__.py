@@ -5,6 +5,7 @@ Predictions and targets are (B,1,x,y,z). Signed distances are negative inside.
 
 from sdm.losses.boundary import boundary_loss
 from sdm.losses.clamped_l1 import clamped_l1_loss
+from sdm.losses.class_maps import class_maps
 from sdm.losses.cross_entropy import cross_entropy_loss
 from sdm.losses.dice import dice_loss
 from sdm.losses.hausdorff import hausdorff_distance_loss
@@ -17,6 +18,7 @@ __all__ = [
     "Schedule",
     "boundary_loss",
     "clamped_l1_loss",
+    "class_maps",
     "clipped_sdf",
     "constant",
     "cross_entropy_loss",
