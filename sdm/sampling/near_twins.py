@@ -81,7 +81,7 @@ def distance_between(a: Surface, b: Surface) -> float:
 def distances_between(meshes: Sequence[TriangleMesh], device: str | torch.device = "cpu") -> Tensor:
     """Mean distances (M,M) between all meshes, each laid on each other; float64, zero on the diagonal."""
     surfaces = [Surface(mesh, device) for mesh in meshes]
-    found = torch.zeros(len(meshes), len(meshes), dtype=torch.float64)
+    found = torch.zeros(len(meshes), len(meshes), dtype=torch.float64, device="cpu")
     for i, j in combinations(range(len(meshes)), 2):
         found[i, j] = found[j, i] = distance_between(surfaces[i], surfaces[j])
     return found
@@ -108,7 +108,7 @@ def split_groups(
         rest: The part that everything else goes to.
         seed: Of the order.
     """
-    order: list[int] = torch.randperm(len(groups), generator=generator(seed, "order of groups")).tolist()
+    order: list[int] = torch.randperm(len(groups), device="cpu", generator=generator(seed, "order of groups")).tolist()
     parts: dict[str, list[str]] = {**{name: [] for name in sizes}, rest: []}
     for number in order:
         name = next((n for n, size in sizes.items() if len(parts[n]) < size), rest)
