@@ -11,10 +11,16 @@ from contextlib import contextmanager
 PATIENCE = 3.0
 _logger = logging.getLogger("sdm")
 _said: set[str] = set()
+EVERY_DEVICE = "every device"
+
+
+def keep_silent() -> None:
+    """Say nothing of compiling from now on: who uses the kernels says it in another way."""
+    _said.add(EVERY_DEVICE)
 
 
 def _say(device: str) -> None:
-    if device not in _said:
+    if device not in _said and EVERY_DEVICE not in _said:
         _said.add(device)
         _logger.warning(
             "sdm compiles its kernels for %s, which takes a minute or two and is kept: later calls and processes find "

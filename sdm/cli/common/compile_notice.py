@@ -7,7 +7,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-NOTICE = "sdm: compiling kernels: about 10 s, once on this machine"
+NOTICE = "sdm: compiling kernels: 10 s to a minute, once on this machine"
 # Warp's own builders: what they made is kept in a cache, and they are called for what is not in it.
 BUILDERS = ("build_cpu", "build_cuda")
 
@@ -34,6 +34,10 @@ def _announced(builder: Any, said: list[bool]) -> Any:
     def build(*args: Any, **kwargs: Any) -> Any:
         if not said:
             said.append(True)
+            # The library's own notice, for those who do not come by a command, would say it again.
+            from sdm.kernels.launches.compiling import keep_silent
+
+            keep_silent()
             print(NOTICE, file=sys.stderr, flush=True)
         return builder(*args, **kwargs)
 

@@ -7,6 +7,7 @@ from types import ModuleType
 import pytest
 
 from sdm.cli.common.compile_notice import BUILDERS, NOTICE, announce_compiling
+from sdm.kernels.launches import compiling
 
 
 def test_the_first_build_is_announced(capsys):
@@ -19,6 +20,19 @@ def test_the_first_build_is_announced(capsys):
     assert builders.build_cpu("a", fast=True) == "a True"
     assert builders.build_cuda("b", fast=False) == "b False"
     assert capsys.readouterr().err == f"{NOTICE}\n"
+
+
+def test_the_library_does_not_say_it_again(monkeypatch, caplog):
+    monkeypatch.setattr(compiling, "_said", set())
+    compiling._say("cpu")
+    assert "compiles its kernels" in caplog.text
+    builders = ModuleType("builders")
+    builders.build_cpu = lambda: None
+    announce_compiling(builders)
+    builders.build_cpu()
+    caplog.clear()
+    compiling._say("cuda:0")
+    assert caplog.text == ""
 
 
 def test_a_warp_without_them_is_left_alone():
