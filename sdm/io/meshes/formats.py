@@ -7,12 +7,15 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from sdm.errors import MeshError
+from sdm.io.meshes.neuro.brain_surfaces import read_freesurfer, read_gifti
 from sdm.io.meshes.obj import read_obj
 from sdm.io.meshes.off import read_off
 from sdm.io.meshes.ply import read_ply
 from sdm.io.meshes.polygons import PolygonMesh
 from sdm.io.meshes.stl import read_stl
 
+# The endings of FreeSurfer's surfaces.
+FREESURFER = ("pial", "white", "inflated", "smoothwm")
 # Readers of our own: from the bytes of a file and its path, for messages, to its polygons.
 READERS: dict[str, Callable[[bytes, Path], PolygonMesh]] = {
     "stl": read_stl,
@@ -20,6 +23,8 @@ READERS: dict[str, Callable[[bytes, Path], PolygonMesh]] = {
     "ply": read_ply,
     "obj": read_obj,
     "off": read_off,
+    "gii": read_gifti,
+    **dict.fromkeys(FREESURFER, read_freesurfer),
 }
 # Formats that trimesh reads, with the module that each needs; all of those are in the extra `formats`.
 TRIMESH = {"glb": "", "gltf": "", "dae": "collada", "zae": "collada", "3mf": "lxml", "3dxml": "lxml", "xaml": "lxml"}

@@ -1,4 +1,4 @@
-"""Meshes to files: `.ply`, `.stl`, `.obj`, `.off`, `.glb`."""
+"""Meshes to files: `.ply`, `.stl`, `.obj`, `.off`, `.glb`, `.gii`, `.pial`, `.white`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
+from sdm.io.meshes.neuro.brain_surfaces import write_freesurfer, write_gifti
 
 # From vertices (V,3), faces (F,3) and an open file.
 Writer: TypeAlias = Callable[[np.ndarray, np.ndarray, BinaryIO], None]
@@ -23,7 +24,8 @@ DIGITS = "%.9g"
 
 
 def save_mesh(mesh: MeshLike, path: str | Path) -> None:
-    """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off` or `.glb`, as the name ends; atomic.
+    """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off`, `.glb`, `.gii` (GIfTI), `.pial` or `.white`
+    (FreeSurfer), as the name ends; atomic.
 
     `load_mesh` gives the same triangles in the same order, bit for bit. `.stl` keeps no shared vertices.
 
@@ -111,4 +113,7 @@ WRITERS: dict[str, Writer] = {
     "obj": _obj,
     "off": _off,
     "glb": _glb,
+    "gii": write_gifti,
+    "pial": write_freesurfer,
+    "white": write_freesurfer,
 }
