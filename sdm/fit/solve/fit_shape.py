@@ -31,6 +31,8 @@ from sdm.fit.solve.solver import Outcome, Point, Render, minimise
 from sdm.runtime.threads import one_thread_for
 
 LARGEST_IMAGE = 1 << 23
+# Points of all voxels, of which a fit takes those near the surface: a large image at the finest that makes sense.
+MOST_POINTS = 1e11
 SMALLEST_AXIS = 8
 # Fits to the coarse image: the logistic's length [mm], and steps of how many posterior standard deviations end them.
 COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
@@ -126,6 +128,12 @@ def fit_shape(
         raise SDMError(f"there is no model called {options.model!r}; use {' or '.join(MODELS)}")
     grid = as_grid(grid)
     values = image_tensor(image, grid, backend.device)
+    points = values.numel() * math.prod(max(1.0, s / options.fine) for s in grid.spacing)
+    if options.model == "partial-volume" and points > MOST_POINTS:
+        raise GridError(
+            f"{grid.summary} mm are sampled at {points:.2g} points, {options.fine:g} mm apart, and {MOST_POINTS:.2g} "
+            "are the most: is that the image's unit? If so, give a larger distance (fine, --fine) or crop it"
+        )
     try:
         with one_thread_for(values.numel(), backend.device):
             found = _fit(values, grid, backend, finish, options, report)

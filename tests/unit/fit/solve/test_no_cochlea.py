@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sdm import Grid
+from sdm import Grid, SDMError
 from sdm.fit import ExactBackend, FitError, FitOptions, FitResult, fit_shape
 from sdm.shapes import Cochlea
 
@@ -62,3 +62,11 @@ def test_steps_that_do_not_converge_are_said() -> None:
     assert not result.diagnosis.converged
     assert not result.trusted
     assert "did not converge" in result.diagnosis.problems[0]
+
+
+@pytest.mark.filterwarnings("ignore:var")
+@pytest.mark.parametrize(("unit", "said"), [(1e-3, "not finite"), (1e3, "sampled at")])
+def test_an_image_in_another_unit_is_said(unit: float, said: str) -> None:
+    grid = Grid([unit * x for x in GRID.origin], [unit * s for s in GRID.spacing], GRID.shape)
+    with pytest.raises(SDMError, match=f"{said}.* unit"):
+        fit_shape(IMAGES["a ring"], grid, ExactBackend(Cochlea(1_000), "cpu"), options=OPTIONS)
