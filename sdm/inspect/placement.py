@@ -54,7 +54,7 @@ def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray,
         return []
     for order, factors, sentence in MISTAKES:
         corners = [np.multiply(corner[list(order)], factors) for corner in (low, high)]
-        if _lies_within(*_in_voxels(*corners, grid), grid):
+        if _lies_within(*_in_voxels(corners[0], corners[1], grid), grid):
             return [f"no voxel is inside: the mesh's box, {_box(low, high)}, {_where(meets, grid)}, but {sentence}"]
     if not meets:
         return [f"no voxel is inside: the mesh's box, {_box(low, high)}, {_where(meets, grid)}"]

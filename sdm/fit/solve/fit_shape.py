@@ -137,7 +137,7 @@ def fit_shape(
     try:
         with one_thread_for(values.numel(), backend.device):
             found = _fit(values, grid, backend, finish, options, report)
-    except torch.linalg.LinAlgError as error:
+    except torch.linalg.LinAlgError as error:  # pyright: ignore[reportPrivateImportUsage]
         raise SDMError(
             f"the fit came to numbers that are not finite, in an image of {grid.summary} mm: is that its unit?"
         ) from error

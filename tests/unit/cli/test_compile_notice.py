@@ -27,9 +27,9 @@ def test_the_library_does_not_say_it_again(monkeypatch, caplog):
     compiling._say("cpu")
     assert "compiles its kernels" in caplog.text
     builders = ModuleType("builders")
-    builders.build_cpu = lambda: None
+    setattr(builders, BUILDERS[0], lambda: None)
     announce_compiling(builders)
-    builders.build_cpu()
+    getattr(builders, BUILDERS[0])()
     caplog.clear()
     compiling._say("cuda:0")
     assert caplog.text == ""
