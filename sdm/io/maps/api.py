@@ -96,7 +96,7 @@ def load_band(path: str | Path) -> SparseSDM:
 
 
 def grid_like(path: str | Path | Any) -> Grid:
-    """The geometry of a NIfTI or NRRD image, or of a map that `save` wrote, without reading the values.
+    """The geometry of a NIfTI, NRRD or MetaImage file, or of a map that `save` wrote, without reading the values.
 
     An image of another library is taken in place of a path, as `sdm.core.as_grid` takes it.
 

@@ -52,8 +52,8 @@ FORMATS = {
     "zarr": Format("zarr", streamed=True),
     "nvdb": Format("nvdb", extra_maps=4.5),
 }
-# The header of an NRRD image whose values lie in another file.
-HEADERS = {"nhdr": Format("nrrd")}
+# Images of which the geometry alone is read: the header of an NRRD image whose values lie in another file, and ITK's.
+HEADERS = {"nhdr": Format("nrrd"), "mha": Format("metaimage"), "mhd": Format("metaimage")}
 
 
 def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:
