@@ -48,14 +48,13 @@ def doubts_about(mesh: TriangleMesh, grid: Grid, inside_voxels: int, sign: str |
         # The way that faces face does not matter.
         return [] if inside_voxels else placement_problems(*mesh.bounds, grid) or [NOTHING_SHUT_OFF]
     found = [text for text in look_at(mesh).problems(mesh) if not inside_voxels or text != NOTHING_INSIDE]
-    box = mesh.bounds
-    if lost := rounding_problems(*box, grid):
+    if lost := rounding_problems(grid):
         # Whatever else there is may come of it.
         return lost
     if inside_voxels:
-        return found or (too_large_for(*box, grid) if inside_voxels == grid.size else [])
+        return found or (too_large_for(*mesh.bounds, grid) if inside_voxels == grid.size else [])
     # A mesh that is inside out may lie elsewhere, too: by an axis that is mirrored, or by two that are swapped.
-    misplaced = placement_problems(*box, grid)
+    misplaced = placement_problems(*mesh.bounds, grid)
     return misplaced + found or _though_closed(mesh, grid)
 
 

@@ -74,17 +74,29 @@ def too_large_for(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"
     return [f"every voxel is inside: the mesh's box, {_box(low, high)}, is larger than the grid, but {MILLIMETRES}"]
 
 
-def rounding_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> list[str]:
-    """Sentences, one at most, about coordinates so far from the origin that float32 tells voxels apart badly."""
-    largest = float(max(np.abs(low).max(), np.abs(high).max()))
-    step, voxel = float(np.spacing(np.float32(largest))), min(grid.spacing)
+def rounding_problems(grid: Grid) -> list[str]:
+    """Sentences, one at most, about a grid, and so a mesh, too far from the origin for float32 to tell voxels apart.
+
+    Of the mesh nothing is read: on a GPU that would wait.
+    """
+    voxel = min(grid.spacing)
+    bound = max(abs(x) + s * n for x, s, n in zip(grid.origin, grid.spacing, grid.shape, strict=True))
+    if _step(bound) * STEPS_IN_A_VOXEL <= voxel:
+        return []
+    largest = float(np.abs(_bounds_of(grid)).max())
+    step = _step(largest)
     if step * STEPS_IN_A_VOXEL <= voxel:
         return []
     text = (
         f"coordinates of up to {largest:.4g} have steps of {step:.2g} in float32, and voxels are {voxel:.2g}: digits "
-        "of the mesh are lost; move it towards the origin before it becomes float32"
+        "are lost; move mesh and grid towards the origin before they become float32"
     )
     return [text]
+
+
+def _step(coordinate: float) -> float:
+    """The distance of float32 numbers at a coordinate."""
+    return float(np.spacing(np.float32(coordinate)))
 
 
 def thinness(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> str | None:
