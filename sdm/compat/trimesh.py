@@ -85,7 +85,7 @@ def _arrays(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
 def _queries(mesh: Any, device: str | torch.device | None) -> ClosestInFloat64:
     """The index of a mesh: kept while its contents have the same hash, as a `trimesh.Trimesh` has one."""
     name = str(device)
-    kept = type(mesh).__name__ in ("Trimesh", "Box", "Sphere", "Cylinder", "Capsule", "Extrusion", "Icosphere")
+    kept = type(mesh).__module__.partition(".")[0] == "trimesh" and hasattr(mesh, "faces")
     digest = hash(mesh) if kept else 0
     for known, contents, where, index in _known:
         if kept and known() is mesh and contents == digest and where == name:

@@ -27,7 +27,7 @@ def split(
     """Deal the meshes of a folder to training, validation and test, so that no near twins are on two sides.
 
     Writes the lists, which sdm generate FOLDER --split train, sdm train deepsdf FOLDER --split train and
-    sdm.shapes.MeshFolder(FOLDER, split="val") take.
+    sdm.shapes.make_family("mesh-folder", source=FOLDER, split="val") take.
 
     Args:
         folder: Folder of meshes, nested or not.

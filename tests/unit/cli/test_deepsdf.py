@@ -105,7 +105,7 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
         (
             ["decode", "{new}", "-m", "{model}", "-o", "x.vtk"],
-            "cannot write .vtk: use one of .ply, .stl, .obj, .off, .glb, .png, .nii.gz",
+            "cannot write .vtk: use one of .ply, .stl, .obj, .off, .glb, .gii, .pial, .white, .png, .nii.gz",
         ),
         (
             ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],
