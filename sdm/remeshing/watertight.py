@@ -86,8 +86,8 @@ def watertight(
 
     Returns:
         The surface, on `device`: each edge has two triangles, one each way, vertices are at places of their own, and
-        it faces outward. It may have several parts. A closed mesh comes back within half a voxel where its parts are
-        thicker than a voxel. With `return_report` also the report.
+        it faces outward. It may have several parts. A closed mesh comes back within half a voxel where it is smooth at
+        that size; tips and sharp corners lose up to two voxels. With `return_report` also the report, which measures it.
 
     Raises:
         DeviceError: The device is not there.
