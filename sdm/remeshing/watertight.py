@@ -87,7 +87,7 @@ def watertight(
     Returns:
         The surface, on `device`: each edge has two triangles, one each way, vertices are at places of their own, and
         it faces outward. It may have several parts. A closed mesh comes back within half a voxel where it is smooth at
-        that size; tips and sharp corners lose up to two voxels. With `return_report` also the report, which measures it.
+        that size; tips and sharp corners lose up to two voxels. With `return_report` also its report.
 
     Raises:
         DeviceError: The device is not there.
