@@ -111,7 +111,8 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     plain = column_sums.open_caps
 
     def spy(*inputs: Any) -> Any:
-        counts.append(plain(*inputs).numpy())
+        # A copy, as the scratch that it is in is given back.
+        counts.append(plain(*inputs).numpy().copy())
         return None
 
     column_sums.open_caps = spy  # type: ignore[assignment]
