@@ -126,7 +126,8 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     levels = list(enumerate(open_caps.BITS))
     looked = {1 << bits: int(total[open_caps.STRIDE * n + open_caps.LOOKED]) for n, bits in levels if bits}
     # Voxels that are still open before boxes of each size; before the first ones, all.
-    before = [min(voxels, count * size**3) if count else voxels for size, count in looked.items()]
+    first = max(size for size, count in looked.items() if count)
+    before = [voxels if size > first else min(voxels, count * size**3) for size, count in looked.items()]
     alone = len(open_caps.BITS) - 2
     before += [int(total[open_caps.STRIDE * alone + open_caps.LOOKED]), int(total[open_caps.EXACT]), 0]
     shares = [max(0, one - other) / voxels for one, other in itertools.pairwise(before)]

@@ -26,6 +26,13 @@ def test_a_row_says_what_decided_each_voxel(tmp_path):
     assert picture.stat().st_size > 1000
 
 
+def test_shares_add_up_where_no_small_box_is_left():
+    case = Case("torn", *torn(torus(1000), 0.01), frozenset(("open",)))
+    looked = dirty.row(case, "cpu", 24, 1)["looked_at"]
+    assert "2^3" not in looked
+    assert sum(looked["shares"].values()) == pytest.approx(1)
+
+
 def test_a_closed_mesh_asks_no_box():
     case = Case("torus", *torus(256), frozenset(("closed",)))
     assert dirty.row(case, "cpu", 8, 1)["looked_at"] == {}
