@@ -51,6 +51,6 @@ def _libigl(field: sdm.SDM, values: np.ndarray) -> dict[str, Callable[[], Any]]:
 
     def call() -> Surface:
         vertices, faces = igl.marching_cubes(flat, points, nx, ny, nz, 0.0)[:2]
-        return vertices, faces
+        return np.asarray(vertices), np.asarray(faces)
 
     return {"libigl": call}
