@@ -30,7 +30,7 @@ print(f"derivative by {len(vertices)} vertices, largest {float(vertices.grad.nor
 
 figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
 for track in torch.stack(path, 1)[:, :, :2]:
-    axes.plot(*track.T, lw=0.6, color="0.7")
-axes.scatter(*points.detach()[:, :2].T, s=4, color="#8c1d2c")
+    axes.plot(*track.T.numpy(), lw=0.6, color="0.7")
+axes.scatter(*points.detach()[:, :2].T.numpy(), s=4, color="#8c1d2c")
 axes.set(aspect="equal", xlabel="x", ylabel="y", title="400 points descend onto a box")
 figure.savefig("descend_onto_a_surface.png", dpi=100)

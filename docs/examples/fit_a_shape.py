@@ -6,13 +6,17 @@ from sdm.fit import ExactBackend, FitOptions, Scanner, fit_shape, random_state, 
 from sdm.shapes import Cochlea
 from sdm.viz.fit_figure import draw_fit
 
-backend = ExactBackend(Cochlea(2_000), device="cpu")
+backend = ExactBackend(Cochlea(1_000), device="cpu")
 truth = random_state(backend, seed=5, edge=0.25)
-image = simulate(backend, truth, Scanner(spacing=0.4, blur=0.25, noise=200.0), seed=1)
+image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.25, noise=200.0), seed=1)
 
-result = fit_shape(image.values, image.grid, backend, options=FitOptions(blur=0.25, fine=0.2))
+result = fit_shape(image.values, image.grid, backend, options=FitOptions(blur=0.25, fine=0.25))
 result.require()  # raises FitError where there is no answer
 intervals = result.posterior.intervals(0.9)
-for parameter, true, found, (low, high) in zip(backend.family.parameters, truth.theta, result.state.theta, intervals, strict=False):
-    print(f"{parameter.name:>6}: true {float(true):6.3f}, found {float(found):6.3f}, 90 % interval {low:6.3f} to {high:6.3f}")
+for parameter, true, found, (low, high) in zip(
+    backend.family.parameters, truth.theta, result.state.theta, intervals, strict=False
+):
+    print(
+        f"{parameter.name:>6}: true {float(true):6.3f}, found {float(found):6.3f}, 90 % interval {low:6.3f} to {high:6.3f}"
+    )
 draw_fit(image.values, image.grid, backend, result, Path("fit_a_shape.png"))

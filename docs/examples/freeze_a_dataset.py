@@ -10,10 +10,10 @@ import sdm
 from sdm.dataset import freeze
 
 family = sdm.shapes.make_family("geometric-shapes")
-stream = sdm.SDMStream(family, family.grid(32), batch_size=8, seed=1)
+stream = sdm.SDMStream(family, family.grid(24), batch_size=8, seed=1)
 
 shutil.rmtree("shapes.zarr", ignore_errors=True)
-freeze(stream, 32, "shapes.zarr")
+freeze(stream, 16, "shapes.zarr")
 
 data = sdm.SDMDataset("shapes.zarr")
 theta, maps, index = data[5]
@@ -24,7 +24,7 @@ theta, maps, index = next(iter(DataLoader(data, batch_size=16, shuffle=True)))
 figure, axes = plt.subplots(2, 8, figsize=(10, 2.7), layout="constrained")
 limit = float(maps.abs().max()) / 2
 for ax, values, number in zip(axes.flat, maps, index, strict=True):
-    middle = values.reshape(32, 32, 32)[:, :, 16].T
+    middle = values.reshape(24, 24, 24)[:, :, 12].T.numpy()
     ax.imshow(middle, origin="lower", cmap="RdBu", vmin=-limit, vmax=limit)
     ax.contour(middle, levels=[0], colors="k", linewidths=1)
     ax.set_title(f"sample {int(number)}", fontsize=8)

@@ -19,11 +19,12 @@ assert torch.equal(maps < 0, torch.stack([labels == c for c in (1, 2, 3)]))
 
 figure, axes = plt.subplots(1, 4, figsize=(10, 2.8), layout="constrained")
 middle = shape[2] // 2
-axes[0].imshow(labels[:, :, middle].T, origin="lower", cmap="viridis")
+axes[0].imshow(labels[:, :, middle].T.numpy(), origin="lower", cmap="viridis")
 axes[0].set_title("labels")
 for c, ax in enumerate(axes[1:]):
-    drawn = ax.imshow(maps[c, :, :, middle].T, origin="lower", cmap="RdBu", vmin=-20, vmax=20)
-    ax.contour(maps[c, :, :, middle].T, levels=[0], colors="k", linewidths=1)
+    values = maps[c, :, :, middle].T.cpu().numpy()
+    drawn = ax.imshow(values, origin="lower", cmap="RdBu", vmin=-20, vmax=20)
+    ax.contour(values, levels=[0], colors="k", linewidths=1)
     ax.set_title(f"class {c + 1}")
 for ax in axes:
     ax.axis("off")

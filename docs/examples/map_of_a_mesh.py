@@ -7,7 +7,9 @@ from sdm.viz.figure import picture
 
 mesh = sdm.load_mesh(sys.argv[1]) if len(sys.argv) > 1 else sdm.shapes.Cochlea(5_000).mesh([3.6, 0.3, 0.139, -0.17])
 report = sdm.inspect_mesh(mesh)
-print(f"{report.triangles:,} triangles, closed: {report.closed}; sign: {report.recommended_sign}, {report.recommendation}")
+print(
+    f"{report.triangles:,} triangles, closed: {report.closed}; sign: {report.recommended_sign}, {report.recommendation}"
+)
 
 grid = sdm.Grid.around(mesh, resolution=64, margin=0.1)
 field = sdm.signed_distance_map(mesh, grid, sign=report.recommended_sign)

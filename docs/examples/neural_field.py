@@ -10,7 +10,9 @@ from sdm.viz.figure import picture
 STEPS, BATCH = 400, 1_024
 
 mesh = sdm.shapes.make_family("cuboid").mesh([0.7, 0.5, 0.35, 0.1, 0.3, 0.6])
-samples = sample(mesh, 50_000, seed=0)  # DeepSDF's law: 95 % near the surface, the rest in the box; the unit ball's size
+samples = sample(
+    mesh, 50_000, seed=0
+)  # DeepSDF's law: 95 % near the surface, the rest in the box; the unit ball's size
 points, distances = samples.points.cpu(), samples.distances.cpu()
 
 torch.manual_seed(0)

@@ -21,7 +21,9 @@ class Torus(Family):
     parameters = (Parameter("R", 2.0, 3.0, "mm"), Parameter("r", 0.3, 0.9, "mm"))
 
     def __init__(self, around: int = 32, across: int = 16) -> None:
-        i, j = (index.reshape(-1) for index in torch.meshgrid(torch.arange(around), torch.arange(across), indexing="ij"))
+        i, j = (
+            index.reshape(-1) for index in torch.meshgrid(torch.arange(around), torch.arange(across), indexing="ij")
+        )
         self.u, self.v = 2 * math.pi / around * i, 2 * math.pi / across * j
         right, up = (i + 1) % around, (j + 1) % across
         a, b, c, d = i * across + j, right * across + j, right * across + up, i * across + up
@@ -70,4 +72,6 @@ error = (found - held_out.sdm).abs().mean()
 print(f"of shapes never seen {float(error):.3f} mm off on average; a voxel is {grid.spacing[0]:.2f} mm")
 
 exact, predicted = (sdm.SDM(maps[0, 0], grid) for maps in (held_out.sdm, found))
-side_by_side(exact, predicted, Path("surrogate_of_a_family.png"), title="A torus never seen: exactly, and by the network")
+side_by_side(
+    exact, predicted, Path("surrogate_of_a_family.png"), title="A torus never seen: exactly, and by the network"
+)

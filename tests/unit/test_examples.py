@@ -8,7 +8,6 @@ import pytest
 # These say how good the result is, which takes more steps than a test has.
 STEPS = re.compile(r"^(STEPS\b[^=]*= )[\d_]+", re.MULTILINE)
 EXAMPLES = (
-    "cnn_on_the_stream",
     "descend_onto_a_surface",
     "fit_a_shape",
     "freeze_a_dataset",
@@ -17,6 +16,7 @@ EXAMPLES = (
     "narrow_band",
     "neural_field",
     "surrogate_of_a_family",
+    "watertight_from_soup",
 )
 
 
