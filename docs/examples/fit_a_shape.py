@@ -13,10 +13,7 @@ image = simulate(backend, truth, Scanner(spacing=0.5, blur=0.25, noise=200.0), s
 result = fit_shape(image.values, image.grid, backend, options=FitOptions(blur=0.25, fine=0.25))
 result.require()  # raises FitError where there is no answer
 intervals = result.posterior.intervals(0.9)
-for parameter, true, found, (low, high) in zip(
-    backend.family.parameters, truth.theta, result.state.theta, intervals, strict=False
-):
-    print(
-        f"{parameter.name:>6}: true {float(true):6.3f}, found {float(found):6.3f}, 90 % interval {low:6.3f} to {high:6.3f}"
-    )
+for i, parameter in enumerate(backend.family.parameters):
+    true, found, (low, high) = float(truth.theta[i]), float(result.state.theta[i]), intervals[i]
+    print(f"{parameter.name:>6}: true {true:6.3f}, found {found:6.3f}, 90 % interval {low:6.3f} to {high:6.3f}")
 draw_fit(image.values, image.grid, backend, result, Path("fit_a_shape.png"))

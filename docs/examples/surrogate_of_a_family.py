@@ -46,7 +46,7 @@ class Decoder(nn.Sequential):
             for layer in (nn.ConvTranspose3d(ins, outs, 4, stride=2, padding=1), nn.SiLU())
         ]
         super().__init__(
-            nn.Linear(2, 64), nn.SiLU(), nn.Linear(64, 64 * side**3), nn.SiLU(), nn.Unflatten(1, (64, side, side, side)),
+            nn.Linear(2, 64), nn.SiLU(), nn.Linear(64, 64 * side**3), nn.SiLU(), nn.Unflatten(1, (64, *3 * [side])),
             *blocks, nn.Conv3d(8, 1, 3, padding=1),
         )  # fmt: skip
 
