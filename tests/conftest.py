@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 # One process for each core and one thread in each: threads of several processes that wait for each other by spinning
@@ -32,6 +33,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gpu"):
             item.add_marker(skip)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_notice_of_compiling() -> Iterator[None]:
+    """Tests count lines on stderr, which must not depend on whether Warp's cache has the kernels already."""
+    from sdm.cli import app
+    from sdm.kernels.launches import compiling
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app, "announce_compiling", lambda: None)
+        patch.setattr(compiling, "_said", {compiling.EVERY_DEVICE})
+        yield
 
 
 @pytest.fixture(scope="session")
