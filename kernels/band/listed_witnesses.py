@@ -5,11 +5,11 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import Tree
-from sdm.kernels.culling.witness_bound import agree, moved, no_witness, write_witness
+from sdm.kernels.culling.witness_bound import write_witness
 from sdm.kernels.dense.cell_cache import LEFT_OUT, CellCache, store_box
 from sdm.kernels.dense.counters import NEXT_WITNESS
 from sdm.kernels.dense.region_grid import RegionGrid, cell_start, make_cell
-from sdm.kernels.dense.stage1_witnesses import PROBES, WITNESS_BLOCKS, nearer_leaf, probe_direction
+from sdm.kernels.dense.stage1_witnesses import WITNESS_BLOCKS, cell_witness, region_witness
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab
 from sdm.kernels.launch import launch
@@ -36,15 +36,7 @@ def _find_listed_witnesses(
         listed = regions[grid.first + item * grid.step]
         start = 2 * grid.cell * wp.vec3i(listed[0], listed[1], listed[2])
         region = make_cell(tree, slab, 0, start, 2 * grid.cell)
-        # As `stage1_witnesses` does it, so that all that follows from them has the same bits.
-        known = no_witness()
-        reach = float(0.0)
-        probe = lane
-        while probe < PROBES + lanes:
-            p = region.centre + reach * probe_direction(probe)
-            known = agree(nearer_leaf(tree, frames, 0, p, region.centre, known), lane)
-            reach = wp.sqrt(known.distance2)
-            probe = probe + lanes
+        known = region_witness(tree, frames, 0, region.centre, lane, lanes)
         if lane == 0:
             write_witness(cache.witnesses, item, known)
         octant = lane
@@ -55,9 +47,7 @@ def _find_listed_witnesses(
             if wanted:
                 cell = make_cell(tree, slab, 0, first, grid.cell)
                 store_box(cache, number, 0, first, cell)
-                centre = cell.centre
-                mine = moved(known, centre - region.centre)
-                mine = nearer_leaf(tree, frames, 0, centre, centre, mine)
+                mine = cell_witness(tree, frames, 0, cell.centre, region.centre, known)
                 write_witness(cache.witnesses, grid.count + number, mine)
             else:
                 # Beyond the slab, for all that comes later.

@@ -91,6 +91,28 @@ def nearer_of_leaves(
     return agree(mine, lane)
 
 
+@wp.func
+def region_witness(tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, centre: wp.vec3, lane: int, lanes: int):
+    """Witness of a region's centre, by all lanes of a group."""
+    known = no_witness()
+    reach = float(0.0)
+    probe = lane
+    while probe < PROBES + lanes:
+        p = centre + reach * probe_direction(probe)
+        known = agree(nearer_leaf(tree, frames, mesh, p, centre, known), lane)
+        reach = wp.sqrt(known.distance2)
+        probe = probe + lanes
+    return known
+
+
+@wp.func
+def cell_witness(
+    tree: Tree, frames: wp.array(dtype=wp.float32), mesh: int, cell: wp.vec3, region: wp.vec3, known: Witness
+):
+    """Witness of a cell's centre: that of its region's centre, or a nearer one."""
+    return nearer_leaf(tree, frames, mesh, cell, cell, moved(known, cell - region))
+
+
 # A multiprocessor of a GPU holds so many blocks: this kernel waits for memory more than it works.
 WITNESS_BLOCKS = 8
 
@@ -112,14 +134,7 @@ def _find_witnesses(
         mesh, start = region_start(slab, grid, item)
         one = tree_of(tree, mesh)
         region = make_cell(one, slab, mesh, start, 2 * grid.cell)
-        known = no_witness()
-        reach = float(0.0)
-        probe = lane
-        while probe < PROBES + lanes:
-            p = region.centre + reach * probe_direction(probe)
-            known = agree(nearer_leaf(one, frames, mesh, p, region.centre, known), lane)
-            reach = wp.sqrt(known.distance2)
-            probe = probe + lanes
+        known = region_witness(one, frames, mesh, region.centre, lane, lanes)
         if lane == 0:
             write_witness(cache.witnesses, item, known)
         # Each cell begins with its region's, and one lane looks for a nearer one.
@@ -130,9 +145,7 @@ def _find_witnesses(
             cell = make_cell(one, slab, mesh, first, grid.cell)
             store_box(cache, number, mesh, first, cell)
             if is_within(slab_of(slab, mesh), first):
-                centre = cell.centre
-                mine = moved(known, centre - region.centre)
-                mine = nearer_leaf(one, frames, mesh, centre, centre, mine)
+                mine = cell_witness(one, frames, mesh, cell.centre, region.centre, known)
                 write_witness(cache.witnesses, grid.count + number, mine)
             octant = octant + lanes
         item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)

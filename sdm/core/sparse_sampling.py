@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdm.core.tricubic import cubic_weights
-from sdm.core.trilinear import SLACK
+from sdm.core.voxel_points import places_on
 
 if TYPE_CHECKING:
     from sdm.core.sparse_sdm import SparseSDM
@@ -22,13 +22,7 @@ def interpolate(band: SparseSDM, points: Float[Tensor, "n 3"], order: int) -> Fl
     """Values (N,) at points (N,3) float64, of order 1 (8 voxels) or 3 (64); NaN beyond the grid."""
     if len(points) > CHUNK:
         return torch.cat([interpolate(band, some, order) for some in points.split(CHUNK)])
-    size = torch.tensor(band.shape, device=band.device)
-    turn = torch.tensor(band.grid.direction, dtype=torch.float64, device=band.device)
-    step = torch.tensor(band.grid.spacing, dtype=torch.float64, device=band.device)
-    origin = torch.tensor(band.grid.origin, dtype=torch.float64, device=band.device)
-    place = (points - origin) @ turn / step
-    # False for NaN too.
-    beyond = ~((place >= -SLACK) & (place <= size - 1 + SLACK)).all(1)
+    place, beyond = places_on(band.grid, points)
     axes = [cubic_weights(place[:, a], n) if order == 3 else _linear(place[:, a], n) for a, n in enumerate(band.shape)]
     (x, x_share), (y, y_share), (z, z_share) = axes
     found = torch.zeros(len(points), dtype=torch.float64, device=band.device)

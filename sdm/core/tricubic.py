@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.core.trilinear import SLACK
+from sdm.core.voxel_points import places_on
 
 
 def tricubic(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -18,13 +18,7 @@ def tricubic(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tensor
     the outermost centres the map is taken to go on straight. Differentiable in values and points, which is smooth
     where `trilinear` has kinks. Weights are computed in float64.
     """
-    turn = torch.tensor(grid.direction, dtype=torch.float64, device=values.device)
-    step = torch.tensor(grid.spacing, dtype=torch.float64, device=values.device)
-    origin = torch.tensor(grid.origin, dtype=torch.float64, device=values.device)
-    size = torch.tensor(grid.shape, device=values.device)
-    place = (points.double() - origin) @ turn / step
-    # False for NaN too.
-    beyond = ~((place >= -SLACK) & (place <= size - 1 + SLACK)).all(1)
+    place, beyond = places_on(grid, points)
     axes = [cubic_weights(place[:, axis], count) for axis, count in enumerate(grid.shape)]
     (x, x_share), (y, y_share), (z, z_share) = axes
     flat = values.reshape(-1)

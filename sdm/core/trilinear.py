@@ -9,9 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdm.core.grid import Grid
-
-# Points so many voxels beyond the grid are taken for points on its border: coordinates are rounded to float32.
-SLACK = 1e-3
+from sdm.core.voxel_points import places_on
 
 
 def trilinear(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -20,12 +18,7 @@ def trilinear(values: Float[Tensor, "nx ny nz"], grid: Grid, points: Float[Tenso
     Differentiable in values and points. Weights are computed in float64.
     """
     size = torch.tensor(grid.shape, device=values.device)
-    turn = torch.tensor(grid.direction, dtype=torch.float64, device=values.device)
-    step = torch.tensor(grid.spacing, dtype=torch.float64, device=values.device)
-    origin = torch.tensor(grid.origin, dtype=torch.float64, device=values.device)
-    place = (points.double() - origin) @ turn / step
-    # False for NaN too.
-    beyond = ~((place >= -SLACK) & (place <= size - 1 + SLACK)).all(1)
+    place, beyond = places_on(grid, points)
     low = place.detach().nan_to_num().floor().long().clamp(min=0).minimum((size - 2).clamp(min=0))
     high = (low + 1).minimum(size - 1)
     weight = place - low

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import torch
-
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import signed_distance
-from sdm.sampling.surface_points import surface_points
+from sdm.sampling.surface_points import surface_points, triangle_areas
 
 SAMPLES = 100_000
 
@@ -70,9 +68,7 @@ def deviation(source: TriangleMesh, target: TriangleMesh, samples: int = SAMPLES
     """Distances of a mesh's vertices, and of points on its faces, from another mesh."""
     vertices = source.vertices[source.faces.reshape(-1).long().unique()]
     at_vertices = signed_distance(target, vertices, sign="none")
-    corners = source.vertices[source.faces.long()].double()
-    areas = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-    if not bool((areas > 0).any()):
+    if not bool((triangle_areas(source.vertices[source.faces.long()]) > 0).any()):
         return Deviation(float(at_vertices.max()), float(at_vertices.mean()), len(vertices))
     within = signed_distance(target, surface_points(source, samples)[0], sign="none")
     largest = max(float(at_vertices.max()), float(within.max()))
