@@ -146,13 +146,14 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     meshes, voxels = vertices.shape[0], math.prod(grid.shape)
     if is_recordable(vertices, 4 * meshes * voxels):
         return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
-    if meshes * voxels <= LARGEST_SLAB:
+    # A map's stride is 32 bits wide, too: two maps share a slab of less than 4 GiB.
+    if meshes * voxels < LARGEST_SLAB:
         return map_slab(vertices, faces, build(vertices.detach(), faces, edges), grid, 0, grid.shape[0])[0]
     most = max(1, LARGEST_SLAB // _thinnest(grid))
     if meshes > most:
         return torch.cat([batch_maps(some, faces, grid, edges) for some in vertices.split(most)])
     structure = build(vertices.detach(), faces, edges)
-    slabs = slabs_of(grid, LARGEST_SLAB // meshes)
+    slabs = slabs_of(grid, (LARGEST_SLAB - 1) // meshes)
     return put_together(
         ((begin, end, map_slab(vertices, faces, structure, grid, begin, end)[0]) for begin, end in slabs),
         grid.shape[0],

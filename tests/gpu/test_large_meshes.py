@@ -93,3 +93,13 @@ def test_a_map_in_slabs_takes_little_memory():
     assert torch.cuda.max_memory_allocated() - before < 400 << 20
     volume = 2 * np.pi**2 * 0.65 * 0.25**2
     assert inside * (2 / 511) ** 3 == pytest.approx(volume, rel=2e-3)
+
+
+def test_a_map_of_1024_voxels_a_side_is_that_of_its_slabs():
+    """It has 4 GiB, more than an array's 32-bit strides hold."""
+    case = load_case("torus-20000")
+    index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cuda")
+    grid = sdm.Grid([-1, -1, -1], [2 / 1023] * 3, [1024] * 3)
+    values = index.signed_distance_map(grid).values
+    for begin, end, slab in index.slabs(grid, 1 << 27):
+        assert torch.equal(values[begin:end], slab)

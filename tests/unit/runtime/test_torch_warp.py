@@ -157,6 +157,15 @@ def test_an_array_is_the_one_that_warp_makes(shape, dtype):
     assert not other._is_read
 
 
+def test_one_map_of_four_gibibytes_has_an_array():
+    """Its outer stride does not fit into the 32 bits that kernels read, and nothing steps along that axis."""
+    made = array_at(1 << 20, (1, 1024, 1024, 1024), wp.float32, torch.device("cpu"))
+    assert made.shape == (1, 1024, 1024, 1024)
+    assert tuple(made.__ctype__().strides) == ((1 << 31) - 1, 1 << 22, 1 << 12, 4)
+    with pytest.raises(ValueError, match="split it"):
+        array_at(1 << 20, (2, 1024, 1024, 1024), wp.float32, torch.device("cpu"))
+
+
 def test_a_struct_is_the_one_that_warp_fills():
     memory = torch.zeros(4096, dtype=torch.uint8)
     vectors = array_at(memory.data_ptr(), (3,), wp.vec3, memory.device)
