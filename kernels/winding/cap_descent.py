@@ -162,8 +162,9 @@ def see_caps(
                     elif node < leaves:
                         opened = bool(True)
                     elif radius > 0.0 and places == 0:
+                        # Counted for all lanes at once: they have to agree on how many are near.
                         field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
-                        near = 1
+                        listed = bool(True)
                     else:
                         alone = bool(True)
             mask = ballot(opened)
