@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
+import os
 import sys
 import time
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -135,18 +138,36 @@ def main(argv: list[str] | None = None) -> int:
     todo = [name for name in options.meshes if missing_note(name) is None and name not in results]
     for note in left_out:
         print(note, flush=True)
-    for number, name in enumerate(todo, 1):
-        try:
-            result = check(load_case(name), options.points, options.resolution, options.device)
-        except Exception as error:  # noqa: BLE001 - whatever fails belongs in the report
-            traceback.print_exc()
-            result = {"fine": False, "failed": f"{type(error).__name__}: {error}"}
+    jobs = [(name, options.points, options.resolution, options.device) for name in todo]
+    for number, (name, result) in enumerate(_checked(jobs, options.processes), 1):
         results[name] = result
         print(f"[{number}/{len(todo)}] {_line(name, result)}", flush=True)
-        _write(out, {**made_on, **setting, "limit": LIMIT, "left_out": left_out, "meshes": results})
+        # In the order of the list, whichever process ends first.
+        meshes = {name: results[name] for name in [*options.meshes, *results] if name in results}
+        _write(out, {**made_on, **setting, "limit": LIMIT, "left_out": left_out, "meshes": meshes})
     broken = [name for name, result in results.items() if not result["fine"]]
     print(f"{out} and {out.with_suffix('.md').name} written: {len(results)} meshes, {len(broken)} break a limit")
     return 1 if broken or not results else 0
+
+
+def _checked(jobs: list[tuple[str, int, int, str]], processes: int) -> Iterable[tuple[str, dict[str, Any]]]:
+    """Each mesh's name and result as it ends, of this process or of several with one thread each."""
+    if processes == 1:
+        yield from map(_check_job, jobs)
+        return
+    # Read as a process imports its libraries.
+    os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        yield from pool.imap_unordered(_check_job, jobs)
+
+
+def _check_job(job: tuple[str, int, int, str]) -> tuple[str, dict[str, Any]]:
+    name, points, resolution, device = job
+    try:
+        return name, check(load_case(name), points, resolution, device)
+    except Exception as error:  # noqa: BLE001 - whatever fails belongs in the report
+        traceback.print_exc()
+        return name, {"fine": False, "failed": f"{type(error).__name__}: {error}"}
 
 
 def _options(argv: list[str] | None) -> argparse.Namespace:
@@ -160,6 +181,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--meshes", nargs="+", metavar="MESH", help="names, torus-N or files (default: all)")
     parser.add_argument("--out", type=Path, help="JSON file; a .md beside it (default: bench/results/accuracy-DEVICE)")
+    parser.add_argument("--processes", type=int, default=1, help="on a CPU, that many meshes at once, a thread each")
     parser.add_argument("--resume", action="store_true", help="keep the file's results of the same commit and machine")
     options = parser.parse_args(argv)
     gpu = options.device.startswith("cuda")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 import sdm
-from sdm.bench.fuzz.__main__ import PARTS, fuzz, run_trial
-from sdm.bench.fuzz.trial import Finding, one_sentence
+from sdm.bench.fuzz import runs
+from sdm.bench.fuzz.runs import PARTS, fuzz, run_trial
+from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
 from sdm.errors import FormatError
 
 # A quarter of a minute together on an idle core.
@@ -33,6 +34,16 @@ def test_nothing_is_found(part):
 def test_a_trial_is_its_number():
     first = [run_trial("map_files", 3, number) for number in range(4)]
     assert [run_trial("map_files", 3, number) for number in (3, 1)] == [first[3], first[1]]
+
+
+def test_processes_share_the_numbers(monkeypatch):
+    tried = []
+    monkeypatch.setattr(
+        runs, "run_trial", lambda part, seed, number: tried.append(number) or (Outcome("x", refused=False), "")
+    )
+    for process in range(3):
+        fuzz(["models"], seed=0, minutes=LONG, first=5 + process, trials=2, step=3)
+    assert sorted(tried) == list(range(5, 11))
 
 
 @pytest.mark.parametrize(
