@@ -73,8 +73,8 @@ def euclidean_distance_transform(
 
     Separable and linear in the number of voxels: A. Meijster, J. Roerdink, W. Hesselink, "A general algorithm for
     computing distance transforms in linear time", 2000. Nothing waits for the device, but for `classes="all"`. Besides
-    the result, 9 bytes a voxel are used while it runs, of classes on a GPU for up to 2^27 voxels at a time; 24 more
-    with `return_nearest`.
+    the result, 9 bytes a voxel are used while it runs; of classes 4 for each, of up to 2^28 voxels at a time, and 9 for
+    all; 24 more with `return_nearest`.
 
     Args:
         mask: (x,y,z), (B,x,y,z) or (B,1,x,y,z); bool, or numbers of which those that are not zero are foreground, or

@@ -9,15 +9,19 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.kernels.edt import transform
+from sdm.kernels.edt import class_transform, transform
 from sdm.runtime.operators import define
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 # Kernels count the voxels of a launch in 32 bits, and a GPU uses 32 threads a row.
 MOST_VOXELS = (1 << 31) - 1
 LANES = 32
-# Voxels of all volumes that go through the passes together on a GPU: their scratch takes 9 bytes each.
-TOGETHER = 1 << 27
+# Voxels of all volumes that go through the passes together on a GPU: their scratch takes 4 bytes each.
+TOGETHER = 1 << 28
+# Classes that one byte tells apart, beside what is none.
+MOST_KINDS = 255
+# On a GPU, lines of all classes below which a thread each leaves it idle.
+FEWEST_LINES = 1 << 16
 
 
 def _fake_masks(mask: Tensor, spacing: Sequence[float], half: float, signed: bool, missing: float) -> Tensor:
@@ -65,12 +69,76 @@ def fill_classes(
 ) -> None:
     """As `transform_classes`, into `out`, which is contiguous. No masks of all classes are ever there at once."""
     kinds, largest = len(classes), _largest(labels)
-    chunk = 1 if labels.device.type == "cpu" else max(1, min(kinds, TOGETHER // largest, MOST_VOXELS // largest))
+    if kinds > MOST_KINDS:
+        for begin in range(0, kinds, MOST_KINDS):
+            part = _fake_classes(labels, classes[begin : begin + MOST_KINDS], spacing, half, signed, missing)
+            fill_classes(labels, classes[begin : begin + MOST_KINDS], spacing, half, signed, missing, part)
+            out[:, begin : begin + MOST_KINDS] = part
+        return
+    lines = kinds * labels[0].numel() // max(labels.shape[1:])
+    if labels.device.type == "cuda" and lines < FEWEST_LINES:
+        # Too few lines for a thread each.
+        for number, volume in enumerate(labels):
+            mask = torch.stack([is_class(volume, value) for value in classes])
+            _fill(mask, spacing, half, signed, missing, out[number])
+        return
+    chunk = max(1, min(kinds, TOGETHER // largest, MOST_VOXELS // largest))
     for number, volume in enumerate(labels):
-        for begin in range(0, kinds, chunk):
-            some = classes[begin : begin + chunk]
-            mask = torch.stack([is_class(volume, value) for value in some])
-            _fill(mask, spacing, half, signed, missing, out[number, begin : begin + len(some)])
+        _fill_kinds(*_named(volume, classes), spacing, half, signed, missing, chunk, out[number])
+
+
+def _named(labels: Tensor, classes: Sequence[int]) -> tuple[Tensor, int]:
+    """Labels (nx,ny,nz) uint8 and the value that the first class has in them; the others' follow."""
+    if labels.dtype in (torch.uint8, torch.bool) and list(classes) == list(
+        range(classes[0], classes[0] + len(classes))
+    ):
+        return labels.contiguous().view(torch.uint8), classes[0]
+    named = torch.zeros(labels.shape, dtype=torch.uint8, device=labels.device)
+    for number, value in enumerate(classes, 1):
+        named.masked_fill_(is_class(labels, value), number)
+    return named, 1
+
+
+def _fill_kinds(
+    labels: Tensor,
+    value: int,
+    spacing: Sequence[float],
+    half: float,
+    signed: bool,
+    missing: float,
+    chunk: int,
+    out: Tensor,
+) -> None:
+    """Distances of the classes from `value` on, of labels (nx,ny,nz) uint8, into `out` (C,nx,ny,nz), by chunks."""
+    nx, ny, nz = labels.shape
+    device, sizes = labels.device, (float(spacing[0]), float(spacing[1]), float(spacing[2]))
+    voxels = nx * ny * nz
+    between = torch.empty(chunk * voxels, dtype=torch.float32, device=device)
+    own = torch.empty(voxels if signed else 0, dtype=torch.float32, device=device)
+    row_has = torch.empty(chunk * nx * ny, dtype=torch.int32, device=device)
+    slice_has = torch.zeros(out.shape[0] * nx, dtype=torch.int32, device=device)
+    with on_current_stream(labels, labels):
+        source, inside = as_warp(labels.view(-1), wp.uint8), as_warp(own, wp.float32)
+        if signed:
+            always = torch.ones(max(nx, ny), dtype=torch.int32, device=device)
+            room = as_warp(always, wp.int32), as_warp(between[:voxels], wp.float32)
+            class_transform.own_distances(source, (nx, ny, nz), sizes, half, missing, *room, inside)
+        for begin in range(0, out.shape[0], chunk):
+            some = out[begin : begin + chunk]
+            class_transform.transform_classes(
+                source,
+                value + begin,
+                (len(some), nx, ny, nz),
+                sizes,
+                half,
+                signed,
+                missing,
+                inside,
+                as_warp(row_has, wp.int32),
+                as_warp(slice_has[begin * nx :], wp.int32),
+                as_warp(between, wp.float32),
+                as_warp(some.view(-1), wp.float32),
+            )
 
 
 def is_class(labels: Tensor, value: int) -> Tensor:

@@ -108,3 +108,23 @@ def test_operators(device):
     arguments = (labels, [1, 4], [1.0, 2.0, 0.5], 0.5, True, float("inf"))
     torch.library.opcheck(torch.ops.sdm.euclidean_distance_transforms.default, arguments)
     torch.library.opcheck(torch.ops.sdm.nearest_voxels.default, (labels != 0, [1.0, 2.0, 0.5], 0.0))
+
+
+@pytest.mark.parametrize("spacing", [SPACING, 1.0])
+def test_classes_side_by_side(spacing, device, monkeypatch):
+    """Blocks of random classes that border on each other: inside distances of all come from one volume."""
+    # Some of the classes at a time.
+    monkeypatch.setattr("sdm.engine.edt.passes.TOGETHER", 3 * 20 * 21 * 32)
+    small = torch.randint(0, 8, (5, 6, 7), generator=torch.Generator().manual_seed(1))
+    labels = small.repeat_interleave(4, 0).repeat_interleave(3, 1)[:, :17].repeat_interleave(3, 2).byte().to(device)
+    found = edt(labels, spacing, classes=8, signed=True, surface="faces")
+    for value, one in enumerate(found, 1):
+        assert torch.equal(one, edt(labels == value, spacing, signed=True, surface="faces"))
+
+
+def test_more_classes_than_a_byte_tells_apart():
+    labels = torch.arange(300, dtype=torch.int32).reshape(5, 6, 10).repeat(2, 1, 1)
+    found = edt(labels, classes="all", signed=True)
+    assert found.shape == (299, 10, 6, 10)
+    for value in (1, 255, 256, 299):
+        assert torch.equal(found[value - 1], edt(labels == value, signed=True))

@@ -1,0 +1,94 @@
+"""Exact distance transforms of many classes of one label volume, in one pass for each axis.
+
+What differs from the transform of masks (`edt.transform`): nothing is measured where a class is not, rows and slices
+that lack it being skipped on the device; and the distances inside need one volume for all classes, as from inside its
+own class a voxel's nearest other one is the nearest voxel with another label.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.edt.class_lines import nearest_of_class_on_line, nearest_other_label_on_line
+from sdm.kernels.edt.class_rows import nearest_of_class, nearest_other_label
+from sdm.kernels.edt.transform import BLOCK_DIM
+from sdm.kernels.launch import launch
+from sdm.kernels.primitives.lanes import GPU_LANES
+
+
+def own_distances(
+    labels: wp.array,
+    shape: tuple[int, int, int],
+    spacing: tuple[float, float, float],
+    half: float,
+    missing: float,
+    always: wp.array,
+    between: wp.array,
+    own: wp.array,
+) -> None:
+    """Fill `own` with distances to the nearest voxel with another label.
+
+    Args:
+        labels: uint8, flat.
+        shape: (nx,ny,nz).
+        spacing: Size of a voxel along each axis.
+        half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
+        missing: Distance where all labels are equal.
+        always: int32 ones, as many as the longest axis has voxels.
+        between: Scratch, float32, a number a voxel.
+        own: float32, flat.
+    """
+    nx, ny, nz = shape
+    device, unit, weights = labels.device, max(spacing), _weights(spacing)
+    lanes = GPU_LANES if device.is_cuda else 1
+    launch(nearest_other_label, nx * ny * lanes, [labels, nz, lanes, weights[2], half, own], device)
+    along_y = [labels, own, always, ny, nz, weights[1], half, 0.0, missing, between]
+    along_x = [labels, between, always, nx, ny * nz, weights[0], half, unit, missing, own]
+    launch(nearest_other_label_on_line, nx * nz, along_y, device, BLOCK_DIM)
+    launch(nearest_other_label_on_line, ny * nz, along_x, device, BLOCK_DIM)
+
+
+def transform_classes(
+    labels: wp.array,
+    first_value: int,
+    shape: tuple[int, int, int, int],
+    spacing: tuple[float, float, float],
+    half: float,
+    signed: bool,
+    missing: float,
+    own: wp.array,
+    row_has: wp.array,
+    slice_has: wp.array,
+    between: wp.array,
+    out: wp.array,
+) -> None:
+    """Fill `out` with distances to the nearest voxel of each class.
+
+    Args:
+        labels: uint8, flat.
+        first_value: That of the first class; the others' follow.
+        shape: (C,nx,ny,nz), classes first.
+        spacing: Size of a voxel along each axis.
+        half: See `own_distances`.
+        signed: Whether voxels of a class get minus their distance in `own`, rather than 0.
+        missing: Distance where there is no voxel of the class.
+        own: What `own_distances` found; not read if not `signed`.
+        row_has: Scratch, int32, C * nx * ny.
+        slice_has: Scratch, int32, C * nx zeros.
+        between: Scratch, float32, C * nx * ny * nz.
+        out: float32, flat.
+    """
+    kinds, nx, ny, nz = shape
+    device, unit, weights = labels.device, max(spacing), _weights(spacing)
+    lanes = GPU_LANES if device.is_cuda else 1
+    rows = [labels, first_value, nx * ny, ny, nz, lanes, weights[2], half, row_has, slice_has, out]
+    launch(nearest_of_class, kinds * nx * ny * lanes, rows, device)
+    along_y = [out, row_has, slice_has, ny, nz, weights[1], half, 0.0, missing, 0, own, between]
+    along_x = [between, slice_has, slice_has, nx, ny * nz, weights[0], half, unit, missing, int(signed), own, out]
+    launch(nearest_of_class_on_line, kinds * nx * nz, along_y, device, BLOCK_DIM)
+    launch(nearest_of_class_on_line, kinds * ny * nz, along_x, device, BLOCK_DIM)
+
+
+def _weights(spacing: tuple[float, float, float]) -> list[float]:
+    # In units of the largest spacing an isotropic grid's squared distances are whole numbers or quarters: exact.
+    return [(s / max(spacing)) * (s / max(spacing)) for s in spacing]
