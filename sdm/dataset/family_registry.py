@@ -7,10 +7,11 @@ from typing import Any
 
 from sdm.errors import SDMError
 from sdm.io.files.one_line import one_line
-from sdm.shapes import Family, families, make_family
+from sdm.shapes import Family, families, load_family, make_family
+from sdm.shapes.named_family import CODE, MODEL, differs_from, family_record
 
 # Those that need no files.
-FAMILIES: dict[str, type[Family]] = {name: family for name, family in families.items() if not family.places_meshes}
+FAMILIES: dict[str, type[Family]] = {name: family for name, family in families.items() if not family.needs_files}
 FOLDER = "mesh-folder"
 
 
@@ -21,20 +22,29 @@ def describe(name: str, options: dict[str, Any]) -> dict[str, Any]:
         SDMError: There is no such family or folder, or it has no such option.
     """
     given = {key: value for key, value in options.items() if value is not None}
-    if name in FAMILIES:
+    of_file = _is_file(name)
+    if name in FAMILIES or of_file:
         wrong = sorted(set(given) - {"triangles"})
         if wrong:
             raise SDMError(f"--{wrong[0].replace('_', '-')} is for a folder of meshes; {name} does not take it")
-        return {"family": name, **given}
+        if not of_file:
+            return {"family": name, **given}
+        return {"file": name, "reference": family_record(load_family(name, **given)), **given}
     if not Path(name).is_dir():
-        raise SDMError(f"{name} is neither a family ({', '.join(FAMILIES)}) nor a folder of meshes")
+        raise SDMError(
+            f"{name} is neither a family ({', '.join(FAMILIES)}, FILE.py:NAME, MODEL.npz) nor a folder of meshes"
+        )
     if "triangles" in given:
         raise SDMError("--triangles is for a family; meshes of a folder have their own")
     return {"folder": str(Path(name).resolve()), **given}
 
 
-def family_from(source: dict[str, Any]) -> Family:
+def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
     """The family that `describe` says.
+
+    Args:
+        source: What it gave.
+        named: The user named it just now. Of a record that was read from a disk a file of code is never run.
 
     Raises:
         SDMError: It cannot be made here.
@@ -46,6 +56,8 @@ def family_from(source: dict[str, Any]) -> Family:
             if isinstance(options.get("scale"), list):
                 options["scale"] = tuple(options["scale"])
             return make_family(FOLDER, folder, skip_bad=True, **options)
+        if "file" in options:
+            return _of_file(options, named)
         name = options.pop("family", None)
         if not isinstance(name, str) or name not in FAMILIES:
             raise SDMError(f"the dataset's family {name!r} is not one that sdm knows by name: give it")
@@ -53,3 +65,18 @@ def family_from(source: dict[str, Any]) -> Family:
     # Of options that it has not, or of another type.
     except TypeError as error:
         raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error
+
+
+def _of_file(options: dict[str, Any], named: bool) -> Family:
+    name, record = str(options.pop("file")), options.pop("reference", {})
+    if not named and name.rpartition(":")[0].lower().endswith(CODE):
+        raise SDMError(f"the dataset's family is code, {name}, which is run only where you name it: give it")
+    family = load_family(name, **options)
+    what = differs_from(family, record if isinstance(record, dict) else {})
+    if what is not None:
+        raise SDMError(f"{name} is not the family that the dataset was made from any more: another {what}")
+    return family
+
+
+def _is_file(name: str) -> bool:
+    return name.rpartition(":")[0].lower().endswith(CODE) or name.lower().endswith((CODE, MODEL))

@@ -72,6 +72,8 @@ class Family(ABC):
     # True if samples are meshes of a user's, read from a folder, whose own coordinates a dataset keeps the way back to:
     # see `sample_transforms`.
     places_meshes: ClassVar[bool] = False
+    # True if its name is not enough to make it: it is read from files.
+    needs_files: ClassVar[bool] = False
     # Name and reason of each file that was not used.
     rejected: tuple[tuple[str, str], ...] = ()
     _tables: Sequence[Tensor] = ()

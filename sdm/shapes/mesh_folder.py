@@ -80,6 +80,7 @@ class MeshFolder(Family):
 
     name = "mesh-folder"
     places_meshes = True
+    needs_files = True
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ from sdm.errors import MeshError
 from sdm.shapes.cochlea import Cochlea
 from sdm.shapes.family import Family
 from sdm.shapes.mesh_folder import MeshFolder
+from sdm.shapes.models.statistical_shape import StatisticalShape
 from sdm.shapes.solids import Cuboid, Cylinder, Ellipsoid, GeometricShapes, Rhomboid
 
 # In the order in which commands name them. Datasets keep these names: they never change.
@@ -21,6 +22,7 @@ families: dict[str, type[Family]] = {
         Cylinder,
         GeometricShapes,
         MeshFolder,
+        StatisticalShape,
     )
 }
 

@@ -68,8 +68,8 @@ def generate(
 ) -> int | None:
     """Write a dataset of exact signed distance maps of random shapes: negative inside, in the shapes' unit of length.
 
-    The shapes are a family (cochlea, cuboid, rhomboid, ellipsoid, cylinder, geometric-shapes) or your own closed
-    meshes in a folder, varied at random. The dataset is a Zarr 3 folder, and holds bit for bit what sdm.SDMStream
+    The shapes are a family (cochlea, cuboid, rhomboid, ellipsoid, cylinder, geometric-shapes, FILE.py:NAME of your own,
+    or a shape model, MODEL.npz) or your own closed meshes in a folder, varied at random. The dataset is a Zarr 3 folder, and holds bit for bit what sdm.SDMStream
     yields for the same seed; sdm.SDMDataset reads it. Until it is complete it is called OUT.part.
 
     Args:
@@ -140,6 +140,8 @@ def generate(
         asked, count = {**recipe, **asked}, there if count is None else count
         changes = {key: value for key, value in options.items() if value is not None}
         if changes:
+            if "file" in known:
+                raise SDMError("name the dataset's family to change its options: code is run only where it is named")
             known = _describe(known.get("family") or known.get("folder") or "", {**_options(known), **changes})
     elif source is None:
         raise SDMError("say what to generate: a family (cochlea, ...) or a folder of meshes; see sdm generate --help")
@@ -147,7 +149,7 @@ def generate(
         known = _describe(source, options)
     if count is None:
         raise SDMError("say how many samples: --count")
-    family = _family(known, skip_bad or source is None)
+    family = _family(known, skip_bad or source is None, named=source is not None)
     if begun is not None and resolution in (None, begun.shape[0]) and margin is None:
         grid = begun
     else:
@@ -182,7 +184,8 @@ def _verify(source: str | None, options: dict[str, Any], out: Path, device: str,
     if not found:
         print(f"{out}: all {shard_count(manifest):,} shards are sound")
         return None
-    family = _family(manifest["source"] or {} if source is None else _describe(source, options), True)
+    known = manifest["source"] or {} if source is None else _describe(source, options)
+    family = _family(known, True, named=source is not None)
     with CountProgress("maps") as progress:
         dataset.verify(out, family, device=device, ray=ray, shards=found, progress=progress)
     numbers = ", ".join(map(str, found[:10])) + (", ..." if len(found) > 10 else "")
@@ -209,7 +212,7 @@ def _recipe(out: Path) -> tuple[dict[str, Any], int, Any, dict[str, Any]]:
 
 
 def _options(known: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in known.items() if key not in ("family", "folder")}
+    return {key: value for key, value in known.items() if key not in ("family", "folder", "file", "reference")}
 
 
 def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -218,12 +221,12 @@ def _describe(source: str, options: dict[str, Any]) -> dict[str, Any]:
     return describe(source, options)
 
 
-def _family(known: dict[str, Any], skip_bad: bool) -> Family:
+def _family(known: dict[str, Any], skip_bad: bool, *, named: bool) -> Family:
     from sdm.dataset.family_registry import family_from
     from sdm.errors import MeshError
     from sdm.shapes.triage import KEEP_OPEN
 
-    family = family_from(known)
+    family = family_from(known, named=named)
     for name, reason in family.rejected:
         print(f"sdm: {name} is not used: {reason.replace(KEEP_OPEN, '--open-meshes keep')}", file=sys.stderr)
     if family.rejected and not skip_bad:

@@ -106,7 +106,7 @@ def deepsdf(
 def _meshes(source: str, count: int, split: str | None) -> tuple[list[TriangleMesh], list[tuple[str, str]]]:
     """The meshes, and of each file that cannot be read its name and the reason."""
     from sdm.core.mesh import TriangleMesh
-    from sdm.dataset.family_registry import FAMILIES, describe, family_from
+    from sdm.dataset.family_registry import describe, family_from
     from sdm.errors import SDMError
     from sdm.io import load_mesh, mesh_tree
     from sdm.io.meshes.split_file import files_of_part
@@ -115,7 +115,7 @@ def _meshes(source: str, count: int, split: str | None) -> tuple[list[TriangleMe
     known = describe(source, options)
     if count < 1:
         raise SDMError(f"--count is {count}; give 1 or more shapes")
-    if source not in FAMILIES:
+    if "folder" in known:
         folder = Path(known["folder"])
         files, rejected = mesh_tree(folder), []
         meshes = []
@@ -134,7 +134,7 @@ def _meshes(source: str, count: int, split: str | None) -> tuple[list[TriangleMe
     family = family_from(known)
     theta = family.sample(count, device="cpu")
     made = [
-        TriangleMesh(group.vertices[0], group.faces, f"{source}-{number}", check=False)
+        TriangleMesh(group.vertices[0], group.faces, f"{family.name}-{number}", check=False)
         for number in range(count)
         for group in family.groups(theta[number : number + 1])
     ]

@@ -1,0 +1,1 @@
+"""Commands about families of shapes and shape models."""

@@ -1,0 +1,1 @@
+"""Statistical shape models: from meshes to a mean, modes and standard deviations."""
