@@ -69,8 +69,9 @@ def generate(
     """Write a dataset of exact signed distance maps of random shapes: negative inside, in the shapes' unit of length.
 
     The shapes are a family (cochlea, cuboid, rhomboid, ellipsoid, cylinder, geometric-shapes, FILE.py:NAME of your own,
-    or a shape model, MODEL.npz) or your own closed meshes in a folder, varied at random. The dataset is a Zarr 3 folder, and holds bit for bit what sdm.SDMStream
-    yields for the same seed; sdm.SDMDataset reads it. Until it is complete it is called OUT.part.
+    or a shape model, MODEL.npz) or your own closed meshes in a folder, varied at random. The dataset is a Zarr 3
+    folder, and holds bit for bit what sdm.SDMStream yields for the same seed; sdm.SDMDataset reads it. Until it is
+    complete it is called OUT.part.
 
     Args:
         source: A family, or a folder of meshes. With --resume or --verify it may be left out: the dataset knows.
