@@ -1,21 +1,11 @@
-"""Signed distances and maps for JAX, inside `jit` and with gradients.
-
-    from sdm.jax import signed_distance
-    loss = jax.jit(lambda points: jnp.abs(signed_distance(vertices, faces, points)).sum())
-    jax.grad(loss)(points)
-
-The engine is the same, so values and gradients have torch's bits: JAX hands its arrays over where they are, on a CPU or
-an NVIDIA GPU, through Warp's `jax_callable`. Reverse mode works (`grad`, `vjp`), once; forward mode does not. `vmap`
-goes through its batch one by one. JAX takes three quarters of a GPU's memory when it starts unless the environment
-variable XLA_PYTHON_CLIENT_PREALLOCATE is false; torch needs its share.
-"""
+"""Functions of JAX arrays: torch's engine on JAX's memory and stream, and its derivatives by rules of JAX's."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache, partial
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -29,16 +19,17 @@ from sdm.core.to_libraries import imported
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError, SDMError
 
-# By its name, as this module has the same.
+# By its name, as this package has the same.
 _jax: Any = imported("jax", "jax")
 _jnp: Any = imported("jax.numpy", "jax")
 
 Sign = Literal["winding", "none"]
 # Types by which Warp takes JAX's arrays.
-Values: Any = wp.array(dtype=wp.float32)
-Rows: Any = wp.array2d(dtype=wp.float32)
-WholeRows: Any = wp.array2d(dtype=wp.int32)
-Volume: Any = wp.array3d(dtype=wp.float32)
+if TYPE_CHECKING:
+    Values = Rows = WholeRows = Volume = Any
+else:
+    Values, Volume = wp.array(dtype=wp.float32), wp.array3d(dtype=wp.float32)
+    Rows, WholeRows = wp.array2d(dtype=wp.float32), wp.array2d(dtype=wp.int32)
 
 
 def signed_distance(vertices: Any, faces: Any, points: Any, *, sign: Sign = "winding") -> Any:
