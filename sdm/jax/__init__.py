@@ -10,6 +10,6 @@ goes through its batch one by one. JAX takes three quarters of a GPU's memory wh
 variable XLA_PYTHON_CLIENT_PREALLOCATE is false; torch needs its share.
 """
 
-from sdm.jax.calls import Sign, signed_distance, signed_distance_map
+from sdm.jax.distances import Sign, signed_distance, signed_distance_map
 
 __all__ = ["Sign", "signed_distance", "signed_distance_map"]
