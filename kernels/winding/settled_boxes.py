@@ -12,10 +12,10 @@ import warp as wp
 from sdm.kernels.geometry.block_table import VOXELS, inner_of
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
-from sdm.kernels.primitives.lanes import bits_of_lanes, sum_of_four
+from sdm.kernels.primitives.lanes import bits_of_lanes, on_cpu, sum_of_four
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, UNIT, near_angle
+from sdm.kernels.winding.near_caps import FULL, UNIT, Eight, Sixteen, near_angle, near_angles
 
 wp.set_module_options({"enable_backward": False})
 
@@ -77,6 +77,36 @@ def put_winding(values: BlockWindings, mesh: int, v: wp.vec3i, winding: float): 
 
 
 @wp.func
+def place_in_box(number: int, bits: int):
+    """The place of a voxel in a box of 2^bits along each edge."""
+    return wp.vec3i(number >> (2 * bits), (number >> bits) & ((1 << bits) - 1), number & ((1 << bits) - 1))
+
+
+@wp.func
+def eight_angles(
+    caps: Caps,
+    near: int,
+    slab: Slab,
+    start: wp.vec3i,
+    bits: int,
+    number: int,
+    scale: float,
+    stack: wp.array(dtype=wp.int32),
+):
+    """`near_angles` from eight voxels of a box."""
+    xs = Eight()
+    ys = Eight()
+    zs = Eight()
+    for other in range(8):
+        v = start + place_in_box(number + other, bits)
+        p = scale * voxel(slab, v[0], v[1], v[2])
+        xs[other] = p[0]
+        ys[other] = p[1]
+        zs[other] = p[2]
+    return near_angles(caps.tree.corners, near, xs, ys, zs, stack)
+
+
+@wp.func
 def settle_box(
     field: Field,
     caps: Caps,
@@ -101,17 +131,24 @@ def settle_box(
     # Lanes for each voxel: four of 2^3, all of a single one.
     share = wp.max(1, lanes >> (3 * bits))
     left = int(0)
+    together = on_cpu() and bits > 0 and field.near > 0
+    angles = Sixteen()
     number = lane / share
     while number < 1 << (3 * bits):
-        at = wp.vec3i(number >> (2 * bits), (number >> bits) & ((1 << bits) - 1), number & ((1 << bits) - 1))
+        at = place_in_box(number, bits)
         v = start + at
+        if together and (number & 7) == 0:
+            angles = eight_angles(caps, field.near, slab, start, bits, number, scale, stack)
         whole = float(0.5)
         if is_within(slab, v):
             whole = winding_at(values, mesh, v)
         p = scale * voxel(slab, v[0], v[1], v[2])
         angle = float(0.0)
         wrong = float(0.0)
-        if is_whole(whole):
+        if is_whole(whole) and together:
+            angle = angles[number & 7]
+            wrong = angles[8 + (number & 7)]
+        elif is_whole(whole):
             angle, wrong = near_angle(caps, field.near, p, stack, lane % share, share)
         if share == 4:
             # Also, all have read the whole number before it goes.
