@@ -153,7 +153,7 @@ def see_caps(
                         rho = reach / distance
                         bound = r1[0] / (left * left) * rest_of(radius, r0[3], r1[2], rho, distance)
                     if bound <= tolerance:
-                        field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance)
+                        field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance, radius)
                         field.error = field.error + WIDER * bound + r1[1] / (left * left)
                         field.drift = field.drift + radius / distance * r1[0] / (left * left)
                         steps = steps + 1.0
@@ -225,10 +225,11 @@ def see_caps(
     else:
         field.error = field.error + field.left_out
     field.value = sum_of_lanes_in_double(field.value)
-    for axis in range(3):
-        field.slope[axis] = sum_of_lanes(field.slope[axis])
-        field.squares[axis] = sum_of_lanes(field.squares[axis])
-        field.products[axis] = sum_of_lanes(field.products[axis])
-    for number in range(7):
-        field.cubes[number] = sum_of_lanes(field.cubes[number])
+    if radius > 0.0:
+        for axis in range(3):
+            field.slope[axis] = sum_of_lanes(field.slope[axis])
+            field.squares[axis] = sum_of_lanes(field.squares[axis])
+            field.products[axis] = sum_of_lanes(field.products[axis])
+        for number in range(7):
+            field.cubes[number] = sum_of_lanes(field.cubes[number])
     return field

@@ -80,8 +80,11 @@ class Field:
 
 
 @wp.func
-def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float):
-    """Add a far node: `u` leads from the field's centre to the node's, a unit vector times 1 / inverse."""
+def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float, radius: float):
+    """Add a far node: `u` leads from the field's centre to the node's, a unit vector times 1 / inverse.
+
+    If the box's radius is zero, its value will do.
+    """
     z = u * inverse
     d = wp.dot(m.m1, z)
     v = m.m2 * z
@@ -102,27 +105,28 @@ def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float):
     w = i2 * w
     c = wp.dot(w, z)
     field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * c))
-    field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q + 52.5 * c) - m.m1 + 6.0 * inverse * v - 22.5 * w)
-    # 7.5 (d - 7 q) z z' - (3 m1 - 30 v) z' - 1.5 (d - 5 q) - 3 M2.
-    t = (7.5 * d - 52.5 * q) * z - 3.0 * m.m1 + (30.0 * inverse) * v
-    plain = 1.5 * d - 7.5 * q
-    part = 3.0 * inverse
-    diagonal = wp.vec3(
-        t[0] * z[0] - plain - part * m.m2[0, 0],
-        t[1] * z[1] - plain - part * m.m2[1, 1],
-        t[2] * z[2] - plain - part * m.m2[2, 2],
-    )
-    other = wp.vec3(
-        t[0] * z[1] + t[1] * z[0] - 2.0 * part * m.m2[0, 1],
-        t[0] * z[2] + t[2] * z[0] - 2.0 * part * m.m2[0, 2],
-        t[1] * z[2] + t[2] * z[1] - 2.0 * part * m.m2[1, 2],
-    )
-    field.squares = field.squares + i4 * diagonal
-    field.products = field.products + i4 * other
-    a = (17.5 * d) * z - 7.5 * m.m1
-    b = 1.5 * m.m1 - (7.5 * d) * z
-    i5 = i4 * inverse
-    field.cubes = field.cubes + i5 * cubes_of(a, b, zz, xy, xz, yz)
+    if radius > 0.0:
+        field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q + 52.5 * c) - m.m1 + 6.0 * inverse * v - 22.5 * w)
+        # 7.5 (d - 7 q) z z' - (3 m1 - 30 v) z' - 1.5 (d - 5 q) - 3 M2.
+        t = (7.5 * d - 52.5 * q) * z - 3.0 * m.m1 + (30.0 * inverse) * v
+        plain = 1.5 * d - 7.5 * q
+        part = 3.0 * inverse
+        diagonal = wp.vec3(
+            t[0] * z[0] - plain - part * m.m2[0, 0],
+            t[1] * z[1] - plain - part * m.m2[1, 1],
+            t[2] * z[2] - plain - part * m.m2[2, 2],
+        )
+        other = wp.vec3(
+            t[0] * z[1] + t[1] * z[0] - 2.0 * part * m.m2[0, 1],
+            t[0] * z[2] + t[2] * z[0] - 2.0 * part * m.m2[0, 2],
+            t[1] * z[2] + t[2] * z[1] - 2.0 * part * m.m2[1, 2],
+        )
+        field.squares = field.squares + i4 * diagonal
+        field.products = field.products + i4 * other
+        a = (17.5 * d) * z - 7.5 * m.m1
+        b = 1.5 * m.m1 - (7.5 * d) * z
+        i5 = i4 * inverse
+        field.cubes = field.cubes + i5 * cubes_of(a, b, zz, xy, xz, yz)
     return field
 
 
