@@ -15,7 +15,8 @@ from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.primitives.lanes import bits_of_lanes, on_cpu, sum_of_four
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, UNIT, Eight, Sixteen, near_angle, near_angles
+from sdm.kernels.winding.eight_voxels import Sixteen, eight_angles, place_in_box
+from sdm.kernels.winding.near_caps import FULL, UNIT, near_angle
 
 wp.set_module_options({"enable_backward": False})
 
@@ -74,36 +75,6 @@ def put_winding(values: wp.array4d(dtype=wp.float32), mesh: int, v: wp.vec3i, wi
 @wp.func
 def put_winding(values: BlockWindings, mesh: int, v: wp.vec3i, winding: float):  # noqa: F811
     values.values[VOXELS * values.place + inner_of(v)] = winding
-
-
-@wp.func
-def place_in_box(number: int, bits: int):
-    """The place of a voxel in a box of 2^bits along each edge."""
-    return wp.vec3i(number >> (2 * bits), (number >> bits) & ((1 << bits) - 1), number & ((1 << bits) - 1))
-
-
-@wp.func
-def eight_angles(
-    caps: Caps,
-    near: int,
-    slab: Slab,
-    start: wp.vec3i,
-    bits: int,
-    number: int,
-    scale: float,
-    stack: wp.array(dtype=wp.int32),
-):
-    """`near_angles` from eight voxels of a box."""
-    xs = Eight()
-    ys = Eight()
-    zs = Eight()
-    for other in range(8):
-        v = start + place_in_box(number + other, bits)
-        p = scale * voxel(slab, v[0], v[1], v[2])
-        xs[other] = p[0]
-        ys[other] = p[1]
-        zs[other] = p[2]
-    return near_angles(caps.tree.corners, near, xs, ys, zs, stack)
 
 
 @wp.func
