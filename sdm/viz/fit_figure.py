@@ -16,7 +16,7 @@ from sdm.fit.model.backend import Backend
 from sdm.fit.model.jacobian import vertices_with_jacobian
 from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
-from sdm.io.meshes.write import write_ply
+from sdm.io.meshes.write import save_mesh
 from sdm.shapes import Family, make_family
 
 FORMATS = ("png", "pdf", "svg")
@@ -35,8 +35,8 @@ def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
 
 
 def write_surface(backend: Backend, result: FitResult, path: Path) -> None:
-    """Write the fitted surface as PLY; atomic."""
-    write_ply(surface_of(backend, result), path)
+    """Write the fitted surface, in the format that the name ends with; atomic."""
+    save_mesh(surface_of(backend, result), path)
 
 
 def draw_fit(

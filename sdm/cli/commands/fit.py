@@ -17,7 +17,7 @@ def fit(
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    mesh: Annotated[Path | None, tyro.conf.arg(metavar="FILE.ply", help_behavior_hint="(default: none)")] = None,
+    mesh: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     picture: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     blur: float = 0.2,
     model: Literal["partial-volume", "labels"] = "partial-volume",
@@ -40,7 +40,8 @@ def fit(
     Args:
         image: A NIfTI or NRRD image, in Hounsfield units or any other.
         out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
-        mesh: Also write the fitted surface here, PLY, in the image's coordinates.
+        mesh: Also write the fitted surface here, as .ply, .stl, .obj, .glb or what else sdm.save_mesh writes, in the
+            image's coordinates.
         picture: Also draw the image with the fitted outline here (.png, .pdf, .svg).
         blur: Standard deviation of the scanner's point spread function, mm.
         model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
@@ -90,10 +91,11 @@ def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
     """Find out before the fit, which takes minutes, what could not be written after it."""
     from sdm.errors import FormatError
     from sdm.io.maps.formats import check_file
+    from sdm.io.meshes.write import ending_to_write
     from sdm.viz.fit_figure import FORMATS
 
-    if mesh is not None and mesh.suffix.lower() != ".ply":
-        raise FormatError(f"{mesh} does not end like the surface that is written there: use .ply")
+    if mesh is not None:
+        ending_to_write(mesh)
     if picture is not None and picture.suffix.lower().lstrip(".") not in FORMATS:
         raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
     targets = [target for target in (out, mesh, picture) if target is not None]

@@ -29,7 +29,7 @@ def predict(
         alpha: Height of the wave of the centre line, 0 to 1.2 [mm].
         b: Decay of the radius, 0.05 to 0.25 [1/rad].
         phi: Phase of the wave, -0.785 to 0.785 [rad].
-        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .zarr, .nvdb.
+        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .mha, .vti, .zarr, .nvdb.
         exact: Compute the exact map instead, also outside that box.
         weights: Weights of another surrogate, from `sdm train sdmnn`.
         backend: What runs the network; all but torch are optional, and prepare for seconds before they are quick.

@@ -43,7 +43,7 @@ def watertight(
 
     Args:
         meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them, nested as deep as they are.
-        out: File to write (its ending is the format: .ply, .stl, .obj, .off, .glb), or a folder.
+        out: File to write (its ending is the format: .ply, .stl, .obj, .off, .glb, .vtk, .vtp), or a folder.
         resolution: Voxels along the longest edge of a mesh's box.
         offset: Distance of the surface from the mesh, in its unit. From 0.87 voxels on nothing of a mesh is lost.
         hole_size: Gaps narrower than this length are closed.

@@ -10,11 +10,11 @@ from sdm.errors import FormatError
 
 
 def plain_numbers(values: np.ndarray, path: Path) -> np.ndarray:
-    """An image's values as contiguous float32.
+    """An image's values as contiguous float32 that may be written to.
 
     Raises:
         FormatError: They are colours or complex numbers, of which a part would be lost.
     """
     if values.dtype.kind not in "buif":
         raise FormatError(f"{path} has values of type {values.dtype}: plain numbers are needed")
-    return np.ascontiguousarray(values, dtype=np.float32)
+    return np.require(values, np.float32, ["C_CONTIGUOUS", "WRITEABLE"])

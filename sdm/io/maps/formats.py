@@ -49,11 +49,14 @@ FORMATS = {
     "nii": Format("nifti"),
     "npz": Format("npz"),
     "nrrd": Format("nrrd", extra_maps=1.0),
+    "mha": Format("metaimage", extra_maps=1.0),
+    "mhd": Format("metaimage", extra_maps=1.0),
+    "vti": Format("vti", extra_maps=2.0),
     "zarr": Format("zarr", streamed=True),
     "nvdb": Format("nvdb", extra_maps=4.5),
 }
-# Images of which the geometry alone is read: the header of an NRRD image whose values lie in another file, and ITK's.
-HEADERS = {"nhdr": Format("nrrd"), "mha": Format("metaimage"), "mhd": Format("metaimage")}
+# Images of which the geometry alone is read: the header of an NRRD image whose values lie in another file.
+HEADERS = {"nhdr": Format("nrrd")}
 
 
 def format_of(path: Path, formats: dict[str, Format] = FORMATS) -> Format:

@@ -15,11 +15,11 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
+from sdm.io.maps.header_record import geometry_of
 from sdm.io.maps.nrrd_data import read_header, read_values
 from sdm.io.maps.record import (
     KEY,
     RECORD_CHECKSUM,
-    from_record,
     record,
     sign_arguments,
     signs_of,
@@ -86,15 +86,9 @@ def _geometry(header: Any, path: Path) -> tuple[Grid, int | None, Any]:
     if len(shape) != 3:
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
     affine = _affine(header, path)
-    if KEY in header:
-        kept = json.loads(header[KEY])
-        exact = from_record(kept, str(path))
-        scale = np.abs(exact[0].affine[:3, :3]).max()
-        if exact[0].shape == shape and np.allclose(exact[0].affine, affine, rtol=1e-12, atol=1e-9 * scale):
-            return *exact, kept
-    elif any(RECORD_CHECKSUM in str(value) for value in header.values()):
+    if KEY not in header and any(RECORD_CHECKSUM in str(value) for value in header.values()):
         raise FormatError(f"{path} is damaged: its record has lost its name, {KEY!r}; compute or copy it again")
-    return Grid.from_affine(affine, shape), None, None
+    return geometry_of(json.loads(header[KEY]) if KEY in header else None, affine, shape, path)
 
 
 def _affine(header: Any, path: Path) -> np.ndarray:

@@ -13,6 +13,8 @@ from sdm.io.meshes.off import read_off
 from sdm.io.meshes.ply import read_ply
 from sdm.io.meshes.polygons import PolygonMesh
 from sdm.io.meshes.stl import read_stl
+from sdm.io.meshes.vtk.legacy_polydata import read_vtk
+from sdm.io.meshes.vtk.xml_polydata import read_vtp
 
 # The endings of FreeSurfer's surfaces.
 FREESURFER = ("pial", "white", "inflated", "smoothwm")
@@ -24,6 +26,8 @@ READERS: dict[str, Callable[[bytes, Path], PolygonMesh]] = {
     "obj": read_obj,
     "off": read_off,
     "gii": read_gifti,
+    "vtk": read_vtk,
+    "vtp": read_vtp,
     **dict.fromkeys(FREESURFER, read_freesurfer),
 }
 # Formats that trimesh reads, with the module that each needs; all of those are in the extra `formats`.

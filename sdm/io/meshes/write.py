@@ -1,4 +1,4 @@
-"""Meshes to files: `.ply`, `.stl`, `.obj`, `.off`, `.glb`, `.gii`, `.pial`, `.white`."""
+"""Meshes to files: `.ply`, `.stl`, `.obj`, `.off`, `.glb`, `.vtk`, `.vtp`, `.gii`, `.pial`, `.white`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
 from sdm.io.meshes.neuro.brain_surfaces import write_freesurfer, write_gifti
+from sdm.io.meshes.vtk.legacy_polydata import write_vtk
+from sdm.io.meshes.vtk.xml_polydata import write_vtp
 
 # From vertices (V,3), faces (F,3) and an open file.
 Writer: TypeAlias = Callable[[np.ndarray, np.ndarray, BinaryIO], None]
@@ -24,8 +26,8 @@ DIGITS = "%.9g"
 
 
 def save_mesh(mesh: MeshLike, path: str | Path) -> None:
-    """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off`, `.glb`, `.gii` (GIfTI), `.pial` or `.white`
-    (FreeSurfer), as the name ends; atomic.
+    """Write a mesh to `.ply`, `.stl` (both binary), `.obj`, `.off`, `.glb`, `.vtk`, `.vtp`, `.gii` (GIfTI),
+    `.pial` or `.white` (FreeSurfer), as the name ends; atomic.
 
     `load_mesh` gives the same triangles in the same order, bit for bit. `.stl` keeps no shared vertices.
 
@@ -113,6 +115,8 @@ WRITERS: dict[str, Writer] = {
     "obj": _obj,
     "off": _off,
     "glb": _glb,
+    "vtk": write_vtk,
+    "vtp": write_vtp,
     "gii": write_gifti,
     "pial": write_freesurfer,
     "white": write_freesurfer,

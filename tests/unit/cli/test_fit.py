@@ -24,12 +24,12 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     # Any image will do; that its header calls it distances is no matter.
     sdm.SDM(image.values, image.grid).save(tmp_path / "scan.nii.gz")
     words = ["fit", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "fit.json"), "--blur", "0.3", *QUICK]
-    words += ["--mesh", str(tmp_path / "fit.ply"), "--picture", str(tmp_path / "fit.png")]
+    words += ["--mesh", str(tmp_path / "fit.glb"), "--picture", str(tmp_path / "fit.png")]
     assert main(words) == 0
     record = json.loads((tmp_path / "fit.json").read_text())
     assert record["trusted"]
     assert abs(record["theta"]["a"]["estimate"] - float(truth.theta[0])) < 0.15
-    mesh = sdm.load_mesh(tmp_path / "fit.ply")
+    mesh = sdm.load_mesh(tmp_path / "fit.glb")
     middle = (mesh.vertices.amin(0) + mesh.vertices.amax(0)) / 2
     assert torch.linalg.vector_norm(middle.double() - truth.translation) < 1.5
     assert (tmp_path / "fit.png").stat().st_size > 10_000
@@ -73,8 +73,8 @@ def test_options_that_no_fit_can_be_made_with(
     [
         (["--out", "fit.json", "--picture", "r.bmp"], "r.bmp does not end like a picture: use one of .png, .pdf, .svg"),
         (
-            ["--out", "fit.json", "--mesh", "r.stl"],
-            "r.stl does not end like the surface that is written there: use .ply",
+            ["--out", "fit.json", "--mesh", "r.step"],
+            "r.step does not end like a mesh that can be written: use one of .ply, .stl",
         ),
         (["--out", "r.json", "--mesh", "r.json"], "r.json does not end like the surface"),
         (

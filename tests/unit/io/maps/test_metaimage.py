@@ -1,4 +1,4 @@
-"""Grids of MetaImage files: turned from ITK's coordinates, as ITK itself reads them."""
+"""MetaImage files: turned from ITK's coordinates, as ITK itself reads and writes them."""
 
 from __future__ import annotations
 
@@ -30,11 +30,39 @@ def test_geometry(ending, tmp_path):
     np.testing.assert_allclose(grid.affine, WANTED)
 
 
-def test_as_itk(tmp_path):
+@pytest.mark.parametrize("ending", ["mha", "mhd"])
+def test_as_itk(ending, tmp_path):
     sitk = pytest.importorskip("SimpleITK", reason="needs SimpleITK")
     grid = sdm.Grid((1, 2, 3), (0.5, 1, 2), (4, 5, 6), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
-    sitk.WriteImage(sdm.SDM(np.zeros(grid.shape), grid).to_sitk(), str(tmp_path / "scan.mha"))
-    np.testing.assert_allclose(sdm.io.grid_like(tmp_path / "scan.mha").affine, grid.affine, atol=1e-6)
+    field = sdm.SDM(np.random.default_rng(0).normal(size=grid.shape).astype(np.float32), grid)
+    path = tmp_path / f"map.{ending}"
+    field.save(path)
+    theirs, wanted = sitk.ReadImage(str(path)), field.to_sitk()
+    np.testing.assert_array_equal(sitk.GetArrayFromImage(theirs), sitk.GetArrayFromImage(wanted))
+    for name in ("GetOrigin", "GetSpacing", "GetDirection"):
+        np.testing.assert_allclose(getattr(theirs, name)(), getattr(wanted, name)(), atol=1e-12)
+    for packed in (False, True):
+        sitk.WriteImage(wanted, str(tmp_path / f"scan.{ending}"), packed)
+        found = sdm.load(tmp_path / f"scan.{ending}")
+        np.testing.assert_array_equal(found.numpy(), field.numpy())
+        np.testing.assert_allclose(found.grid.affine, grid.affine, atol=1e-12)
+
+
+def test_values_of_any_type(tmp_path):
+    header = HEADER.replace("LOCAL", "a.raw").replace("MET_UCHAR", "MET_SHORT").replace("4 5 6", "1 2 3")
+    (tmp_path / "a.mhd").write_text(header.replace("Compressed", "BinaryDataByteOrderMSB = True\nCompressed"))
+    (tmp_path / "a.raw").write_bytes(np.arange(6, dtype=">i2").tobytes())
+    assert sdm.load(tmp_path / "a.mhd").numpy().ravel(order="F").tolist() == [0, 1, 2, 3, 4, 5]
+    for name, text, message in (
+        ("b", header.replace("a.raw", "../a.raw"), "only files beside it"),
+        ("c", header.replace("a.raw", "LIST"), "several files"),
+        ("d", header.replace("1 2 3", "1 2 4"), "cut off: it has 12 bytes of values, not 16"),
+        ("e", header.replace("MET_SHORT", "MET_SHORT_ARRAY"), "plain numbers are needed"),
+        ("f", header.replace("ElementType", "ElementNumberOfChannels = 3\nElementType"), "several values a voxel"),
+    ):
+        (tmp_path / f"{name}.mhd").write_text(text)
+        with pytest.raises(sdm.SDMError, match=message):
+            sdm.load(tmp_path / f"{name}.mhd")
 
 
 def test_damage(tmp_path):

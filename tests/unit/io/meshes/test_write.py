@@ -22,6 +22,6 @@ def test_triangles_come_back_bit_for_bit(ending, scale, tmp_path):
 
 def test_other_endings(tmp_path):
     mesh = sdm.TriangleMesh(*sphere(3))
-    with pytest.raises(sdm.FormatError, match=r"a\.vtk does not end like a mesh .* use one of \.ply, \.stl"):
-        sdm.save_mesh(mesh, tmp_path / "a.vtk")
+    with pytest.raises(sdm.FormatError, match=r"a\.dae does not end like a mesh .* use one of \.ply, \.stl"):
+        sdm.save_mesh(mesh, tmp_path / "a.dae")
     assert not list(tmp_path.iterdir())

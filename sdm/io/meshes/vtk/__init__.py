@@ -1,0 +1,1 @@
+"""Surfaces as VTK, ParaView and PyVista keep them."""
