@@ -76,7 +76,7 @@ def test_options_that_no_fit_can_be_made_with(
             ["--out", "fit.json", "--mesh", "r.step"],
             "r.step does not end like a mesh that can be written: use one of .ply, .stl",
         ),
-        (["--out", "r.json", "--mesh", "r.json"], "r.json does not end like the surface"),
+        (["--out", "r.json", "--mesh", "r.json"], "r.json does not end like a mesh"),
         (
             ["--out", "r.ply", "--mesh", "here/../r.ply"],
             "r.ply is given for two outputs, and one would replace the other",
