@@ -124,7 +124,7 @@ def data_array(name: str, values: np.ndarray, offset: int) -> str:
 
 
 def offsets_of(arrays: Iterable[np.ndarray]) -> list[int]:
-    """Where each array is, in bytes after the first."""
+    """Offsets of arrays, in bytes after the first."""
     found = [0]
     for values in arrays:
         found.append(found[-1] + 8 + values.nbytes)
