@@ -6,6 +6,30 @@ what is the user's to mend. Its name then goes into `COMMANDS`. Heavy imports (t
 function runs, so that help comes at once.
 """
 
-from sdm.cli.app import COMMANDS, main
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
 
 __all__ = ["COMMANDS", "main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; see `sdm.cli.app.main`. An interrupt while the program is still being read is one line, too."""
+    try:
+        # The parser takes 50 ms to import, most of the time in which a quick Ctrl+C comes.
+        from sdm.cli.app import main as run
+
+        return run(arguments)
+    except KeyboardInterrupt:
+        print("sdm: interrupted", file=sys.stderr)
+        return 130
+
+
+def __getattr__(name: str) -> Any:
+    if name == "COMMANDS":
+        from sdm.cli.app import COMMANDS
+
+        return COMMANDS
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,6 +2,6 @@
 
 import sys
 
-from sdm.cli.app import main
+from sdm.cli import main
 
 sys.exit(main())

@@ -195,6 +195,16 @@ def test_the_program_and_the_module(tmp_path):
         assert done.stderr.splitlines()[-1].startswith("sdm: there is no mesh file")
 
 
+def test_an_interrupt_before_the_program_is_read():
+    """As Ctrl+C in the first hundredths of a second, while the parser is imported: a line, and no traceback."""
+    early = "class Early:\n def find_spec(self, name, *_):\n  if name == 'tyro': raise KeyboardInterrupt"
+    code = f"import sys\n{early}\nsys.meta_path.insert(0, Early())\n"
+    by_module = "import runpy; runpy.run_module('sdm.cli', None, '__main__')"
+    for start in ("from sdm.cli import main; sys.exit(main())", by_module):
+        done = subprocess.run([sys.executable, "-c", code + start], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (130, "sdm: interrupted\n")
+
+
 def test_a_reader_that_leaves_early():
     """As with `sdm ... | head`: no traceback, and not success."""
     code = "import sys; from sdm.cli import app; app._parse = lambda words: talk; sys.exit(app.main())"
