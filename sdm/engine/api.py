@@ -16,7 +16,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented
 from sdm.engine.closest_points import Closest
-from sdm.engine.map_check import MapCheck, checked
+from sdm.engine.map_check import MapCheck, checked, look_at_points
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points
@@ -188,6 +188,10 @@ def signed_distance(
         (...) float32, negative inside, as exact as `signed_distance_map`; NaN where a point is not finite.
         Differentiable in `points` and in `mesh.vertices`: the gradient at a point is the outward direction, at a vertex
         minus the closest point's barycentric coordinate times that direction. With `return_closest` also a `Closest`.
+
+    Warns:
+        SDMWarning: On a CPU, none of 8 points or more is inside, and the mesh would be among them in other axes or
+            another unit, or it is inside out.
     """
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
@@ -198,10 +202,9 @@ def signed_distance(
     if where.type == "cpu" and is_eager(placed.vertices.detach()):
         edges = boundary_edges(placed.vertices, placed.faces)
         if may_be_crowded(placed, edges):
-            index = MeshIndex(placed, where, warn=False)
-            return at_points(
-                index._measured, points, return_closest, index._structure, index._repeated, index.mesh, sign
-            )
+            return MeshIndex(placed, where).signed_distance(points, return_closest=return_closest, sign=sign)
         if sign == "winding":
             structure = build(placed.vertices.detach()[None], placed.faces, edges)
-    return at_points(placed, points, return_closest, structure, sign=sign)
+    found = at_points(placed, points, return_closest, structure, sign=sign)
+    look_at_points(placed, points, found, sign)
+    return found

@@ -21,6 +21,7 @@ from sdm.engine.acceleration import build
 from sdm.engine.api import signed_distance, signed_distance_map
 from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient
 from sdm.engine.closest_points import Closest
+from sdm.engine.map_check import batch_checks, look_at_batch
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
@@ -241,7 +242,8 @@ def signed_distance_maps(
     GPU's memory; floods, closest points and the turning of faces are done mesh by mesh. An iterator of meshes gives an
     iterator of maps, which takes as many meshes as it needs for the next chunk, and the same of grids; any other
     iterable a list. The maps of a chunk are parts of one tensor. Errors and warnings name the mesh by its number,
-    from 0.
+    from 0. Of a batch the first maps of faces on a grid are looked at, and there is a warning if nothing is inside one
+    of them since it is elsewhere or inside out; on a GPU at the next call, as nothing waits for it.
     """
     plain = sign == "winding" and hole_size is None and not compare_signs
     method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)
@@ -277,6 +279,9 @@ def signed_distance_maps(
     with memory_guard(nbytes, where, f"{batch.shape[0]} maps"):
         values = _flooded(batch, shared, grid, hole_size) if sign == "flood" else batch_maps(batch, shared, grid, None)
         values = values.abs() if sign == "none" else values
+        seen = batch_checks.get(shared)
+        if seen is None or seen.grid is not grid or seen.found is not None:
+            look_at_batch(batch, shared, grid, values, sign)
         return (values, _closest(batch, shared, grid, values)) if return_closest else values
 
 

@@ -20,7 +20,7 @@ from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented
 from sdm.engine.closest_points import Closest, Layers
 from sdm.engine.flood import flooded, rims_of
-from sdm.engine.map_check import MapCheck, checked
+from sdm.engine.map_check import MapCheck, SlabsCheck, checked
 from sdm.engine.map_closest import VOXEL_BYTES, ClosestMap, closest_map
 from sdm.engine.maps import (
     LARGEST_SLAB,
@@ -158,7 +158,10 @@ class MeshIndex:
         self, points: Any, *, return_closest: bool = False, sign: Sign = "winding"
     ) -> Tensor | tuple[Tensor, Closest]:
         """As `sdm.signed_distance`, on this index."""
-        return at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh, sign)
+        found = at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh, sign)
+        if self._check is not None:
+            self._check.look_at_points(self._measured, points, found, sign)
+        return found
 
     def distances_in(self, cube: Sequence[float], points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """`signed_distance` of points (N,3) float32 on the device, without gradients, by neighbours in a cube.
@@ -351,6 +354,7 @@ class MeshIndex:
             with memory_guard(2 * grid.nbytes, self.device, described(grid)):
                 whole = self._by(method, grid).values
         bytes_of_voxel = VOXEL_BYTES if return_closest else 4
+        check = None if self._check is None else SlabsCheck(self._measured, grid, sign)
         for begin, end in slabs_of(grid, min(max_bytes // bytes_of_voxel, LARGEST_SLAB)):
             if whole is not None:
                 values, unclear = whole[begin:end], None
@@ -359,6 +363,8 @@ class MeshIndex:
             else:
                 several, unclear = self._slab(grid, begin, end)
                 values = several[0]
+            if check is not None:
+                check.add(values)
             if ambiguous is not None and unclear is not None and not self.closed:
                 ambiguous += unclear[0]
             if return_closest:
@@ -367,6 +373,8 @@ class MeshIndex:
                 yield begin, end, values, Closest(hit.points, hit.faces, hit.barycentric, self.mesh, at)
             else:
                 yield begin, end, values
+        if check is not None:
+            check.end()
 
     def _slab(self, grid: Grid, begin: int, end: int) -> tuple[Tensor, Tensor]:
         mesh = self._measured

@@ -64,6 +64,41 @@ def placement_problems(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray,
     return []
 
 
+def misses(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> bool:
+    """True if the box of a mesh lies wholly outside a grid, which then has nothing inside."""
+    return not _meets(*_in_voxels(low, high, grid), grid)
+
+
+def points_problems(
+    low: Float64[np.ndarray, " 3"],
+    high: Float64[np.ndarray, " 3"],
+    begin: Float64[np.ndarray, " 3"],
+    end: Float64[np.ndarray, " 3"],
+) -> list[str]:
+    """Sentences, one at most, about the box of a mesh that has none of many points inside.
+
+    Args:
+        low: (3,) least coordinates of the mesh.
+        high: (3,) largest ones.
+        begin: (3,) least coordinates of the points.
+        end: (3,) largest ones.
+
+    Points may well lie all on one side of a mesh, so nothing is said unless axes or unit explain it.
+    """
+    edge = float((end - begin).max())
+    if not np.isfinite(edge) or edge <= 0:
+        return []
+    # As if they were corners of voxels, of which the longest edge has 64.
+    shape = np.ceil((end - begin) / edge * 63).astype(int) + 1
+    found = placement_problems(low, high, Grid(begin, (edge / 63,) * 3, shape))
+    if not found or ", but " not in found[0]:
+        return []
+    text = found[0].replace("is a few voxels large at most", "is tiny beside that of the points")
+    for word, other in (("voxel", "point"), ("the grid's", "that of the points"), ("the grid", "the points")):
+        text = text.replace(word, other)
+    return [text]
+
+
 def too_large_for(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], grid: Grid) -> list[str]:
     """Sentences, one at most, about the box of a mesh that has every voxel of a grid inside."""
     begin, end = _in_voxels(low, high, grid)

@@ -40,6 +40,10 @@ class HostCopy(Generic[T]):
         # Its memory is not given to others before the copy has read it.
         values.record_stream(side)
 
+    def is_there(self) -> bool:
+        """True if `wait` would not wait."""
+        return self._done is None or self._done.query()
+
     def wait(self) -> T:
         """The thing that was made of the tensor, once it is there."""
         if self._done is not None:

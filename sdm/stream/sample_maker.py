@@ -15,6 +15,7 @@ from sdm.core.device import choose_device, require_memory
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign, SignMethod
+from sdm.engine.map_check import ValuesCheck, named
 from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import DeviceError, SDMError
@@ -96,10 +97,11 @@ class Maker:
     def _prepare(self) -> None:
         with torch.inference_mode(False), torch.no_grad():
             self._topology = Topology(self.family, self.device)
+        self._check = ValuesCheck()
 
     def __getstate__(self) -> dict[str, Any]:
         # What is known about a family's faces is known about its tensors in this process.
-        return {key: value for key, value in self.__dict__.items() if key != "_topology"}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_topology", "_check")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -172,6 +174,11 @@ class Maker:
         else:
             values = batch_maps(vertices.contiguous(), faces, self.grid, self._topology.edges(vertices, faces))
             values = values.abs_() if self.signs.sign == "none" else values
+        if self._check.found is not None:
+            self._check.end()
+        elif self._check.grid is None:
+            with named(f"{self.family.name}: "):
+                self._check.look_at_maps(vertices, faces, self.grid, values, self.signs.sign)
         if self.truncate is not None:
             values = values.clamp_(-self.truncate, self.truncate)
         return values.to(self.dtype)[:, None]

@@ -14,6 +14,7 @@ from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign
 from sdm.engine.closest_points import Closest
+from sdm.engine.map_check import look_at_points, named
 from sdm.engine.points import as_points, at_points
 from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_points import ragged_points
@@ -70,9 +71,14 @@ def distances_of(
         found = _together(chunk, closest, sign)
         for job in chunk:
             if job.number in found:
-                yield found.pop(job.number)
+                values = found.pop(job.number)
+                if not job.points.is_cuda:
+                    with named(f"mesh {job.number}: "):
+                        look_at_points(job.mesh, job.points, values, sign)
             else:
-                yield numbered(job.number, partial(single, job.mesh, job.points, job.mesh.device))
+                with named(f"mesh {job.number}: "):
+                    values = numbered(job.number, partial(single, job.mesh, job.points, job.mesh.device))
+            yield values
 
 
 def _together(chunk: Sequence[PointsJob], closest: bool, sign: Sign) -> dict[int, Any]:
