@@ -18,8 +18,8 @@ from sdm.kernels.geometry.voxel_box import box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers, unknown, wait_for_lanes
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers, on_cpu, unknown, wait_for_lanes
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field
@@ -66,10 +66,12 @@ def look_at_box(
     scale = float(caps.tree.frame[SCALE])
     box = box_of_voxels(slab, start, 1 << bits, scale)
     radius = wp.sqrt(box.half2)
+    # Without Taylor polynomials where eight voxels are looked at at once.
+    expand = not (on_cpu() and bits == 1)
     most, room = limits.tolerances[level], limits.listed[level]
-    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, stack, lane, lanes)
+    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, expand, stack, lane, lanes)
     octants = settle_box(
-        field, caps, stack, slab, 0, start, bits, limits.settled[level], box, scale, lane, lanes, windings
+        field, caps, stack, slab, 0, start, bits, bits == 0, limits.settled[level], box, scale, lane, lanes, windings
     )
     wait_for_lanes()
     return octants
@@ -150,10 +152,10 @@ def open_blocks(
     lanes, workers = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, 16 * threads())
     limits: Any = CapLimits()
     limits.tolerances = Tolerances(*(tolerance * float(FULL) for tolerance in TOLERANCES[kind][FIRST_LEVEL:]))
-    limits.listed = Limits(*(int(n) for n in LISTED[FIRST_LEVEL:]))
+    limits.listed = Limits(*(int(n) for n in LISTED[kind][FIRST_LEVEL:]))
     limits.settled = Limits(*(int(n) for n in SETTLED[kind][FIRST_LEVEL:]))
     next_block = empty(1, wp.int32)
     next_block.zero_()
-    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK, wp.int32)
+    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
     inputs = [lanes, tree, boundary, caps, limits, slab, table, next_block, stacks, values]
     launch(_open_blocks, workers * lanes, inputs, device, smallest=1)

@@ -16,17 +16,19 @@ wp.set_module_options({"enable_backward": False})
 STACK = 1024
 # Three lists of features, of each at most 31 that wait and the 32 of one batch.
 SMALL_STACK = 192
-# A descent, and two lists of 320.
+# A descent, and two lists: of 320 in shared memory, of 2,048 elsewhere.
 LARGE_STACK = 1408
+LARGE_STACK_ON_CPU = 4864
 
 
-def _place(size: int) -> str:
+def _place(size: int, on_cpu: int = 0) -> str:
+    on_cpu = on_cpu or size
     return f"""
 #if defined(__CUDA_ARCH__)
     __shared__ wp::int32 shared[{GPU_GROUPS} * {size}];
     return wp::array_t<wp::int32>(shared + threadIdx.x / 32 * {size}, {size});
 #else
-    return wp::array_t<wp::int32>(stacks.data + (size_t)worker * {size}, {size});
+    return wp::array_t<wp::int32>(stacks.data + (size_t)worker * {on_cpu}, {on_cpu});
 #endif
 """
 
@@ -43,7 +45,7 @@ def small_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dt
     ...
 
 
-@wp.func_native(snippet=_place(LARGE_STACK))
+@wp.func_native(snippet=_place(LARGE_STACK, LARGE_STACK_ON_CPU))
 def large_stack_of(stacks: wp.array(dtype=wp.int32), worker: int) -> wp.array(dtype=wp.int32):
-    """`stack_of` for more (LARGE_STACK), in a kernel that keeps lists beside its stack."""
+    """`stack_of` for more (LARGE_STACK, or LARGE_STACK_ON_CPU), in a kernel that keeps lists beside its stack."""
     ...

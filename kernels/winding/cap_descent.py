@@ -16,28 +16,30 @@ from sdm.kernels.bvh.tree import nodes_of
 from sdm.kernels.primitives.lanes import (
     ballot,
     members,
+    on_cpu,
     rank,
     sum_of_lanes,
     sum_of_lanes_in_double,
     wait_for_lanes,
 )
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_rest
-from sdm.kernels.winding.near_caps import UNIT, WIDER, corners_from, near_cap, place_of_cap
+from sdm.kernels.winding.near_caps import NEAR_LIST, UNIT, WIDER, corners_from, near_cap, place_of_cap
 
 wp.set_module_options({"enable_backward": False})
 
 _ROWS = MOMENTS_SIZE // 4
 # An error of so much, a quarter of the winding number, leaves every side open.
 HOPELESS = wp.PI
-# Places of a stack: nodes of a descent, at most 32 for each of 22 levels; single caps that wait; nodes that are handed
-# down; and from the end near caps.
-MOST_NEAR, MOST_HANDED, MOST_SINGLE = 320, 320, 64
-_HANDED = LARGE_STACK - MOST_NEAR - MOST_HANDED
-_SINGLE = _HANDED - MOST_SINGLE
+# Places of a stack: nodes of a descent, at most 32 for each of 22 levels; single caps that wait; near caps; and as much
+# room for nodes that are handed down.
+MOST_SINGLE = 64
+_SINGLE = NEAR_LIST - MOST_SINGLE
+MOST_NEAR = {"cuda": (LARGE_STACK - NEAR_LIST) // 2, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
+_NEAR_ON_GPU, _NEAR_ON_CPU = MOST_NEAR["cuda"], MOST_NEAR["cpu"]
 # A node that is near is handed down without being opened if it is no larger than so many radii of the box: opened, it
 # would be near again.
 SMALL = 1.0
@@ -81,6 +83,7 @@ def see_caps(
     begin: Field,
     handed: int,
     keep: bool,
+    expand: bool,
     stack: wp.array(dtype=wp.int32),
     lane: int,
     lanes: int,
@@ -89,7 +92,7 @@ def see_caps(
 
     Single caps that no multipole tells wait on the stack until there is one for each lane. If the radius is zero, they
     are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others, at most
-    MOST_NEAR, are listed from the stack's end; if there are more, none is, and they count as errors.
+    MOST_NEAR, are listed on the stack; if there are more, none is, and they count as errors.
 
     Args:
         caps: The caps.
@@ -101,8 +104,9 @@ def see_caps(
         begin: The field of what is not under nodes that were handed down.
         handed: How many those are; if negative, the descent begins at the root, and with no field.
         keep: Hand down near caps and small near nodes, of which the field then tells the number, instead of listing
-            any: MOST_HANDED at most, else the error is infinite.
-        stack: Of this group (LARGE_STACK).
+            any: MOST_NEAR at most, else the error is infinite.
+        expand: Try Taylor polynomials. If not, nothing is known of what near caps add at most.
+        stack: Of this group (`large_stack_of`).
         lane: This lane's number.
         lanes: Their number.
     """
@@ -115,7 +119,9 @@ def see_caps(
     waiting = int(0)
     # Of what was handed down, what has not been looked at.
     rest = wp.max(handed, 0)
-    places = wp.where(keep, MOST_HANDED, room)
+    most = wp.where(on_cpu(), _NEAR_ON_CPU, _NEAR_ON_GPU)
+    first_handed = NEAR_LIST + most
+    places = wp.where(keep, most, room)
     if handed < 0:
         waiting = wp.min(lanes, leaves)
         if lane < waiting:
@@ -137,7 +143,7 @@ def see_caps(
                 more = wp.min(lanes - taken, rest)
                 rest = rest - more
                 if lane >= taken and lane < taken + more:
-                    node = stack[_HANDED + rest + lane - taken]
+                    node = stack[first_handed + rest + lane - taken]
             wait_for_lanes()
             if node > 0:
                 at = _ROWS * (base + node)
@@ -161,9 +167,12 @@ def see_caps(
                         listed = bool(True)
                     elif node < leaves:
                         opened = bool(True)
-                    elif radius > 0.0 and places == 0:
+                    elif radius > 0.0 and (places == 0 or not expand):
                         # Counted for all lanes at once: they have to agree on how many are near.
-                        field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
+                        most_left = float(wp.inf)
+                        if expand:
+                            most_left = most_of(caps, base + node, centre, radius)
+                        field.left_out = field.left_out + most_left
                         listed = bool(True)
                     else:
                         alone = bool(True)
@@ -205,11 +214,11 @@ def see_caps(
         if listed and near + members(mask) <= places:
             place = near + rank(mask, lane)
             if keep:
-                stack[_HANDED + place] = node
+                stack[first_handed + place] = node
             else:
-                stack[LARGE_STACK - 1 - place] = place_of_cap(caps, mesh, node - leaves)
+                stack[NEAR_LIST + place] = place_of_cap(caps, mesh, node - leaves)
         near = near + members(mask)
-        if keep and near > MOST_HANDED:
+        if keep and near > places:
             field.error = float(wp.inf)
         if ballot(field.error + wp.where(near > places, field.left_out, 0.0) >= HOPELESS) != wp.uint32(0):
             # Nothing will be known, as not all is added up.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.geometry.voxel_grid import Slab, voxel
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, LARGEST_PRODUCT, ROUNDINGS, SNAP, UNIT, WIDER
+from sdm.kernels.winding.near_caps import FULL, LARGEST_PRODUCT, NEAR_LIST, ROUNDINGS, SNAP, UNIT, WIDER
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,7 +29,7 @@ Sixteen = wp.types.vector(length=16, dtype=wp.float32)
     const eight px = load(xs), py = load(ys), pz = load(zs), none = all(0.0f), one = all(1.0f);
     eight re = one, im = none, turns = none, error = none;
     for (int i = 0; i < near; ++i) {{
-        const auto* at = corners.data + stack.data[{LARGE_STACK} - 1 - i];
+        const auto* at = corners.data + stack.data[{NEAR_LIST} + i];
         const eight ax = at[0].c[0] - px, ay = at[0].c[1] - py, az = at[0].c[2] - pz;
         const eight bx = at[1].c[0] - px, by = at[1].c[1] - py, bz = at[1].c[2] - pz;
         const eight cx = at[2].c[0] - px, cy = at[2].c[1] - py, cz = at[2].c[2] - pz;

@@ -7,7 +7,6 @@ import warp as wp
 from sdm.kernels.bvh.tree import first_triangle
 from sdm.kernels.primitives.fast_math import about_quotient, about_root
 from sdm.kernels.primitives.lanes import sum_of_lanes
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK
 from sdm.kernels.winding.cap_tree import Caps
 
 wp.set_module_options({"enable_backward": False})
@@ -20,6 +19,8 @@ UNIT = 2.0**-24
 ROUNDINGS = 100.0 * UNIT
 LARGEST_PRODUCT = 1.0e9
 SNAP = 2.0 * UNIT
+# The place in a large stack where near caps are listed.
+NEAR_LIST = 768
 
 
 @wp.func
@@ -90,7 +91,7 @@ def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32
     error = float(0.0)
     i = lane
     while i < near:
-        a, b, c = corners_from(caps, stack[LARGE_STACK - 1 - i], p)
+        a, b, c = corners_from(caps, stack[NEAR_LIST + i], p)
         f, v, size, least = cap_factor(a, b, c)
         most = wp.max(wp.abs(v), wp.abs(f))
         room = (ROUNDINGS * least + SNAP) * size

@@ -29,7 +29,7 @@ from sdm.kernels.primitives.lanes import (
     unknown,
     wait_for_lanes,
 )
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
 from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
 from sdm.kernels.winding.cap_field import Field, moved_field
@@ -50,8 +50,11 @@ LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
 # to look at one by one, and how many to add voxel by voxel.
 TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 2e-3, 1e-3, 6e-4, 1e-4, 1e-5, 2e-6)}
-LISTED = (0, 0, 64, *4 * [MOST_NEAR])
-SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR]), "cpu": (0, 0, 12, *4 * [MOST_NEAR])}
+LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
+SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
+# Whether voxels that boxes of 2^3 leave in doubt are looked at by such boxes again, with smaller tolerances, instead of
+# one by one: near caps cost a CPU, which adds them for eight voxels at once, less than polynomials do.
+TOGETHER = {"cuda": False, "cpu": True}
 # Items of work for each group of lanes of a GPU: below that octants do not share what is found for all of them.
 ITEMS_EACH = 4
 # Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how
@@ -88,6 +91,14 @@ def is_one(bits: int):
     return (bits & (bits - 1)) == 0
 
 
+@wp.func
+def count_bits(bits: int):
+    """How many of eight bits are set."""
+    pairs = bits - ((bits >> 1) & 0x55)
+    fours = (pairs & 0x33) + ((pairs >> 2) & 0x33)
+    return (fours + (fours >> 4)) & 0xF
+
+
 @wp.kernel
 def _open_boxes(
     begin: int,
@@ -102,6 +113,7 @@ def _open_boxes(
     level: int,
     first: int,
     fewest: int,
+    together: int,
     boxes: wp.array(dtype=wp.int32),
     octants: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
@@ -142,14 +154,19 @@ def _open_boxes(
         whole.error = float(wp.inf)
         middle = wp.vec3()
         reach = float(0.0)
+        again = together != 0 and bits == 0
+        expand = together == 0 or bits > 1
         # First the box, then its octants.
         for turn in range(unknown(9)):
-            keep = turn == 0
+            keep = turn == 0 and not again
             octant = turn - 1
             child = 2 * at
             size = 2 << bits
             here = not is_one(some)
-            if not keep:
+            if again:
+                here = turn == 0 and some != 0
+                size = 2
+            elif not keep:
                 child = child + octant_at(octant)
                 size = 1 << bits
                 here = ((some >> octant) & 1) != 0
@@ -169,16 +186,30 @@ def _open_boxes(
                         field = moved_field(whole, way)
                         handed = whole.near
                 field = see_caps(
-                    caps, mesh, box.centre, radius, tolerance, listed, field, handed, keep, stack, lane, lanes
+                    caps, mesh, box.centre, radius, tolerance, listed, field, handed, keep, expand, stack, lane, lanes
                 )
                 if keep:
                     whole = field
                 else:
+                    level_bits = wp.where(again, 1, bits)
                     undone = settle_box(
-                        field, caps, stack, slab, mesh, start, bits, settled, box, scale, lane, lanes, values
+                        field,
+                        caps,
+                        stack,
+                        slab,
+                        mesh,
+                        start,
+                        level_bits,
+                        bits == 0,
+                        settled,
+                        box,
+                        scale,
+                        lane,
+                        lanes,
+                        values,
                     )
                     if lane == 0:
-                        fetch_add(counts, STRIDE * level + LOOKED, 1)
+                        fetch_add(counts, STRIDE * level + LOOKED, wp.where(again, count_bits(some), 1))
                         if bits > 0 and undone != 0:
                             place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
                             left[place] = ((mesh * cells[0] + child[0]) * cells[1] + child[1]) * cells[2] + child[2]
@@ -260,7 +291,7 @@ def open_caps(
         lanes, workers = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
-    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK, wp.int32)
+    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
     kind = "cuda" if device.is_cuda else "cpu"
     boxes = octants = left = left_octants = empty(1, wp.int32)
     first = first_level(meshes, shape, MOST_FIRST[kind])
@@ -271,9 +302,11 @@ def open_caps(
         if bits > 0:
             boxes, octants = left, left_octants
             left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
-        limits = [TOLERANCES[kind][level] * FULL, LISTED[level], SETTLED[kind][level]]
+        limits = [TOLERANCES[kind][level] * FULL, LISTED[kind][level], SETTLED[kind][level]]
+        together = TOGETHER[kind]
         listed = [left, left_octants] if bits == 0 else [boxes, octants]
-        inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first), fewest, *listed]
+        inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first)]
+        inputs += [0 if together and bits == 0 else fewest, int(together), *listed]
         inputs += [left, left_octants, counts, stacks, lanes, values]
         launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
     inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, lanes, values]

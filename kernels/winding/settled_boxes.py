@@ -86,6 +86,7 @@ def settle_box(
     mesh: int,
     start: wp.vec3i,
     bits: int,
+    last: bool,
     most_near: int,
     box: VoxelBox,
     scale: float,
@@ -93,9 +94,12 @@ def settle_box(
     lanes: int,
     values: Any,
 ):
-    """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each."""
+    """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each.
+
+    Where the whole numbers of all of them will do, they are left, unless this is the last look at the box.
+    """
     far = largest_share(field, box.half) < LARGEST_SHARE
-    if far and bits > 0:
+    if far and not last:
         return 0
     if field.near > most_near or doubt(field) > MOST_DOUBT:
         return 255

@@ -13,7 +13,7 @@ import warp as wp
 from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build
 from sdm.kernels.geometry.voxel_box import VoxelBox
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, doubt, moved_field, share_at
@@ -46,11 +46,11 @@ def _field(
         # What a larger ball has found, whose centre is elsewhere.
         centre = at[i] - way[i]
         reach = 1.00001 * (wp.length(at[i] - centre) + radius[i])
-        whole = see_caps(caps, 0, centre, reach, tolerance, room, field, handed, True, stack, 0, 1)
+        whole = see_caps(caps, 0, centre, reach, tolerance, room, field, handed, True, True, stack, 0, 1)
         if whole.error < wp.inf:
             field = moved_field(whole, at[i] - centre)
             handed = whole.near
-    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, stack, 0, 1)
+    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, True, stack, 0, 1)
     for k in range(off.shape[1]):
         near, wrong = near_share(caps, field.near, at[i] + off[i, k], stack, 0, 1)
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near
@@ -150,7 +150,7 @@ def test_a_field_is_as_right_as_it_says(kind, room, tolerance, handed):
     rng = np.random.default_rng(6)
     way = rng.normal(size=at.shape) * (np.maximum(radius, 1e-6) * 10 ** rng.uniform(-2, 1, len(at)))[:, None] * handed
     way = wp.array(way.astype(np.float32), dtype=wp.vec3, device="cpu")
-    stacks = wp.zeros(LARGE_STACK, dtype=wp.int32, device="cpu")
+    stacks = wp.zeros(LARGE_STACK_ON_CPU, dtype=wp.int32, device="cpu")
     inputs = [caps, *arrays, tolerance, room, way, stacks, share, error]
     wp.launch(_field, len(at), inputs, device="cpu")
     error = error.numpy().astype(np.float64)

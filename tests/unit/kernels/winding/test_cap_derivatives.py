@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK, large_stack_of
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field, cubic_of, moved_field
 from sdm.kernels.winding.cap_tree import Caps
@@ -33,7 +33,7 @@ def _factors(
 ):  # fmt: skip
     i = wp.tid()
     stack = large_stack_of(stacks, 0)
-    field = see_caps(caps, 0, at[i] - way, radius, tolerance, 256, Field(), -1, False, stack, 0, 1)
+    field = see_caps(caps, 0, at[i] - way, radius, tolerance, 256, Field(), -1, False, True, stack, 0, 1)
     field = moved_field(field, way)
     out[i, 0] = float(field.value)
     cubic = cubic_of(field.cubes)
@@ -69,7 +69,7 @@ def expected(kind: str):
 def test_factors_are_derivatives(kind, radius, way):
     _structure, caps, at, known = expected(kind)
     out = wp.zeros((len(at), len(POWERS)), dtype=float, device="cpu")
-    stacks = wp.zeros(LARGE_STACK, dtype=wp.int32, device="cpu")
+    stacks = wp.zeros(LARGE_STACK_ON_CPU, dtype=wp.int32, device="cpu")
     places = wp.array(at, dtype=wp.vec3, device="cpu")
     wp.launch(
         _factors,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from sdm.kernels.primitives.shared_stacks import LARGE_STACK
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import Eight, Sixteen, near_angles
-from sdm.kernels.winding.near_caps import near_angle
+from sdm.kernels.winding.near_caps import NEAR_LIST, near_angle
 
 
 @wp.kernel
@@ -46,8 +46,8 @@ def test_eight_at_once_are_as_each_by_itself():
     points[5] = corners[120, 0]
     caps = Caps()
     caps.tree.corners = wp.array(corners.reshape(-1, 3), dtype=wp.vec3, device="cpu")
-    stack = np.zeros(LARGE_STACK, np.int32)
-    stack[LARGE_STACK - near :] = 4 * rng.permutation(near)
+    stack = np.zeros(LARGE_STACK_ON_CPU, np.int32)
+    stack[NEAR_LIST : NEAR_LIST + near] = 4 * rng.permutation(near)
     eights = wp.zeros(groups, dtype=Sixteen, device="cpu")
     alone = wp.zeros(8 * groups, dtype=wp.vec2, device="cpu")
     inputs = [caps, near, wp.array(points, dtype=wp.vec3, device="cpu"), wp.array(stack, device="cpu"), eights, alone]
