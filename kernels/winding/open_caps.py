@@ -93,7 +93,7 @@ def is_one(bits: int):
 
 @wp.func
 def count_bits(bits: int):
-    """How many of eight bits are set."""
+    """Number of bits that are set, of eight."""
     pairs = bits - ((bits >> 1) & 0x55)
     fours = (pairs & 0x33) + ((pairs >> 2) & 0x33)
     return (fours + (fours >> 4)) & 0xF
