@@ -103,8 +103,8 @@ class Grid:
             margin: Room on each side, as a share of the box's longest edge.
 
         Raises:
-            GridError: Both or a non-positive resolution or spacing, a negative margin, or a mesh of size zero
-                with no spacing to tell the voxel size.
+            GridError: Both or a non-positive resolution or spacing, a negative margin, a spacing larger than the
+                mesh, or a mesh of size zero with no spacing to tell the voxel size.
         """
         if resolution is not None and spacing is not None:
             raise GridError("give a resolution or a spacing for the grid, not both")
@@ -118,6 +118,12 @@ class Grid:
             step = np.asarray(_triple([spacing] * 3 if np.ndim(spacing) == 0 else spacing, "spacing"))
             if not (np.isfinite(step).all() and (step > 0).all()):
                 raise GridError(f"the grid's spacing {spacing} must be positive")
+            # A flat mesh may be thinner than a voxel; one of size zero tells nothing of the size of a voxel.
+            if (extent > 0 and step.min() > extent + 2 * room) or step.max() > FARTHEST:
+                raise GridError(
+                    f"a spacing of {spacing} is more than the whole of {mesh.name}, {extent:.4g} along its longest edge: "
+                    "choose a smaller one"
+                )
             count = np.ceil((high - low + 2 * room) / step - 1e-6) + 1
             if count.max() >= 2**31:
                 raise GridError(

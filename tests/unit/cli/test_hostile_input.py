@@ -53,6 +53,8 @@ CASES = [
     ("compute ball.ply -o new.zarr --resolution 1 1 3000000000", "3e+09 voxels along an axis"),
     ("compute ball.ply -o new.npz --spacing inf", "must be positive"),
     ("compute ball.ply -o new.npz --spacing 1e-300", "gives 2.2e+300 voxels along an axis"),
+    ("compute ball.ply -o new.npz --spacing 1e300", "is more than the whole of ball.ply, 2 along its longest edge"),
+    ("compute ball.ply -o new.npz --spacing 3", "is more than the whole of ball.ply"),
     ("compute ball.ply -o new.npz --margin nan", "margin nan"),
     ("compute ball.ply -o new.npz --margin 1e300 --resolution 8", "the grid reaches too far"),
     ("compute ball.ply -o new.npz --margin 1e32 --resolution 8", "the grid reaches too far"),
@@ -103,6 +105,8 @@ CASES = [
     ("train deepsdf folder.ply -o new --epochs 1", "there are no meshes"),
     ("train deepsdf cuboid -o new --epochs 0", "epochs is 0"),
     ("train sdmnn -o new --budget-s nan", "a budget of nan seconds"),
+    ("train sdmnn -o new --start nowhere.safetensors", "no such file"),
+    ("train sdmnn -o new --start cut.safetensors", "is not a surrogate that sdm wrote"),
     ("train sdmnn -o new --open-meshes keep", "(applied to sdm train sdmnn); see sdm train --help"),
     ("train segmentation --data folder.ply -o new", "holds no cases to train"),
     # Images.

@@ -66,7 +66,7 @@ def sdmnn(
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.core.device import choose_device
     from sdm.surrogate.infer.weights_file import save_weights, training_of
-    from sdm.surrogate.train.settings import Settings
+    from sdm.surrogate.train.settings import Settings, begin
     from sdm.surrogate.train.training import Trainer
     from sdm.training.checkpoints import training_folder
 
@@ -95,6 +95,9 @@ def sdmnn(
     curves = out / name
     target = out / f"{name}.safetensors"
     refuse_inputs([target], [start])
+    if start is not None:
+        # Before a folder is made for it.
+        begin(settings)
     # An unfinished training is gone on with by itself.
     with training_folder(curves):
         trainer = Trainer(
