@@ -121,8 +121,8 @@ class Grid:
             # A flat mesh may be thinner than a voxel; one of size zero tells nothing of the size of a voxel.
             if (extent > 0 and step.min() > extent + 2 * room) or step.max() > FARTHEST:
                 raise GridError(
-                    f"a spacing of {spacing} is more than the whole of {mesh.name}, {extent:.4g} along its longest edge: "
-                    "choose a smaller one"
+                    f"a spacing of {spacing} is more than the whole of {mesh.name}, {extent:.4g} along its longest "
+                    "edge: choose a smaller one"
                 )
             count = np.ceil((high - low + 2 * room) / step - 1e-6) + 1
             if count.max() >= 2**31:
