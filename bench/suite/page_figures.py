@@ -1,0 +1,307 @@
+"""Figures of public pages beside the records that they come from: `python -m sdm.bench.suite.page_figures`.
+
+Each figure is a phrase of a page with places for numbers, which are filled from a record of `bench/results/`. A phrase
+that the page does not hold is out of step with its record: one of the two has changed.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import exp, log
+from typing import Any
+
+from sdm.bench.common.checkout import checkout, results_folder
+from sdm.bench.suite.page_tables import TABLES
+
+README, PAPERS = "README.md", "docs/papers.md"
+STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
+DEEPSDF, SHAPES = "sdm/deepsdf/README.md", "sdm/shapes/README.md"
+
+Numbers = Callable[[Any], Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A phrase with numbers.
+
+    Args:
+        page: From the root of the checkout.
+        words: As the page has it, with a place of `str.format` for each number.
+        record: Name in `bench/results/`, without `.json`.
+        numbers: Takes the record.
+    """
+
+    page: str
+    words: str
+    record: str
+    numbers: Numbers
+
+    def phrase(self) -> str:
+        """The words with the record's numbers."""
+        return self.words.format(*self.numbers(record(self.record)))
+
+
+@cache
+def record(name: str) -> Any:
+    """A record's content."""
+    return json.loads((results_folder() / f"{name}.json").read_text())
+
+
+@cache
+def text(page: str) -> str:
+    """A page with single blanks for all white space."""
+    root = checkout()
+    assert root is not None
+    return " ".join((root / page).read_text().split())
+
+
+def geometric_mean(numbers: Sequence[float]) -> float:
+    """Of positive numbers."""
+    return exp(sum(map(log, numbers)) / len(numbers))
+
+
+def _means(record: Any) -> list[float]:
+    means = record["parts"]["table"]["summary"]["geometric_means"]
+    return [means[n]["fastest peer"] for n in ("128", "256", "512")]
+
+
+def _means_on_a_cpu(record: Any) -> list[float]:
+    return [record["parts"]["table"]["summary"]["geometric_means"]["128"]["fastest peer"]]
+
+
+def _points(record: Any) -> list[float]:
+    means = record["parts"]["points"]["summary"]["geometric_means"]
+    return [means["uniform"], means["near"]]
+
+
+def _first(record: Any) -> list[float]:
+    """First calls at 256^3 and 512^3: how many times as fast as the fastest peer, which is warm."""
+    rows = record["parts"]["table"]["rows"]
+    return [
+        geometric_mean([min(p["ms"] for p in r["peers"]) / r["first_ms"] for r in rows if r["resolution"] == n])
+        for n in (256, 512)
+    ]
+
+
+def _range(numbers: Sequence[float]) -> list[float]:
+    return [min(numbers), max(numbers)]
+
+
+def _times(record: Any, name: str) -> list[float]:
+    return _range([r["first_ms"] if name == "first" else r[name]["ms"] for r in _rows(record, 256)])
+
+
+def _rows(record: Any, resolution: int) -> list[Any]:
+    return [row for row in record["parts"]["table"]["rows"] if row["resolution"] == resolution]
+
+
+def _five_million(record: Any) -> list[float]:
+    last = record["parts"]["triangles"]["rows"][-1]
+    return [last["new_mesh"]["ms"], last["first_ms"]]
+
+
+def _edt(record: Any, peer: str) -> list[float]:
+    return _range([case["ms"][peer]["median"] / case["ms"]["sdm"]["median"] for case in record["cases"]])
+
+
+def _first_calls(record: Any) -> list[float]:
+    rows = [row for row in record["rows"] if row["mesh"] == "torus-20000"]
+    return [next(row["first_ms"] for row in rows if row["resolution"] == n) for n in (64, 256, 512)]
+
+
+def _bands(record: Any) -> list[float]:
+    ours = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "sdm"}
+    theirs = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "OpenVDB"}
+    return _range([ours[key] / theirs[key] for key in theirs if key in ours])
+
+
+def _maps(record: Any) -> list[float]:
+    return [round(x, -2) for x in _range([b["maps_per_second"] for b in record["rates"]["batches"]])]
+
+
+def _method(record: Any, name: str) -> dict[str, Any]:
+    return next(row for row in record["timing"]["rows"] if row["method"] == name)
+
+
+def _surrogate(record: Any) -> list[float]:
+    torch, openvino = _method(record, "SDMNN+, torch"), _method(record, "SDMNN+, openvino")
+    return [torch["mae_mm"], torch["ms"], torch["libigl_ratio"], openvino["ms"], round(openvino["libigl_ratio"], -1)]
+
+
+def _coverage(record: Any) -> list[float]:
+    return [100 * min(record[size]["coverage_90_shape"] for size in ("0.3", "0.2"))]
+
+
+def _worst_coverage(record: Any) -> list[float]:
+    wrong = [record["conditions"][name] for name in ("correlated", "shading", "labels")]
+    return [*(100 * x for x in _range([c["coverage_90_shape"] for c in wrong])), *_range([c["trusted"] for c in wrong])]
+
+
+def _coverage_of(name: str) -> Numbers:
+    def numbers(record: Any) -> list[float]:
+        found = record["conditions"][name]
+        return [100 * found["coverage_90_shape"], found["trusted"]]
+
+    return numbers
+
+
+def _training(record: Any, network: str) -> list[float]:
+    found = record["training"][network]
+    return [found["streamed_step_ms"], found["cached_step_ms"], found["streamed_to_cached"]]
+
+
+def _speeds(record: Any) -> list[float]:
+    return [100 * record["training"][network]["streamed_to_cached"] for network in ("u-net", "decoder")]
+
+
+def _fits(record: Any) -> list[float]:
+    return [record["summary"][name]["median_seconds"] for name in ("surrogate", "exact", "libigl", "libigl-map")]
+
+
+def _accuracy(record: Any) -> list[float]:
+    kinds = [kind for mesh in record["meshes"].values() for kind in mesh["kinds"].values()]
+    points = sum(mesh["points"] for mesh in record["meshes"].values())
+    return [len(record["meshes"]), max(kind["max_error"] for kind in kinds), round(points / 1e6)]
+
+
+def _scores(run: str, part: str, *names: str) -> Numbers:
+    return lambda record: [record[run][part]["mean"][name] for name in names]
+
+
+def _half(record: Any) -> list[float]:
+    mean = record["atria-local"]["half"]["mean"]
+    return [mean["seen_half_mean_mm"], mean["other_half_mean_mm"], mean["other_half_95_mm"], mean["dice"]]
+
+
+def _from_exact(record: Any) -> list[float]:
+    found = record["summary"]["surrogate"]
+    return [100 * found["largest_relative_to_exact"], 100 * found["largest_share_of_range_from_exact"]]
+
+
+def _seconds(record: Any) -> list[float]:
+    return [_method(record, name)["ms"] / 1000 for name in ("libigl pseudonormal", "stock Warp", "exact engine")]
+
+
+def _untrained(record: Any) -> list[float]:
+    return [_method(record, "SDMNN, openvino")["ms"] / 1000]
+
+
+def _label_fits(record: Any) -> list[float]:
+    rows = record["cochlea-shipped"]["fits"]["deepsdf"]["rows"]
+    return [sum(row["seconds"] for row in rows) / len(rows)]
+
+
+def _share(record: Any) -> list[float]:
+    published, local = record["share"]["published"], record["share"]["local"]
+    return [100 * published["share"], published["ms"], 100 * local["share"]]
+
+
+FIGURES = (
+    Figure(README, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
+    Figure(README, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-h200", lambda r: _times(r, "first")),
+    Figure(README, "it takes {:.1f} to {:.0f} ms, 104 times", "dense-h200", lambda r: _times(r, "new_mesh")),
+    Figure(README, "{:.0f}, {:.0f}, {:.0f} times as fast as stock Warp (LBVH", "dense-h200", _means),
+    Figure(README, "at 256^3, 512^3 | one H200 | {:.0f}, {:.0f} times", "dense-h200", _first),
+    Figure(README, "one H100 | {:.0f}, {:.0f}, {:.0f} times;", "dense-cuda", _means),
+    Figure(README, "times; {:.0f}, {:.0f} | [dense-cuda", "dense-cuda", _first),
+    Figure(README, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-h200", _five_million),
+    Figure(README, "near the surface, repeated, tree built | one H200 | {:.0f}, {:.0f} times", "dense-h200", _points),
+    Figure(README, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
+    Figure(README, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(README, "{:,.0f} to {:,.0f} maps a second", "stream-h200", _maps),
+    Figure(README, "maps at {:.1f} % of the speed of training", "stream-h200", lambda r: _speeds(r)[:1]),
+    Figure(README, "a small decoder at {:.1f} %", "stream-h200", lambda r: _speeds(r)[1:]),
+    Figure(
+        README, "{:.3f} mm off on average; on two CPU cores {:.0f} ms", "surrogate-cpu", lambda r: _surrogate(r)[:2]
+    ),
+    Figure(README, "{:.0f} times as fast as libigl, and {:.0f} ms with", "surrogate-cpu", lambda r: _surrogate(r)[2:4]),
+    Figure(README, "(extra `onnx`), {:.0f} times", "surrogate-cpu", lambda r: _surrogate(r)[4:]),
+    Figure(README, "{:.0f} % of the 90 % intervals hold the truth", "fit-coverage", _coverage),
+    Figure(README, "{:.0f} to {:.0f} % did, in {} to {} shapes", "fit-mismatch", _worst_coverage),
+    Figure(README, "{0} real and nasty meshes", "accuracy-cpu", _accuracy),
+    Figure(README, "on a GPU {0}, all", "accuracy-cuda", _accuracy),
+    Figure(README, "largest on a GPU {1:.1f}, {2} million points", "accuracy-cuda", _accuracy),
+    Figure(README, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
+    Figure(README, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
+    Figure(README, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
+    Figure(
+        STREAM, "takes {:.1f} ms, on a batch that stays {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "u-net")
+    ),
+    Figure(STREAM, "decoder's {:.1f} and {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "decoder")),
+    Figure(
+        STREAM,
+        "at {:.2f} of four times one's speed, {:,.0f} samples",
+        "stream-4",
+        lambda r: [r["training"]["scaling"]["streamed"], r["training"]["together"]["streamed_samples_per_second"]],
+    ),
+    Figure(
+        FIT,
+        "takes {:.1f} s with the surrogate and {:.1f} s without, {:.0f} s with libigl",
+        "fit-cases",
+        lambda r: _fits(r)[:3],
+    ),
+    Figure(FIT, "same points and {:.0f} s with", "fit-cases", lambda r: _fits(r)[3:]),
+    Figure(FIT, "all as assumed {:.0f} % ({})", "fit-mismatch", _coverage_of("matched")),
+    Figure(FIT, "taken for 0.2 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.20")),
+    Figure(FIT, "for 0.3 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.30")),
+    Figure(FIT, "over 0.6 voxels {:.0f} % ({})", "fit-mismatch", _coverage_of("correlated")),
+    Figure(FIT, "degrees of freedom {:.0f} % ({})", "fit-mismatch", _coverage_of("heavy-tailed")),
+    Figure(FIT, "along x {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
+    Figure(FIT, "partial volume {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
+    Figure(FIT, "shading together {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
+    Figure(DEEPSDF, "{:.0f} million samples a second", "sampling-cuda", lambda r: [r["samples"]["per_second"] / 1e6]),
+    Figure(DEEPSDF, "cores {:.2f} million", "sampling-cpu", lambda r: [r["samples"]["per_second"] / 1e6]),
+    Figure(
+        DEEPSDF,
+        "are {:.1f} % of the published network's step on that batch ({:.1f} ms)",
+        "sampling-cuda",
+        lambda r: _share(r)[:2],
+    ),
+    Figure(DEEPSDF, "32 x 4,096 samples they are {:.0f} %", "sampling-cuda", lambda r: _share(r)[2:]),
+    Figure(
+        DEEPSDF,
+        "{:.2f} mm off on the seen half and {:.1f} mm on the other (95 %: {:.1f} mm), Dice {:.2f};",
+        "deepsdf",
+        _half,
+    ),
+    Figure(PAPERS, "with SDMNN+ {:.1f} s | other data", "fit-cases", lambda r: _fits(r)[:1]),
+    Figure(PAPERS, "exact: {:.2f} % of the value, {:.2f} % of the range", "fit-cases", _from_exact),
+    Figure(PAPERS, "libigl {:.3f} s, stock Warp {:.3f} s, our exact engine {:.3f} s", "surrogate-cpu", _seconds),
+    Figure(PAPERS, "| {:.3f} s (OpenVINO, untrained: its time alone)", "surrogate-cpu", _untrained),
+    Figure(
+        PAPERS,
+        "the shipped small network {:.1f} s",
+        "deepsdf",
+        lambda r: [r["cochlea-shipped"]["maps"]["deepsdf_ms"] / 1000],
+    ),
+    Figure(PAPERS, "| {:.0f} s on three label maps", "deepsdf", _label_fits),
+    Figure(PAPERS, "{:.2f} mm off on the seen half, {:.1f} mm on the other", "deepsdf", lambda r: _half(r)[:2]),
+    Figure(
+        SHAPES,
+        "within {:.3f} mm on average and {:.2f} mm at most",
+        "cochlea_fit",
+        lambda r: [r["fit"]["mean_symmetric_surface_distance_mm"], r["fit"]["hausdorff_mm"]],
+    ),
+)
+
+
+def out_of_step() -> list[str]:
+    """Sentences about phrases and rows that their pages do not hold."""
+    found = [(figure.page, figure.record, figure.phrase()) for figure in FIGURES]
+    found += [(page, name, row) for page, name, rows in TABLES for row in rows()]
+    return [f"{page}: not there by {name}: {phrase}" for page, name, phrase in found if phrase not in text(page)]
+
+
+def main() -> int:
+    """Print what is out of step; 1 if there is anything."""
+    wrong = out_of_step()
+    print("\n".join(wrong) or f"{len(FIGURES)} phrases and {len(TABLES)} tables are as their records say")
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
