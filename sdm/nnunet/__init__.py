@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sdm.nnunet.boundary_term import WithBoundaryTerm
     from sdm.nnunet.distance_target import SignedDistanceTarget
     from sdm.nnunet.trainers.boundary_trainer import nnUNetTrainerBoundary
+    from sdm.nnunet.with_boundary import WithBoundaryTerm
 
 # Each needs a library that the others do not.
 _HOMES = {
     "SignedDistanceTarget": "distance_target",
-    "WithBoundaryTerm": "boundary_term",
+    "WithBoundaryTerm": "with_boundary",
     "nnUNetTrainerBoundary": "trainers.boundary_trainer",
 }
 

@@ -43,7 +43,9 @@ class SignedDistanceTarget(_base.BasicTransform):
         device: str | torch.device | None = None,
     ) -> None:
         super().__init__()
-        self.classes, self.spacing, self.channel = classes, spacing, channel
+        self.classes: Any = classes
+        self.spacing: Any = spacing
+        self.channel = channel
         self.surface, self.truncate, self.normalize, self.device = surface, truncate, normalize, device
 
     def apply(self, data_dict: dict[str, Any], **params: Any) -> dict[str, Any]:

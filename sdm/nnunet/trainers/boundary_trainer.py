@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sdm.core.to_libraries import imported
-from sdm.nnunet.boundary_term import WithBoundaryTerm
+from sdm.nnunet.with_boundary import WithBoundaryTerm
 
 _trainer: Any = imported("nnunetv2.training.nnUNetTrainer.nnUNetTrainer", "nnunetv2").nnUNetTrainer
 

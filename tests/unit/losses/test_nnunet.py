@@ -11,7 +11,7 @@ import torch
 
 import sdm
 from sdm.losses import boundary_loss, class_maps
-from sdm.nnunet.boundary_term import WithBoundaryTerm
+from sdm.nnunet.with_boundary import WithBoundaryTerm
 from tests.unit.losses.test_class_maps import LABELS, SPACING
 
 

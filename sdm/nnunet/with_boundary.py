@@ -72,7 +72,7 @@ class WithBoundaryTerm(nn.Module):
         is_flat = len(shape) == 2
         sizes = [max(self.spacing), *self.spacing] if is_flat else self.spacing
         volumes = masks.reshape(batch * channels, *([1] if is_flat else []), *shape)
-        given = {"signed": True, "surface": "faces", "missing": 0.0}
+        given: Any = {"signed": True, "surface": "faces", "missing": 0.0}
         if self.classes is None:
             maps = euclidean_distance_transform(volumes, sizes, **given)
         else:

@@ -1,0 +1,1 @@
+"""Pipelines of training data with distance maps, ours beside SciPy's."""
