@@ -26,7 +26,7 @@ from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU
 from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
-from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_rest
+from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_fourth, load_rest
 from sdm.kernels.winding.near_caps import NEAR_LIST, UNIT, WIDER, corners_from, near_cap, place_of_cap
 
 wp.set_module_options({"enable_backward": False})
@@ -69,7 +69,7 @@ def rest_of(radius: float, r: float, sigma: float, rho: float, distance: float):
     square = mean * mean
     far2 = far * far
     fourth = far2 * (far2 + 4.0 * far * mean + 6.0 * square) + square * wide * (4.0 * far + wide)
-    return 4.0 * (1.0 - rho) * (1.0 - rho) * wide * square + (5.0 - 4.0 * rho) * fourth
+    return (5.0 - 4.0 * rho) * fourth
 
 
 @wp.func
@@ -159,7 +159,9 @@ def see_caps(
                         rho = reach / distance
                         bound = r1[0] / (left * left) * rest_of(radius, r0[3], r1[2], rho, distance)
                     if bound <= tolerance:
-                        field = add_node(field, load_rest(caps.moments, base + node, r0, r1), u, 1.0 / distance, radius)
+                        m = load_rest(caps.moments, base + node, r0, r1)
+                        m4 = load_fourth(caps.moments, base + node)
+                        field = add_node(field, m, m4, u, 1.0 / distance, radius)
                         field.error = field.error + WIDER * bound + r1[1] / (left * left)
                         field.drift = field.drift + radius / distance * r1[0] / (left * left)
                         steps = steps + 1.0

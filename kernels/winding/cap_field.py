@@ -2,20 +2,20 @@
 
 The solid angle of far caps is a harmonic function in the box. With the sources at y about a node's centre, the voxels
 at x about the box's, and u between the centres, it is the integral of n.z/|z|^3 for z = u + y - x, which is expanded
-in x and y together up to the third order, but for what is of the third order in y alone:
+in x and y together up to the third order:
 
-    value + slope.x + x.bend x + cubic(x),   value and slope from M1, M2 and M3, bend from M1 and M2, cubic from M1.
+    value + slope.x + x.bend x + cubic(x),   value from M1 to M4, slope from M1 to M3, bend from M1, M2, cubic from M1.
 
 The moments (`cap_tree`) and the derivatives of 1/|z| have no traces, so that with Z = u/D, D = |u|, and
 
-    d = M1.Z,   v = M2 Z,   q = v.Z,   w = M3 Z Z,   c = w.Z
+    d = M1.Z,   v = M2 Z,   q = v.Z,   w = M3 Z Z,   c = w.Z,   e = M4 Z Z Z Z
 
 a node adds, each divided by D^(order + 2),
 
     order 0   d
           1   -3 q + (3 d Z - M1).x
           2   7.5 c + (6 v - 15 q Z).x + 7.5 d (Z.x)^2 - 3 (M1.x)(Z.x) - 1.5 d |x|^2
-          3   (52.5 c Z - 22.5 w).x - 52.5 q (Z.x)^2 + 30 (v.x)(Z.x) + 7.5 q |x|^2 - 3 x.M2 x
+          3   -17.5 e + (52.5 c Z - 22.5 w).x - 52.5 q (Z.x)^2 + 30 (v.x)(Z.x) + 7.5 q |x|^2 - 3 x.M2 x
               + (17.5 d Z - 7.5 M1).x (Z.x)^2 + (1.5 M1 - 7.5 d Z).x |x|^2
 
 Why the rest is bounded: a derivative of order m of 1/|z| along any m unit vectors is at most m!/|z|^(m+1), as a
@@ -26,11 +26,11 @@ from the fourth order on to
 
     rho^4 (5 - 4 rho) / (1 - rho)^2 / D^2.
 
-The quotient is at most that of r, the radius of the node, in the place of |y|. What is left to know are means over the
-area of |y|^3 and (R + |y|)^4, for which sigma^2, the mean of |y|^2, is enough: they are at most r sigma^2, and
-R^4 + 4 R^3 sigma + 6 R^2 sigma^2 + 4 R r sigma^2 + r^2 sigma^2. So the rest is at most
+The quotient is at most that of r, the radius of the node, in the place of |y|. What is left to know is the mean over
+the area of (R + |y|)^4, for which sigma^2, the mean of |y|^2, is enough: it is at most R^4 + 4 R^3 sigma +
+6 R^2 sigma^2 + 4 R r sigma^2 + r^2 sigma^2. So the rest is at most
 
-    area / D^2 (4 r sigma^2 / D^3 + mean of (R + |y|)^4 / D^4 (5 - 4 rho) / (1 - rho)^2).
+    area / D^2 mean of (R + |y|)^4 / D^4 (5 - 4 rho) / (1 - rho)^2.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.winding.cap_tree import Cubic, Moments
+from sdm.kernels.winding.fourth_moment import Quartic, quartic_at
 from sdm.kernels.winding.near_caps import FULL, UNIT
 
 wp.set_module_options({"enable_backward": False})
@@ -80,7 +81,7 @@ class Field:
 
 
 @wp.func
-def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float, radius: float):
+def add_node(field: Field, m: Moments, m4: Quartic, u: wp.vec3, inverse: float, radius: float):
     """Add a far node: `u` leads from the field's centre to the node's, a unit vector times 1 / inverse.
 
     If the box's radius is zero, its value will do.
@@ -104,7 +105,7 @@ def add_node(field: Field, m: Moments, u: wp.vec3, inverse: float, radius: float
     i4 = i2 * i2
     w = i2 * w
     c = wp.dot(w, z)
-    field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * c))
+    field.value = field.value + wp.float64(i2 * (d - 3.0 * q + 7.5 * c - 17.5 * (i3 * quartic_at(m4, z))))
     if radius > 0.0:
         field.slope = field.slope + i3 * (z * (3.0 * d - 15.0 * q + 52.5 * c) - m.m1 + 6.0 * inverse * v - 22.5 * w)
         # 7.5 (d - 7 q) z z' - (3 m1 - 30 v) z' - 1.5 (d - 5 q) - 3 M2.

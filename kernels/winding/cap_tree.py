@@ -4,7 +4,7 @@ Caps are triangles that close the mesh (`sdm.topology.cap_triangles`). Surface a
 number, and the surface's own is that number less the caps' share: their solid angle over 4 pi. From afar the caps
 under a node are seen as a few moments about the node's centre, with n the normal, y the place and dA the area:
 
-    M1 = sum of n dA,   M2 = sum of sym(n y) dA,   M3 = sum of sym(n y y) dA,
+    M1 = sum of n dA,   M2 = sum of sym(n y) dA,   M3 = sum of sym(n y y) dA,   M4 = sum of sym(n y y y) dA,
 
 the dipole and what corrects it, without their traces, which no harmonic function sees. They are exact integrals over
 the triangles, in float64, rounded once. `sdm.kernels.winding.cap_field` says how far they are from the truth.
@@ -19,16 +19,26 @@ from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.primitives.vector_loads import load4, read4, write4
+from sdm.kernels.winding.fourth_moment import (
+    CubicInDouble,
+    Quartic,
+    QuarticInDouble,
+    all_entries,
+    mean_cubic,
+    symmetric_cubic,
+    symmetric_quartic,
+    without_traces,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 # A node's moments: centre (3), radius; area, roughness, spread, M1 (3), M2 (5: xx, xy, xz, yy, yz), M3 (7: xxx, xxy,
-# xxz, xyy, xyz, yyy, yyz), and two unused: the rest of M2 and M3 follows from their zero traces.
-MOMENTS_SIZE = 24
+# xxz, xyy, xyz, yyy, yyz), M4 (9, `fourth_moment`), and one unused: the rest follows from zero traces.
+MOMENTS_SIZE = 32
 _ROWS = MOMENTS_SIZE // 4
 # The rounding of a node's part of the solid angle, times its squared distance: of all float32 numbers on the way, by
 # area, and of the places on the lattice, which are those that count, by the length of the caps' edges.
-AREA_ROUNDING = wp.float64(240.0 * 2.0**-24)
+AREA_ROUNDING = wp.float64(280.0 * 2.0**-24)
 EDGE_ROUNDING = wp.float64(0.25 * 2.0**-24)
 # No radius or spread is too small by rounding. A node's centre is its area's middle but for so much, scaled.
 WIDER = wp.float64(1.00001)
@@ -36,7 +46,6 @@ OFF_MIDDLE = wp.float64(2.0**-22)
 
 # The entries xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz and zzz of a symmetric tensor.
 Cubic = wp.types.vector(length=10, dtype=wp.float32)
-CubicInDouble = wp.types.vector(length=10, dtype=wp.float64)
 
 
 @wp.struct
@@ -74,6 +83,7 @@ class Sums:
     m1: wp.vec3d
     m2: wp.mat33d
     m3: CubicInDouble
+    m4: QuarticInDouble
 
 
 def depth_of_caps(count: int) -> int:
@@ -119,6 +129,36 @@ def read_moments(moments: wp.array(dtype=wp.float32), node: int):
 
 
 @wp.func
+def fourth_of(r5: wp.vec4, r6: wp.vec4, r7: wp.vec4):
+    """A node's fourth moment, from the last rows."""
+    m4 = Quartic()
+    m4[0] = r5[2]
+    m4[1] = r5[3]
+    m4[2] = r6[0]
+    m4[3] = r6[1]
+    m4[4] = r6[2]
+    m4[5] = r6[3]
+    m4[6] = r7[0]
+    m4[7] = r7[1]
+    m4[8] = r7[2]
+    return m4
+
+
+@wp.func
+def read_fourth(moments: wp.array(dtype=wp.float32), node: int):
+    """A node's fourth moment, of an array that this kernel writes too."""
+    at = _ROWS * node
+    return fourth_of(read4(moments, at + 5), read4(moments, at + 6), read4(moments, at + 7))
+
+
+@wp.func
+def load_fourth(moments: wp.array(dtype=wp.float32), node: int):
+    """A node's fourth moment, of an array that nobody writes meanwhile."""
+    at = _ROWS * node
+    return fourth_of(load4(moments, at + 5), load4(moments, at + 6), load4(moments, at + 7))
+
+
+@wp.func
 def load_rest(moments: wp.array(dtype=wp.float32), node: int, r0: wp.vec4, r1: wp.vec4):
     """A node's moments, whose first two rows are there already, of an array that nobody writes meanwhile."""
     at = _ROWS * node
@@ -147,32 +187,16 @@ def write_sums(moments: wp.array(dtype=wp.float32), node: int, s: Sums):
     xxx = float(s.m3[0] - three * tx)
     write4(moments, at + 3, float(s.m2[0, 2]), float(s.m2[1, 1] - trace), float(s.m2[1, 2]), xxx)
     write4(moments, at + 4, float(s.m3[1] - ty), float(s.m3[2] - tz), float(s.m3[3] - tx), float(s.m3[4]))
-    write4(moments, at + 5, float(s.m3[6] - three * ty), float(s.m3[7] - tz), 0.0, 0.0)
+    m4 = without_traces(s.m4)
+    write4(moments, at + 5, float(s.m3[6] - three * ty), float(s.m3[7] - tz), m4[0], m4[1])
+    write4(moments, at + 6, m4[2], m4[3], m4[4], m4[5])
+    write4(moments, at + 7, m4[6], m4[7], m4[8], 0.0)
 
 
 @wp.func
 def symmetric(v: wp.vec3d, t: wp.vec3d):
     """sym(v t)."""
     return wp.float64(0.5) * (wp.outer(v, t) + wp.outer(t, v))
-
-
-@wp.func
-def symmetric_cubic(m: wp.mat33d, t: wp.vec3d):
-    """sym(m t) of a symmetric matrix."""
-    part = wp.float64(1.0) / wp.float64(3.0)
-    two = wp.float64(2.0)
-    found = CubicInDouble()
-    found[0] = m[0, 0] * t[0]
-    found[1] = part * (m[0, 0] * t[1] + two * m[0, 1] * t[0])
-    found[2] = part * (m[0, 0] * t[2] + two * m[0, 2] * t[0])
-    found[3] = part * (m[1, 1] * t[0] + two * m[0, 1] * t[1])
-    found[4] = part * (m[0, 1] * t[2] + m[0, 2] * t[1] + m[1, 2] * t[0])
-    found[5] = part * (m[2, 2] * t[0] + two * m[0, 2] * t[2])
-    found[6] = m[1, 1] * t[1]
-    found[7] = part * (m[1, 1] * t[2] + two * m[1, 2] * t[1])
-    found[8] = part * (m[2, 2] * t[1] + two * m[1, 2] * t[2])
-    found[9] = m[2, 2] * t[2]
-    return found
 
 
 @wp.kernel
@@ -204,11 +228,12 @@ def _leaf_moments(begin: int, caps: Caps):
         yy = wp.outer(a, a) + wp.outer(b, b) + wp.outer(c, c) + wp.outer(total, total)
         s.square = s.area * wp.trace(yy) / wp.float64(12.0)
         s.m3 = symmetric_cubic(yy / wp.float64(12.0), s.m1)
+        s.m4 = symmetric_quartic(mean_cubic(a, b, c), s.m1)
     write_sums(caps.moments, nodes_of(tree, mesh) + leaves + leaf, s)
 
 
 @wp.func
-def moved(s: Sums, m: Moments):
+def moved(s: Sums, m: Moments, m4: Quartic):
     """Add a child's moments to those of a node, whose centre is known."""
     m1 = wp.vec3d(m.m1)
     m2 = wp.mat33d(m.m2)
@@ -221,9 +246,15 @@ def moved(s: Sums, m: Moments):
     s.rough = s.rough + wp.float64(m.rough)
     s.m1 = s.m1 + m1
     s.m2 = s.m2 + m2 + symmetric(m1, t)
-    m3 = wp.float64(2.0) * symmetric_cubic(m2, t) + symmetric_cubic(wp.outer(t, t), m1)
+    three = wp.float64(3.0)
+    m2t = symmetric_cubic(m2, t)
+    m1tt = symmetric_cubic(wp.outer(t, t), m1)
+    m3 = wp.float64(2.0) * m2t + m1tt
+    m3tt = three * m2t + m1tt
     for i in range(10):
         s.m3[i] = s.m3[i] + m3[i] + wp.float64(m.m3[i])
+        m3tt[i] = m3tt[i] + three * wp.float64(m.m3[i])
+    s.m4 = s.m4 + all_entries(m4) + symmetric_quartic(m3tt, t)
     return s
 
 
@@ -242,7 +273,8 @@ def join_children(caps: Caps, base: int, node: int):
         second = wp.float64(right.rough)
     if first + second > wp.float64(0.0):
         s.centre = wp.vec3((first * wp.vec3d(left.centre) + second * wp.vec3d(right.centre)) / (first + second))
-    s = moved(moved(s, left), right)
+    s = moved(s, left, read_fourth(caps.moments, base + 2 * node))
+    s = moved(s, right, read_fourth(caps.moments, base + 2 * node + 1))
     low, high = node_box(tree, base + node)
     reach = wp.max(wp.vec3d(s.centre) - wp.vec3d(low), wp.vec3d(high) - wp.vec3d(s.centre))
     s.radius = wp.min(s.radius, wp.length(reach))
