@@ -25,7 +25,7 @@ from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.near_caps import FULL
-from sdm.kernels.winding.open_caps import BITS, LISTED, SETTLED, TOLERANCES, open_voxel
+from sdm.kernels.winding.open_caps import BITS, FEW, LISTED, SETTLED, TOLERANCES, open_voxel
 from sdm.kernels.winding.settled_boxes import BlockWindings, is_left, put_winding, settle_box, winding_at
 
 wp.set_module_options({"enable_backward": False})
@@ -67,9 +67,10 @@ def look_at_box(
     box = box_of_voxels(slab, start, 1 << bits, scale)
     radius = wp.sqrt(box.half2)
     # Without Taylor polynomials where eight voxels are looked at at once.
-    expand = not (on_cpu() and bits == 1)
+    expand = not (on_cpu() and bits > 0 and bits < 3)
+    few = wp.where(on_cpu() and bits == 1, FEW, 0)
     most, room = limits.tolerances[level], limits.listed[level]
-    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, expand, stack, lane, lanes)
+    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, expand, few, stack, lane, lanes)
     octants = settle_box(
         field, caps, stack, slab, 0, start, bits, bits == 0, limits.settled[level], box, scale, lane, lanes, windings
     )

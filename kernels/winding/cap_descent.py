@@ -84,6 +84,7 @@ def see_caps(
     handed: int,
     keep: bool,
     expand: bool,
+    few: int,
     stack: wp.array(dtype=wp.int32),
     lane: int,
     lanes: int,
@@ -106,6 +107,7 @@ def see_caps(
         keep: Hand down near caps and small near nodes, of which the field then tells the number, instead of listing
             any: MOST_NEAR at most, else the error is infinite.
         expand: Try Taylor polynomials. If not, nothing is known of what near caps add at most.
+        few: So many caps, or fewer, under a node are near without a look at its bound.
         stack: Of this group (`large_stack_of`).
         lane: This lane's number.
         lanes: Their number.
@@ -122,8 +124,6 @@ def see_caps(
     most = wp.where(on_cpu(), _NEAR_ON_CPU, _NEAR_ON_GPU)
     first_handed = NEAR_LIST + most
     places = wp.where(keep, most, room)
-    # One or two caps are added to eight voxels at once in less time than to a field.
-    alike = not keep and not expand
     if handed < 0:
         waiting = wp.min(lanes, leaves)
         if lane < waiting:
@@ -157,8 +157,7 @@ def see_caps(
                     reach = (radius + r0[3]) * WIDER
                     bound = float(wp.inf)
                     left = distance - reach
-                    few = alike and 2 * node >= leaves
-                    if reach < 0.9 * distance and distance > NEAREST and not few:
+                    if few * node < leaves and reach < 0.9 * distance and distance > NEAREST:
                         rho = reach / distance
                         bound = r1[0] / (left * left) * rest_of(radius, r0[3], r1[2], rho, distance)
                     if bound <= tolerance:

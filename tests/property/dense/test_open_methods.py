@@ -12,7 +12,7 @@ import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
-from sdm.kernels.winding import column_sums
+from sdm.kernels.winding import column_sums, open_caps
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -86,10 +86,16 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
 
 
 @settings(max_examples=80)
-@given(mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), seed=strategies.seeds)
-def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, seed):
+@given(
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), alone=st.booleans(),
+    seed=strategies.seeds,
+)  # fmt: skip
+def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, alone, seed):
+    """Also where the last voxels are looked at one by one, as on a GPU."""
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
-    fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(open_caps.TOGETHER, "cpu", not alone)
+        fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
 
@@ -139,10 +145,13 @@ def test_a_batch_has_the_bits_of_its_meshes(monkeypatch, share):
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
-def test_a_gpu_has_the_same_bits_by_either_way(share):
+def test_a_gpu_has_the_same_bits_by_either_way(monkeypatch, share):
     mesh = torn(share, 5)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
     for seed in range(4):
+        # Large boxes first, as large maps have them, or small ones; voxels by eights or one by one.
+        monkeypatch.setitem(open_caps.MOST_FIRST, "cuda", (16, 8192)[seed % 2])
+        monkeypatch.setitem(open_caps.TOGETHER, "cuda", seed == 1)
         fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed > 1, seed))
         assert torch.equal(fast.values, slow.values)
         assert fast.ambiguous_voxels == slow.ambiguous_voxels
