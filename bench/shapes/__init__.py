@@ -1,0 +1,1 @@
+"""Benchmarks of shape models: python -m sdm.bench.shapes.atria."""
