@@ -64,7 +64,7 @@ def main(words: list[str] | None = None) -> None:
     distances = torch.tensor([row["distance"] for row in rows])
     print(
         f"{len(rows)} atria in {seconds:.1f} s: {distances.mean():.3f} mm on average, the worst {distances.max():.3f}; "
-        f"{sum(row['turned'] for row in rows)} faces turned"
+        f"{sum(row['turned'] for row in rows)} faces turned, {sum(row['cut'] for row in rows)} in another part"
     )
     record = {
         "machine": describe(str(device)),

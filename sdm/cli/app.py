@@ -31,6 +31,7 @@ COMMANDS = (
     "sample",
     "split",
     "family",
+    "shape-model",
     "train",
     "predict",
     "fit",
@@ -63,6 +64,7 @@ WITH_KERNELS = (
     "sample",
     "split",
     "family",
+    "shape-model",
     "train",
     "fit",
     "encode",
@@ -161,8 +163,9 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
         raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")
     if words[:1] == ["bench"] and (found := program(words[1:])) is not None:
         return found
-    modules = {name: importlib.import_module(f"sdm.cli.commands.{name}") for name in COMMANDS}
-    commands = {name: _later(getattr(module, name), brief) for name, module in modules.items()}
+    words_of = {name: name.replace("-", "_") for name in COMMANDS}
+    modules = {name: importlib.import_module(f"sdm.cli.commands.{words_of[name]}") for name in COMMANDS}
+    commands = {name: _later(getattr(module, words_of[name]), brief) for name, module in modules.items()}
     said = io.StringIO()
     try:
         with redirect_stderr(said):

@@ -141,15 +141,21 @@ def _look(family: Family, theta: Tensor, device: torch.device) -> dict[str, Any]
     return {
         "closed": report.closed,
         "outward": bool(report.outward),
-        "crossing": _crossing(mesh, size, device) if report.closed else 0.0,
+        "crossing": crossing_share(mesh, size, device) if report.closed else 0.0,
         "volume": report.volume,
         "size": size,
     }
 
 
-def _crossing(mesh: TriangleMesh, size: float, device: torch.device) -> float:
-    """Share of the faces with the wrong side on either hand."""
-    a, b, c = mesh.vertices.double()[mesh.faces.long()].unbind(1)
+def crossing_share(mesh: TriangleMesh, size: float, device: torch.device) -> float:
+    """Share of a closed mesh's faces that lie in another part of it, or face into it.
+
+    Args:
+        mesh: Closed.
+        size: The longest side of its box.
+        device: Where distances are computed.
+    """
+    a, b, c = mesh.vertices.detach().double()[mesh.faces.long()].unbind(1)
     across = torch.linalg.cross(b - a, c - a)
     double = across.norm(dim=1)
     around = (b - a).norm(dim=1) + (c - b).norm(dim=1) + (a - c).norm(dim=1)

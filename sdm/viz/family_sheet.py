@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -37,28 +38,34 @@ def family_sheet(
     """
     check_picture(path)
     rows = math.ceil(len(shapes) / COLUMNS)
-    right, up, eye = _axes(EYE)
-    flat = [(v.astype(np.float64) @ np.stack([right, up]).T, v.astype(np.float64) @ eye) for v, _ in shapes]
-    reach = max(float(np.ptp(xy, axis=0).max()) for xy, _ in flat) * 0.54
+    right, up, _ = _axes(EYE)
+    flat = np.stack([right, up]).T
+    reach = max(float(np.ptp(v.astype(np.float64) @ flat, axis=0).max()) for v, _ in shapes) * 0.54
     with rc_context(STYLE):
         figure = Figure(figsize=(2.2 * min(COLUMNS, len(shapes)), 2.4 * rows), dpi=100, layout="constrained")
         FigureCanvasAgg(figure)
         places = np.atleast_1d(figure.subplots(rows, min(COLUMNS, len(shapes)))).reshape(-1)
         for place in places:
             place.set_axis_off()
-        for place, (vertices, faces), (xy, depth), caption in zip(places, shapes, flat, captions, strict=False):
-            colours, order = _lit(vertices.astype(np.float64), faces, depth, eye)
-            place.add_collection(
-                PolyCollection(list(xy[faces[order]]), facecolors=colours, edgecolors=colours, linewidths=0.3)
-            )
-            middle = (xy.max(0) + xy.min(0)) / 2
-            place.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - reach, middle[1] + reach))
-            place.set_aspect("equal")
-            place.set_title(caption, fontsize=7.5, y=-0.05)
+        for place, (vertices, faces), caption in zip(places, shapes, captions, strict=False):
+            draw_shape(place, vertices, faces, reach, caption)
         if title:
             figure.suptitle(title, fontsize=11)
         with replacing(path) as part:
             figure.savefig(part, format=path.suffix[1:].lower())
+
+
+def draw_shape(place: Axes, vertices: np.ndarray, faces: np.ndarray, reach: float, caption: str) -> None:
+    """Draw a shape in the middle of `place`, which shows `reach` to each side of it."""
+    right, up, eye = _axes(EYE)
+    points = vertices.astype(np.float64)
+    xy = points @ np.stack([right, up]).T
+    colours, order = _lit(points, faces, points @ eye, eye)
+    place.add_collection(PolyCollection(list(xy[faces[order]]), facecolors=colours, edgecolors=colours, linewidths=0.3))
+    middle = (xy.max(0) + xy.min(0)) / 2
+    place.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - reach, middle[1] + reach))
+    place.set_aspect("equal")
+    place.set_title(caption, fontsize=7.5, y=-0.05)
 
 
 def check_picture(path: Path) -> None:

@@ -51,9 +51,9 @@ def build_model(
         progress: Called with the number of meshes done and of all.
 
     Returns:
-        The model, about its own middle. Its `facts` say for each mesh how far the template is from it (`distance`,
-        mean of both ways, and `most`), how many faces turned over, and the model's compactness, generalisation and
-        specificity.
+        The model, about its own middle. Its `facts` say for each mesh how far the template is from it (`distance`, the
+        mean of both ways, and `most`), how many faces turned over (`turned`) or lie in another part of it (`cut`); and
+        the model's compactness, generalisation and specificity.
 
     Raises:
         MeshError: Too few meshes, one that is not closed, or a number that makes no sense.
@@ -132,7 +132,12 @@ def _laid(
     found = []
     for number, (mesh, row) in enumerate(zip(meshes, rows, strict=True)):
         laid = layer.lay(mesh)
-        row |= {"distance": round(laid.distance, 5), "most": round(laid.most, 4), "turned": laid.turned}
+        row |= {
+            "distance": round(laid.distance, 5),
+            "most": round(laid.most, 4),
+            "turned": laid.turned,
+            "cut": laid.cut,
+        }
         found.append(laid.vertices.cpu())
         if progress is not None:
             progress(number + 1, len(meshes))

@@ -20,16 +20,17 @@ from torch import Tensor
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import generator
 from sdm.engine.mesh_index import MeshIndex
+from sdm.shapes.family_check import crossing_share
 from sdm.shapes.models.procrustes import rotations
 
-TURNS, RIGID_TURNS = 36, 12
-STIFF, SOFT = 30.0, 0.02
+TURNS, RIGID_TURNS = 48, 12
+STIFF, SOFT = 300.0, 0.05
 # Points of the mesh that pull, and steps of conjugate gradients in a turn.
 SAMPLES, SOLVES = 4000, 40
 # Surfaces that face away from each other do not pull (cosine of the angle between their normals).
 FACING = 0.3
-# An edge beside a face that would turn over becomes so much stiffer, up to a limit.
-STIFFER, STIFFEST = 4.0, 1000.0
+# An edge beside a face that would turn over becomes so much stiffer, up to a limit, and loses that again.
+STIFFER, STIFFEST, FADING = 4.0, 1000.0, 0.7
 # Times that a step is halved around faces that it would turn over; the last time it is left out there.
 HALVES = 4
 # Turns of smoothing where faces are turned over at the end.
@@ -45,12 +46,14 @@ class Laid:
         distance: Mean distance of the two surfaces, the mean of both ways, in the meshes' unit.
         most: Largest distance of a vertex or of a sampled point of the mesh.
         turned: Faces of the template that turned over against their surroundings.
+        cut: Faces that lie in another part of the laid template: it cuts itself there.
     """
 
     vertices: Tensor
     distance: float
     most: float
     turned: int
+    cut: int
 
 
 class TemplateLayer:
@@ -98,7 +101,7 @@ class TemplateLayer:
             x, turned = self._without_turning(x, step, rest, turns)
             beside = self._edges_of_faces.reshape(-1)
             count = torch.zeros_like(weights).index_add(0, beside, turned.repeat(3) * 1.0)
-            weights = torch.where(count > 0, weights * STIFFER, weights).clamp_max(STIFFEST)
+            weights = torch.where(count > 0, weights * STIFFER, 1 + (weights - 1) * FADING).clamp_max(STIFFEST)
         return self._judged(self._turned_back(x, rest), rest, target, points)
 
     def _turned_back(self, x: Tensor, rest: Tensor) -> Tensor:
@@ -227,7 +230,9 @@ class TemplateLayer:
         turned = self._turned(x, rest, self._local_rotations(rest, x))
         figures = torch.stack([(there.mean() + back.mean()) / 2, torch.maximum(there.max(), back.max())])
         distance, most = figures.tolist()
-        return Laid(x, distance, most, int(turned.sum()))
+        mesh = TriangleMesh(x, self.faces, check=False)
+        cut = round(crossing_share(mesh, float((x.amax(0) - x.amin(0)).max()), self.device) * len(self.faces))
+        return Laid(x, distance, most, int(turned.sum()), cut)
 
 
 def surface_samples(mesh: TriangleMesh, count: int, seed: int, device: torch.device) -> tuple[Tensor, Tensor]:

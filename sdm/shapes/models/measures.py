@@ -46,7 +46,7 @@ def generalisation(aligned: Tensor, modes: Sequence[int]) -> dict[str, list[floa
     return {
         "modes": list(modes),
         "mean": [round(x, 5) for x in table.mean(0).tolist()],
-        "worst": [round(x, 5) for x in table.amax(0).tolist()] if len(modes) else [],
+        "worst": [round(x, 5) for x in table.amax(0).tolist()],
     }
 
 

@@ -77,3 +77,12 @@ def read_arrays(path: Path, kind: str, names: tuple[str, ...]) -> tuple[dict[str
         raise FormatError(f"{path} is of another version of sdm: build the model again")
     facts = header.get("facts")
     return arrays, facts if isinstance(facts, dict) else {}
+
+
+def kind_of(path: Path) -> str | None:
+    """The kind of a model's file, None of a file that cannot be read or is none."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return json.loads(str(archive["header"])).get("kind")
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, RecursionError):
+        return None

@@ -1,0 +1,27 @@
+"""`sdm shape-model NAME`: statistical shape models from meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from sdm.cli.common.subcommands import union_of
+
+PARTS = {
+    "build": "sdm.cli.commands.families.build_model:build",
+    "show": "sdm.cli.commands.families.show_model:show",
+}
+
+if TYPE_CHECKING:
+    Part = Callable[[], int | None]
+else:
+    Part = union_of(PARTS)
+
+
+def shape_model(what: Part) -> int | None:
+    """Build a statistical shape model from meshes, or draw it. A model of points is a family, as cochlea is.
+
+    Args:
+        what: build or show; `sdm shape-model build --help` lists its options.
+    """
+    return what()
