@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,9 @@ def _distance(mesh: TriangleMesh | None, index: MeshIndex, samples: Tensor) -> f
     return float((there + back) / 2)
 
 
-def _nearest(drawn: list[list[TriangleMesh | None]], indices: list[MeshIndex], samples: list[Tensor]) -> list[float]:
+def _nearest(
+    drawn: Sequence[Sequence[TriangleMesh | None]], indices: list[MeshIndex], samples: list[Tensor]
+) -> list[float]:
     """Mean over random shapes of the distance from the nearest atrium: both ways to the five nearest one way."""
     found = []
     for shapes in drawn:
