@@ -44,6 +44,9 @@ COMMANDS = (
     "bench",
 )
 
+# Of commands that do not lie in `commands/` itself.
+FOLDERS = {"family": "families.", "shape-model": "families."}
+
 DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
 
 DONE = 0
@@ -163,9 +166,11 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
         raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")
     if words[:1] == ["bench"] and (found := program(words[1:])) is not None:
         return found
-    words_of = {name: name.replace("-", "_") for name in COMMANDS}
-    modules = {name: importlib.import_module(f"sdm.cli.commands.{words_of[name]}") for name in COMMANDS}
-    commands = {name: _later(getattr(module, words_of[name]), brief) for name, module in modules.items()}
+    commands = {}
+    for name in COMMANDS:
+        function = name.replace("-", "_")
+        module = importlib.import_module(f"sdm.cli.commands.{FOLDERS.get(name, '')}{function}")
+        commands[name] = _later(getattr(module, function), brief)
     said = io.StringIO()
     try:
         with redirect_stderr(said):
