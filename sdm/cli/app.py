@@ -44,8 +44,8 @@ COMMANDS = (
     "bench",
 )
 
-# Of commands that do not lie in `commands/` itself.
-FOLDERS = {"family": "families.", "shape-model": "families."}
+# Of commands whose module is not called like them.
+MODULES = {"family": "families.family_commands", "shape-model": "families.model_commands"}
 
 DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
 
@@ -168,9 +168,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
         return found
     commands = {}
     for name in COMMANDS:
-        function = name.replace("-", "_")
-        module = importlib.import_module(f"sdm.cli.commands.{FOLDERS.get(name, '')}{function}")
-        commands[name] = _later(getattr(module, function), brief)
+        module = importlib.import_module(f"sdm.cli.commands.{MODULES.get(name, name)}")
+        commands[name] = _later(getattr(module, name.replace("-", "_")), brief)
     said = io.StringIO()
     try:
         with redirect_stderr(said):

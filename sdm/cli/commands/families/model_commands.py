@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sdm.cli.common.subcommands import union_of
 
 PARTS = {
-    "build": "sdm.cli.commands.families.build_model:build",
+    "build": "sdm.cli.commands.families.build_shape_model:build",
     "show": "sdm.cli.commands.families.show_model:show",
 }
 
