@@ -53,8 +53,10 @@ TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 
 LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
 SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
 # Whether voxels that boxes of 2^3 leave in doubt are looked at by such boxes again, with smaller tolerances, instead of
-# one by one: near caps cost a CPU, which adds them for eight voxels at once, less than polynomials do.
+# one by one; and so many of the smallest sizes of boxes do without Taylor polynomials: near caps cost a CPU, which adds
+# them for eight voxels at once, less than those do.
 TOGETHER = {"cuda": False, "cpu": True}
+PLAIN = {"cuda": 0, "cpu": 3}
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
 # Items of work for each group of lanes of a GPU: below that octants do not share what is found for all of them.
@@ -116,6 +118,7 @@ def _open_boxes(
     first: int,
     fewest: int,
     together: int,
+    plain: int,
     boxes: wp.array(dtype=wp.int32),
     octants: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
@@ -157,8 +160,8 @@ def _open_boxes(
         middle = wp.vec3()
         reach = float(0.0)
         again = together != 0 and bits == 0
-        expand = together == 0 or bits > 2
-        few = wp.where(together != 0 and bits < 2, FEW, 0)
+        expand = bits >= plain
+        few = wp.where(bits < wp.min(plain, 2), FEW, 0)
         # First the box, then its octants.
         for turn in range(unknown(9)):
             keep = turn == 0 and not again
@@ -322,7 +325,7 @@ def open_caps(
         together = TOGETHER[kind]
         listed = [left, left_octants] if bits == 0 else [boxes, octants]
         inputs = [caps, slab, bits, *limits, parents, cells, level, int(level == first)]
-        inputs += [0 if together and bits == 0 else fewest, int(together), *listed]
+        inputs += [0 if together and bits == 0 else fewest, int(together), PLAIN[kind], *listed]
         inputs += [left, left_octants, counts, stacks, lanes, values]
         launch(_open_boxes, workers * lanes, inputs, device, smallest=1)
     inputs = [tree, boundary, caps, slab, parents, len(BITS), left, counts, lanes, values]

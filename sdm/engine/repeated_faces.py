@@ -28,17 +28,21 @@ from sdm.topology.boundary_edges import boundary_edges
 FEWEST_COPIES, MOST_TRIANGLES = 64, 64
 # Boundary edges between two vertices, and faces a vertex, from which on it is worth a look.
 CROWDED = 32
+# Faces without a vertex in common that are worth waiting for a GPU to tell.
+MANY_LOOSE = 1 << 16
 # Points at a time, for so many triangles.
 CHUNK = 1 << 14
 
 
 def may_be_crowded(mesh: TriangleMesh, edges: Int32[Tensor, "E 2"]) -> bool:
-    """True if a mesh with these boundary edges may have triangles many times, on the host, where that is looked at."""
+    """True if a mesh with these boundary edges may have triangles many times."""
     # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
-    return mesh.device.type == "cpu" and (
-        len(mesh) >= CROWDED * mesh.vertices.shape[0]
-        or (edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any()))
-    )
+    count = mesh.vertices.shape[0]
+    if len(mesh) >= CROWDED * count:
+        return True
+    if mesh.device.type != "cpu" and not (MANY_LOOSE <= len(mesh) <= edges.shape[0] / 2 and count >= 3 * len(mesh)):
+        return False
+    return edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any())
 
 
 class RepeatedFaces:
@@ -115,7 +119,11 @@ class RepeatedFaces:
 
 
 def repeated_faces(mesh: TriangleMesh) -> RepeatedFaces | None:
-    """The triangles that a mesh on the host has many times; None if there are none, or too many different ones."""
+    """The triangles that a mesh has many times; None if there are none, or too many different ones.
+
+    They are looked for on the host.
+    """
+    device = mesh.device
     vertices, faces = mesh.numpy()
     first, same_side = first_copies(first_at_position(vertices)[faces.astype(np.int64)], len(vertices))
     heavy = np.bincount(first, minlength=len(faces)) >= FEWEST_COPIES
@@ -125,14 +133,14 @@ def repeated_faces(mesh: TriangleMesh) -> RepeatedFaces | None:
     rest = ~heavy[first]
     others = None
     if rest.any():
-        left = TriangleMesh(mesh.vertices, mesh.faces[torch.from_numpy(rest)], mesh.name, check=False)
+        left = TriangleMesh(mesh.vertices, mesh.faces[torch.from_numpy(rest).to(device)], mesh.name, check=False)
         border = boundary_edges(left.vertices, left.faces)
         # Winding numbers of more are right about a half alone, and here something is added to them.
         if border.shape[0] > MOST_BOUNDARY_EDGES:
             return None
         others = left, build(left.vertices.detach()[None], left.faces, border)
-    kept = torch.from_numpy(np.flatnonzero(rest | heavy).astype(np.int32))
+    kept = torch.from_numpy(np.flatnonzero(rest | heavy).astype(np.int32)).to(device)
     distinct = TriangleMesh(mesh.vertices, mesh.faces[kept.long()], mesh.name, check=False)
     copies = np.bincount(first, np.where(same_side, 1.0, -1.0), minlength=len(faces))[names]
     corners = torch.from_numpy(vertices[faces[names]].astype(np.float64))
-    return RepeatedFaces(distinct, kept, others, corners, torch.from_numpy(copies))
+    return RepeatedFaces(distinct, kept, others, corners.to(device), torch.from_numpy(copies).to(device))

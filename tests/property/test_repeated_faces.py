@@ -113,3 +113,27 @@ def test_points_without_an_index_see_one_triangle_too(monkeypatch):
     assert built == [1]
     (gradient,) = torch.autograd.grad(value.sum(), vertices)
     assert gradient.abs().sum() > 0
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", [name for name in meshes() if name != "loose"])
+def test_a_gpu_merges_copies_too(name):
+    mesh = meshes()[name]
+    found = [sdm.MeshIndex(mesh, device) for device in ("cpu", "cuda")]
+    if found[1]._repeated is None:
+        assert len(mesh) < repeated_faces.CROWDED * mesh.vertices.shape[0]
+        return
+    host, gpu = (index.signed_distance_map(GRID) for index in found)
+    torch.testing.assert_close(gpu.values.cpu(), host.values)
+    assert gpu.ambiguous_voxels == host.ambiguous_voxels
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("loose", [False, True])
+def test_a_gpu_merges_a_hundred_thousand_copies(loose):
+    faces = np.arange(300_000).reshape(-1, 3) if loose else np.repeat([[0, 1, 2]], 100_000, 0)
+    mesh = TriangleMesh(np.tile(ONE, (100_000 if loose else 1, 1)), faces)
+    index = sdm.MeshIndex(mesh, "cuda")
+    assert index._repeated is not None
+    one = sdm.signed_distance_map(TriangleMesh(ONE, [[0, 1, 2]]), GRID, device="cuda", sign="none")
+    assert torch.equal(index.signed_distance_map(GRID).values.abs(), one.values)
