@@ -48,13 +48,11 @@ from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
-from sdm.kernels.primitives.fast_math import UNFUSED
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
 from sdm.kernels.primitives.shared_stacks import small_stack_of
 from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, enqueue, queue_entry
 
-# Both kernels here measure the same distances, bit for bit.
-wp.set_module_options({"enable_backward": False, **UNFUSED})
+wp.set_module_options({"enable_backward": False})
 
 # Where a worker's stacks begin: of faces, edges and corners that wait, at most 64 each.
 FACES, EDGES, CORNERS = 0, 64, 128
@@ -255,7 +253,7 @@ def _measure_blocks(
 
 
 # In a module of its own, so that who does not ask for closest points does not wait until it is compiled.
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique", module_options=UNFUSED)
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique")
 def _measure_winners(
     begin: int,
     lanes: int,

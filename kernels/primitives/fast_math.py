@@ -1,4 +1,4 @@
-"""Roots in fewer instructions on a GPU, and products with a sum that a compiler cannot round in another way."""
+"""Roots and fused products in fewer instructions on a GPU."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-# Native text that defines FUSED(a, b, c), a * b + c. On a GPU it is one operation with one rounding. Whether a compiler
-# makes one of a product and a sum depends on what stands around them, so that two kernels of one text may differ in the
-# last bit: kernels that must not are in modules with UNFUSED, and say by this where there is to be one operation.
+# Native text that defines FUSED(a, b, c), a * b + c. On a GPU it is one operation with one rounding, which a compiler
+# makes of a product and a sum by itself only where what stands around them lets it.
 FUSED = """
 #if defined(__CUDA_ARCH__)
 #define FUSED(a, b, c) __fmaf_rn(a, b, c)
@@ -16,8 +15,6 @@ FUSED = """
 #define FUSED(a, b, c) ((a) * (b) + (c))
 #endif
 """
-# Module options by which no product and sum become one operation where nobody says so.
-UNFUSED = {"fuse_fp": False}
 
 
 @wp.func_native(

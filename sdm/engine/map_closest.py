@@ -32,9 +32,8 @@ from sdm.topology.face_pairing import neighbours
 
 # Bytes of a voxel: its value, and its closest point, face and barycentric coordinates.
 VOXEL_BYTES = 4 + 12 + 4 + 12
-# Devices on which values are compared with those of the map itself. On an H100 those of stage 6 with winners had other
-# last bits for 11 of 30 meshes. Since then nothing is left to a compiler there, which a GPU has to show by
-# tests/gpu/test_closest_values_on_gpu.py (bench/decisions/0030-closest-points-of-maps.md).
+# Devices on which values are compared with those of the map itself: on an H100 those of stage 6 with winners have other
+# last bits in one voxel of a thousand (bench/decisions/0030-closest-points-of-maps.md).
 COMPARED = {"cuda": True, "cpu": False}
 
 

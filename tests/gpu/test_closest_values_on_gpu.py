@@ -1,4 +1,4 @@
-"""Distances that are measured with winners on a GPU are those of the map, before they are compared with it."""
+"""Closest points of slabs and lists on a GPU: those of single maps."""
 
 from __future__ import annotations
 
@@ -6,26 +6,9 @@ import pytest
 import torch
 
 import sdm
-from sdm.bench.common.grids import turned_around
-from sdm.bench.common.meshes import generated_names, load_case
-from sdm.engine import map_closest
-from sdm.engine.plan_override import plan_override
+from sdm.bench.common.meshes import load_case
 
 pytestmark = pytest.mark.gpu
-
-
-@pytest.mark.parametrize("name", generated_names())
-def test_values_are_those_of_the_map(name, monkeypatch):
-    monkeypatch.setitem(map_closest.COMPARED, "cuda", False)
-    case = load_case(name)
-    mesh = sdm.TriangleMesh(case.vertices, case.faces)
-    index = sdm.MeshIndex(mesh, "cuda", warn=False)
-    for grid in (sdm.Grid.around(mesh, 40), sdm.Grid.around(mesh, (24, 50, 18)), turned_around(case, 28)):
-        with plan_override(method="cells"):
-            alone = index.signed_distance_map(grid)
-            found = map_closest.closest_map(index.mesh, index._structure, grid)
-        other = found.values != alone.values
-        assert not other.any(), (int(other.sum()), grid, found.values[other][:3], alone.values[other][:3])
 
 
 def test_slabs_and_lists_have_the_closest_points_of_single_maps():

@@ -22,8 +22,7 @@ _ROWS = VOXELS // 4
 
 
 # Texts that measure one feature: its rows, and what each voxel takes of them: a value, and whether it counts. A
-# compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away; on a
-# GPU it leaves nothing to a compiler that a value's last bit depends on, so that maps with winners are those without.
+# compiler sees what voxels of one eighth share. The same text for both devices, and near the surface and far away.
 _CORNER = (
     "const Row r = row[feature];",
     """
