@@ -28,19 +28,23 @@ from sdm.topology.boundary_edges import boundary_edges
 FEWEST_COPIES, MOST_TRIANGLES = 64, 64
 # Boundary edges between two vertices, and faces a vertex, from which on it is worth a look.
 CROWDED = 32
-# Faces without a vertex in common that are worth waiting for a GPU to tell.
-MANY_LOOSE = 1 << 16
-# Points at a time, for so many triangles.
+# Faces from which on a GPU, which measures many copies in little time, is better off with one of each.
+FEWEST_ON_GPU = 1 << 16
+# Points at a time, for so many triangles; on a GPU points times triangles.
 CHUNK = 1 << 14
+CHUNK_ON_GPU = 1 << 20
 
 
 def may_be_crowded(mesh: TriangleMesh, edges: Int32[Tensor, "E 2"]) -> bool:
     """True if a mesh with these boundary edges may have triangles many times."""
     # Copies of triangles leave edges as often as they are there; if they close a surface, they have few vertices.
-    count = mesh.vertices.shape[0]
+    count, gpu = mesh.vertices.shape[0], mesh.device.type != "cpu"
+    if gpu and len(mesh) < FEWEST_ON_GPU:
+        return False
     if len(mesh) >= CROWDED * count:
         return True
-    if mesh.device.type != "cpu" and not (MANY_LOOSE <= len(mesh) <= edges.shape[0] / 2 and count >= 3 * len(mesh)):
+    # What follows waits for a GPU: only where no face has a vertex in common with another, and few edges cancel.
+    if gpu and not (count >= 3 * len(mesh) and edges.shape[0] >= 2 * len(mesh)):
         return False
     return edges.shape[0] >= CROWDED and bool((edges[CROWDED - 1 :] == edges[: 1 - CROWDED]).all(1).any())
 
@@ -73,7 +77,8 @@ class RepeatedFaces:
 
     def winding(self, points: Float32[Tensor, "n 3"]) -> Float32[Tensor, " n"]:
         """Generalised winding number of the whole mesh about points (N,3)."""
-        total = torch.cat([self._repeated(some) for some in points.double().split(CHUNK)])
+        chunk = CHUNK_ON_GPU // len(self._copies) if points.is_cuda else CHUNK
+        total = torch.cat([self._repeated(some) for some in points.double().split(chunk)])
         if self._others is not None:
             mesh, structure = self._others
             total += points_winding(mesh.vertices.detach(), mesh.faces, points.contiguous(), structure)
@@ -85,10 +90,12 @@ class RepeatedFaces:
 
     def signed_slab(self, values: Float32[Tensor, "1 n ny nz"], grid: Grid, begin: int) -> tuple[Tensor, Tensor]:
         """Layers of a map from `begin` on with the sign of the whole mesh, and how many voxels are ambiguous (1,)."""
+        end = begin + values.shape[1]
+        thick = 1 + CHUNK_ON_GPU // values[0, 0].numel() if values.is_cuda else 1
         number = torch.cat(
             [
-                self.winding(grid.points(layer, layer + 1).reshape(-1, 3).to(values.device))
-                for layer in range(begin, begin + values.shape[1])
+                self.winding(grid.points(layer, min(layer + thick, end)).reshape(-1, 3).to(values.device))
+                for layer in range(begin, end, thick)
             ]
         ).reshape(values.shape)
         ambiguous = ((number - 0.5).abs() < 0.25).sum(dtype=torch.int32).reshape(1)
