@@ -14,7 +14,12 @@ RECORDS ?= bench/results
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
 CODE = $(wildcard sdm kernels tests bench)
 
-.PHONY: demo test test-all lint format bench records install clean help
+# Adapters of other libraries, which need these.
+INTEGRATIONS = dev,bench,formats,integrations,jax,monai,nnunet,pyvista,torchio
+INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
+	tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
+
+.PHONY: demo test test-all test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -28,6 +33,12 @@ test: $(VENV)/.installed-dev ## Run the quick tests
 
 test-all: $(VENV)/.installed-dev ## Run every test
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+
+test-integrations: ## Run the tests of adapters beside the libraries that they are for, in an environment of its own
+	$(MAKE) VENV=$(VENV)-integrations run-integrations
+
+run-integrations: $(VENV)/.installed-integrations
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -rs $(INTEGRATION_TESTS) $(ARGS)
 
 lint: $(VENV)/.installed-dev ## Check style, types and import rules
 	$(BIN)/ruff check $(CODE)
@@ -50,10 +61,16 @@ records: $(VENV)/.installed-bench ## On a GPU, about ten minutes: its tests, the
 	$(BIN)/python -m sdm.bench.edt --device cuda --out $(RECORDS)/edt-cuda.json
 	$(BIN)/python -m sdm.bench.dense.accuracy --device cuda --out $(RECORDS)/accuracy-cuda.json
 
+release: $(VENV)/.installed-release ## Build dist/, check it in a fresh environment, and stop before the upload
+	rm -rf dist build
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python -m sdm.bench.suite.release_check dist -- $(PIP_ARGS)
+
 install: $(VENV)/.installed ## Make the environment alone
 
 clean: ## Remove what the targets made
-	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(VENV)-integrations demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 	find sdm kernels tests bench -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # Debian and Ubuntu keep ensurepip in the package python3-venv; where it is missing, the system's own pip fills the folder.
@@ -80,4 +97,13 @@ $(VENV)/.installed-dev: $(VENV)/.made pyproject.toml constraints.txt
 
 $(VENV)/.installed-bench: $(VENV)/.installed-dev
 	$(INSTALL) -e ".[dev,bench]"
+	@touch $@
+
+$(VENV)/.installed-release: $(VENV)/.installed
+	$(INSTALL) -e ".[release]"
+	@touch $@
+
+$(VENV)/.installed-integrations: $(VENV)/.made pyproject.toml constraints.txt
+	@echo "Installing sdm and the libraries that it works with into $(VENV); this takes minutes and some gigabytes"
+	$(INSTALL) -e ".[$(INTEGRATIONS)]"
 	@touch $@
