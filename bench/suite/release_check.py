@@ -25,10 +25,10 @@ CONSTRAINTS = "constraints.txt"
 FENCE = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # What README.md does not type: the networks that come along, the benchmark, and how the package is typed.
 MORE = (
-    "sdm predict 5.0 0.17 0.2 1.0 -o predicted.nii.gz",
-    "sdm encode demo/demo.ply --model cochlea -o code.pt --steps 20",
+    "sdm predict --a 4.0 --alpha 0.2 --b 0.15 --phi 0.1 -o predicted.nii.gz",
+    "sdm encode demo/demo.ply --model cochlea -o code.npz --steps 10",
     "sdm bench --quick --device cpu --meshes torus-500 --resolutions 8 --peers sdm --out compared",
-    "python -c 'import sdm.kernels, sdm.bench; from pathlib import Path; assert Path(sdm.__file__).with_name(\"py.typed\").is_file()'",
+    "python -c 'import sdm.kernels, sdm.bench, os; assert os.path.isfile(os.path.join(sdm.__path__[0], \"py.typed\"))'",
 )
 
 
@@ -43,7 +43,10 @@ def main() -> None:
         work = Path(folder)
         check_sdist(source, wheel, work)
         bin_folder = fresh(work / "venv")
-        pip(bin_folder, *options.pip, "--only-binary", ":all:", "-c", str(root / CONSTRAINTS), str(wheel.resolve()))
+        words = [*options.pip, "--only-binary", ":all:", "-c", str(root / CONSTRAINTS), str(wheel.resolve())]
+        # Elsewhere than in the checkout, which would count as installed.
+        install = [bin_folder / "python", "-m", "pip", "install", "-q", *words]
+        subprocess.run(install, check=True, cwd=work, env=plain_environment())
         place = work / "place"
         place.mkdir()
         for line in [*readme_commands(root / "README.md"), *MORE]:
@@ -74,18 +77,17 @@ def fresh(folder: Path) -> Path:
     return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
-def pip(bin_folder: Path, *words: str) -> None:
-    subprocess.run([bin_folder / "python", "-m", "pip", "install", "-q", *words], check=True)
+def plain_environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 
 
 def run(line: str, bin_folder: Path, place: Path) -> None:
     """A command by the environment's programs, in an otherwise empty folder; a compiler would be /bin/false."""
     print(line, flush=True)
     path = os.pathsep.join([str(bin_folder), os.environ["PATH"]])
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     words = shlex.split(line)
     program = bin_folder / words[0]
-    settings = {**plain, "PATH": path, "CC": "/bin/false", "CXX": "/bin/false"}
+    settings = {**plain_environment(), "PATH": path, "CC": "/bin/false", "CXX": "/bin/false"}
     done = subprocess.run([program, *words[1:]], cwd=place, env=settings, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{line}\nends with {done.returncode}:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")

@@ -13,6 +13,7 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.runtime.threads import one_thread_for
+from sdm.topology.face_pairing import pairing_of
 
 # Squared distances that differ by no more than rounding, relative to the mesh's squared size.
 ROUNDING = 1e-15
@@ -54,11 +55,11 @@ class ClosestInFloat64:
         self.equal, self.rounding = equal, ROUNDING * float(((high - low) ** 2).sum())
         self.index = MeshIndex(TriangleMesh(corners - self.middle, whole.faces, name, check=False), device, warn=False)
         where = self.index.device
-        moved = torch.from_numpy(corners - self.middle)
-        triangles = whole.faces.cpu().long()
-        self._corners = moved[triangles].to(where)
-        self._normals = _normals(self._corners)
-        self._near = torch.from_numpy(_neighbours(np.asarray(vertices, np.float32), triangles.numpy())).to(where)
+        # By NumPy: torch's threads take longer to meet.
+        self._corners = torch.from_numpy((corners - self.middle)[whole.faces.cpu().numpy()]).to(where)
+        with one_thread_for(0, where):
+            self._normals = _normals(self._corners)
+        self._near = _neighbours(np.asarray(vertices, np.float32), self.index.mesh.faces)
 
     def query(self, points: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Signed distances (N,) negative inside, closest points (N,3), both float64, faces (N,) int64, normals (N,3).
@@ -141,11 +142,22 @@ def _normals(corners: Tensor) -> Tensor:
     return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-300)
 
 
-def _neighbours(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """For each face one that shares each of its edges (F,3); itself where there is none."""
-    merged = first_at_position(vertices)[faces]
-    edges = np.sort(np.stack([merged, np.roll(merged, -1, 1)], -1), -1).reshape(-1, 2).astype(np.int64)
-    key = edges[:, 0] * len(vertices) + edges[:, 1]
+def _neighbours(vertices: np.ndarray, faces: Tensor) -> Tensor:
+    """For each face one that shares each of its edges (F,3) int64, on the device; itself where there is none."""
+    pairing = pairing_of(faces, len(vertices))
+    if not len(pairing.unmatched):
+        # Closed without merging vertices at one place: what the index has found already.
+        around = pairing.neighbours[:, :3].long()
+        own = torch.arange(len(faces), device=faces.device)[:, None]
+        return torch.where(around < 0, own, around // 3)
+    first = first_at_position(vertices)
+    return torch.from_numpy(_around_edges(first[faces.cpu().numpy()])).to(faces.device)
+
+
+def _around_edges(corners: np.ndarray) -> np.ndarray:
+    """The same of faces by their corners (F,3): the next face around each edge."""
+    edges = np.sort(np.stack([corners, np.roll(corners, -1, 1)], -1), -1).reshape(-1, 2).astype(np.int64)
+    key = edges[:, 0] * (int(corners.max()) + 1) + edges[:, 1]
     order = np.argsort(key, kind="stable")
     # The next face around the edge, and after the last the first.
     group = np.flatnonzero(np.diff(key[order], prepend=-1))

@@ -73,6 +73,10 @@ class TriangleMesh:
     @property
     def bounds(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest x, y, z over the vertices that faces use, float64 (3,) each."""
+        if self.device.type == "cpu":
+            # Without torch's threads, which take longer to meet.
+            placed = self.vertices.detach().numpy()[self.faces.numpy().ravel()]
+            return placed.min(0).astype(np.float64), placed.max(0).astype(np.float64)
         used = self.vertices.detach()[self.faces.reshape(-1).long()]
         low, high = used.amin(0), used.amax(0)
         return low.cpu().double().numpy(), high.cpu().double().numpy()
