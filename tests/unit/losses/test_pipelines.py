@@ -58,6 +58,47 @@ def test_torchio():
     assert "label_sdm" not in subject
 
 
+def test_random_spatial_transforms_of_monai():
+    """The maps are those of the turned label, in its space, which a turned and an LPS affine matrix tell."""
+    data = pytest.importorskip("monai.data", reason="needs MONAI, an extra")
+    from monai.transforms import Compose, Orientationd, RandAffined, Spacingd
+
+    from sdm.monai import SignedDistanceMapd
+
+    turned = np.array([[0.0, -2.0, 0, 7], [1.0, 0, 0, -3], [0, 0, 1.5, 2], [0, 0, 0, 1]])
+    label = data.MetaTensor(LABELS.clone(), affine=torch.from_numpy(turned))
+    random = RandAffined("label", prob=1.0, rotate_range=(0.4,) * 3, scale_range=(0.2,) * 3, mode="nearest")
+    steps = [
+        Orientationd("label", axcodes="LPS", labels=(("L", "R"), ("P", "A"), ("I", "S"))),
+        Spacingd("label", (1.0, 0.8, 1.2), mode="nearest"),
+        random,
+        SignedDistanceMapd("label", [1, 3]),
+    ]
+    pipeline = Compose(steps)
+    pipeline.set_random_state(3)
+    made = pipeline({"label": label})
+    np.testing.assert_allclose(made["label_sdm"].affine, made["label"].affine)
+    assert not np.allclose(made["label"].affine, turned)
+    spacing = [float(size) for size in made["label"].pixdim]
+    wanted = class_maps(made["label"].as_tensor(), spacing, classes=[1, 3])
+    assert torch.equal(made["label_sdm"].as_tensor(), wanted)
+    assert (wanted < 0).any()
+
+
+def test_random_spatial_transforms_of_torchio():
+    tio = pytest.importorskip("torchio", reason="needs TorchIO, an extra")
+    from sdm.torchio import SignedDistanceMap
+
+    torch.manual_seed(0)
+    steps = [tio.RandomAffine(scales=0.2, degrees=20), tio.RandomFlip((0, 1)), tio.ToCanonical(), tio.Resample(1.3)]
+    subject = tio.Subject(label=tio.LabelMap(tensor=LABELS, affine=AFFINE))
+    made = tio.Compose([*steps, SignedDistanceMap([1, 3])])(subject)
+    wanted = class_maps(made["label"].data, [float(size) for size in made["label"].spacing], classes=[1, 3])
+    assert torch.equal(made["label_sdm"].data, wanted)
+    np.testing.assert_array_equal(made["label_sdm"].affine, made["label"].affine)
+    assert (wanted < 0).any()
+
+
 def test_pyvista():
     pyvista = pytest.importorskip("pyvista", reason="needs PyVista, an extra")
     from sdm.pyvista import SurfaceAccessor
