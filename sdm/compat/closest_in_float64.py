@@ -17,6 +17,8 @@ from sdm.topology.face_pairing import pairing_of
 
 # Squared distances that differ by no more than rounding, relative to the mesh's squared size.
 ROUNDING = 1e-15
+# Share of a corner below which a closest point may lie on the edge across from it; of slivers float32 knows no better.
+ON_AN_EDGE = 1e-2
 # Points that are worked on at a time, a kilobyte each.
 CHUNK, GPU_CHUNK = 1 << 11, 1 << 20
 
@@ -78,15 +80,26 @@ class ClosestInFloat64:
         # Many operations on what fits into a cache.
         with one_thread_for(0, self.index.device):
             size = CHUNK if self.index.device.type == "cpu" else GPU_CHUNK
-            found = [self._refined(*part) for part in zip(moved.split(size), hit.faces.split(size), strict=True)]
+            parts = zip(moved.split(size), hit.faces.split(size), hit.barycentric.split(size), strict=True)
+            found = [self._refined(*part) for part in parts]
         closest, distance, face = (torch.cat(parts) for parts in zip(*found, strict=True))
         distance = torch.where(signed < 0, -distance, distance)
         normals = self._normals[face]
         where = closest.cpu().numpy() + self.middle
         return distance.cpu().numpy(), where, face.cpu().numpy(), normals.cpu().numpy()
 
-    def _refined(self, points: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        known = faces.clamp(min=0).long()
+    def _refined(self, points: Tensor, faces: Tensor, barycentric: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Closest points, distances, faces; only where an edge or a corner is nearest may another face be as near."""
+        own = faces.clamp(min=0).long()
+        closest = closest_on_triangles(self._corners[own], points)
+        distance = _squared(points - closest).sqrt()
+        beside = (barycentric.amin(1) <= ON_AN_EDGE).nonzero()[:, 0]
+        if len(beside):
+            picked = self._best_of_neighbours(points[beside], own[beside])
+            closest[beside], distance[beside], own[beside] = picked
+        return closest, distance, own
+
+    def _best_of_neighbours(self, points: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         candidates = torch.cat([known[:, None], self._near[known]], 1)
         closest = closest_on_triangles(self._corners[candidates], points[:, None])
         way = points[:, None] - closest
