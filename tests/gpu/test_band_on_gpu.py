@@ -65,8 +65,9 @@ def test_memory_grows_with_the_surface(whole_gpu):
 
 def test_a_volume_of_warp():
     band = sdm.narrow_band(mesh("torus"), 128)
-    there = band.to_warp().array().numpy()
-    here = band.cpu().to_warp().array().numpy()
+    # A volume's array does not keep the volume.
+    volumes = band.to_warp(), band.cpu().to_warp()
+    there, here = (volume.array().numpy() for volume in volumes)
     assert there.shape == here.shape
     # Leaves may lie in another order; what is active is not another.
     assert np.array_equal(there[672 + 56 : 672 + 64], here[672 + 56 : 672 + 64])

@@ -78,7 +78,10 @@ def refuse_many(triangles: int) -> None:
 
 def starts_of(counts: Tensor) -> Tensor:
     """The sum of all counts before each, along the last axis."""
-    return counts.cumsum(-1, dtype=torch.int32) - counts
+    if counts.ndim > 1:
+        # One at a time: of several rows a GPU has one block of threads sum each.
+        return torch.stack([starts_of(row) for row in counts])
+    return counts.cumsum(0, dtype=torch.int32) - counts
 
 
 def _surface(grid: Grid, blocks: Tensor, active: Tensor) -> tuple[Any, tuple[Tensor, ...]]:
