@@ -1,4 +1,4 @@
-"""`sdm train sdmnn`: surrogates of the cochlea family."""
+"""`sdm train sdmnn`: surrogates of the cochlea family, and of any other."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import tyro
 def sdmnn(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    family: Annotated[str | None, tyro.conf.arg(metavar="FAMILY", help_behavior_hint="(default: the cochlea)")] = None,
+    resolution: int = 48,
     model: Literal["sdmnn-plus", "sdmnn"] = "sdmnn-plus",
     modes: int = 208,
     channels: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the model's)")] = None,
@@ -32,13 +34,20 @@ def sdmnn(
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: in OUT)")] = None,
     device: str = "auto",
 ) -> int | None:
-    """Train a surrogate of the cochlea family: from four shape parameters to a signed distance map.
+    """Train a surrogate: from the parameters of a family of shapes to a signed distance map.
+
+    With --family it is of any family of 1 to 64 parameters, on a grid of its own: modes of the maps, polynomials and a
+    small network (only --resolution, --budget-s, --seed and --device matter then). OUT then has the surrogate, for
+    `sdm predict --model OUT`, and its card: errors on fresh shapes, the worst case found by search, speed, a picture.
+    Without it, a network of the cochlea family:
 
     Writes OUT/MODEL-RECIPE.safetensors with its description, curves, and a checkpoint from which the same command
     goes on if it is cut off. Maps are made as they are needed, by the exact engine.
 
     Args:
         out: Folder to write to; made if it is not there.
+        family: cochlea, FILE.py:NAME of yours (the file is run), a shape model's MODEL.npz, ...
+        resolution: With --family, voxels along each axis.
         model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is quicker and more accurate, with
             a file seven times as large.
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
@@ -70,6 +79,11 @@ def sdmnn(
     from sdm.surrogate.train.training import Trainer
     from sdm.training.checkpoints import training_folder
 
+    if family is not None:
+        from sdm.cli.commands.trainings.family_surrogate import train_of_family
+
+        train_of_family(family, out, budget_s=budget_s, resolution=resolution, seed=seed, device=device)
+        return None
     plain = loss == "mse"
     settings = Settings(
         model=model,
