@@ -87,7 +87,7 @@ class LowRankSurrogate(nn.Module):
         return found if self.network is None else found + self.scale * self.rest(theta)
 
     def rest(self, theta: Tensor) -> Tensor:
-        """What the network adds (B,M), of order one."""
+        """Output (B,M) of the network, which polynomials leave to it, of order one."""
         assert self.network is not None  # noqa: S101 - for the type checker
         return self.network(torch.cat(chebyshev(self.unit(theta), DEGREE)[1:], 1))
 
@@ -98,7 +98,7 @@ class LowRankSurrogate(nn.Module):
 
 
 def count_of_terms(parameters: int, degree: int) -> int:
-    """How many polynomials of at most this total degree there are."""
+    """Number of polynomials of at most this total degree."""
     return math.comb(parameters + degree, degree)
 
 
