@@ -15,7 +15,7 @@ from sdm.io import FORMATS
 # NanoVDB's buffers carry no checksum of ours, so values may differ there; they must not crash.
 UNCHECKED = ("nvdb",)
 # An image whose header has another grid than our record is one that another program turned, cropped or moved.
-MOVABLE = ("nii", "nii.gz", "nrrd")
+MOVABLE = ("nii", "nii.gz", "nrrd", "mha", "mhd", "vti")
 
 
 def trial(rng: np.random.Generator, folder: Path) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,23 @@ import numpy as np
 from sdm.bench.common.mesh_formulas import sphere, torus
 from sdm.bench.fuzz.damage import drawn
 from sdm.bench.fuzz.trial import Finding, Outcome, one_sentence
-from sdm.io import load_mesh
+from sdm.core.mesh import TriangleMesh
+from sdm.io import load_mesh, save_mesh
 
-FORMATS = ("ply", "ply-text", "off", "obj", "stl", "stl-text", "glb", "gltf")
+FORMATS = ("ply", "ply-text", "off", "obj", "stl", "stl-text", "glb", "gltf", "gii", "pial", "vtk", "vtp")
+# Those that trimesh does not write.
+OWN = ("gii", "pial", "vtk", "vtp")
 # Damage after which a mesh with fewer faces than before is a finding: the file still declares them all.
 SHORTENING = ("cut",)
 
 
 def encoded(vertices: np.ndarray, faces: np.ndarray, kind: str) -> tuple[str, bytes]:
     """The ending and the bytes of a mesh in a format."""
+    if kind in OWN:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"mesh.{kind}"
+            save_mesh(TriangleMesh(vertices, faces), path)
+            return kind, path.read_bytes()
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)

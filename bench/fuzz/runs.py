@@ -5,12 +5,15 @@ from __future__ import annotations
 import importlib
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +22,37 @@ import numpy as np
 from sdm.bench.fuzz.trial import Finding, Outcome
 from sdm.core.random import derive_seed
 
-PARTS = ("numerics", "near_degenerate", "mesh_files", "map_files", "datasets", "models")
-NUMERIC = {"numerics", "near_degenerate"}
+PARTS = ("numerics", "near_degenerate", "mesh_files", "map_files", "bands", "datasets", "models")
+# Parts that launch kernels.
+NUMERIC = {"numerics", "near_degenerate", "bands"}
 # A trial that takes longer hangs, as far as a user is concerned.
 MOST_SECONDS = 30.0
+
+
+@contextmanager
+def _ended_if_it_hangs() -> Iterator[None]:
+    """End what takes four times as long as is a finding, where a signal can."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: Any) -> None:
+        raise Finding(f"hangs: not done after {4 * MOST_SECONDS:.0f} s")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, 4 * MOST_SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def run_trial(part: str, seed: int, number: int) -> tuple[Outcome | None, str]:
     """One trial in a folder of its own: its outcome, or the finding's sentence."""
     rng = np.random.default_rng(derive_seed(seed, "fuzz", part, number))
     started = np.array([time.monotonic(), time.process_time()])
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), _ended_if_it_hangs():
         warnings.simplefilter("ignore")
         try:
             outcome = importlib.import_module(f"sdm.bench.fuzz.{part}").trial(rng, Path(folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,12 @@ from sdm.errors import FormatError
 from sdm.io.bands.band_record import ARRAYS, arrays_of, band_from, band_record
 from sdm.io.maps.record import BAND_KEY, MADE_FROM, NO_VALUES, from_record, verify, with_checksum
 
+# Voxels along an edge of a block.
+BLOCK = 8
 # Rows of a chunk: 8 MiB of values.
 ROWS = 1 << 12
+# Numbers in a chunk that others may have made, where the array is smaller.
+MOST_OF_A_CHUNK = 1 << 28
 
 
 def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
@@ -43,7 +48,8 @@ def read(path: Path) -> SparseSDM:
     group = zarr.open_group(path, mode="r")
     kept = group.attrs.get(BAND_KEY)
     verify(kept, NO_VALUES, str(path))
-    arrays = {name: _read(group, name, path) for name in ARRAYS}
+    most = math.prod(-(-n // BLOCK) for n in from_record(kept, str(path))[0].shape)
+    arrays = {name: _read(group, name, most, path) for name in ARRAYS}
     return band_from(kept, arrays, str(path))
 
 
@@ -54,8 +60,14 @@ def read_origin(path: Path) -> tuple[Grid, str | None]:
     return from_record(kept, str(path))[0], kept.get(MADE_FROM)
 
 
-def _read(group: zarr.Group, name: str, path: Path) -> torch.Tensor:
+def _read(group: zarr.Group, name: str, most: int, path: Path) -> torch.Tensor:
+    """One of the arrays, which has `most` rows at most."""
     array: Any = group[name]
+    # Before anything goes over the chunks, which may be said to be as many as nobody has time for.
+    if array.shape[0] > most or math.prod(array.shape[1:]) > BLOCK**3:
+        raise FormatError(f"{path} is damaged: its {name} would have the shape {array.shape}")
+    if math.prod(array.chunks) > max(array.size, MOST_OF_A_CHUNK):
+        raise FormatError(f"{path} is damaged: a chunk of its {name} would have the shape {array.chunks}")
     # Zarr reads a chunk that is gone as the fill value, without a word.
     if array.size and (lost := array.nchunks - array.nchunks_initialized):
         raise FormatError(f"{path} has lost {lost:,} of its {array.nchunks:,} chunks: copy or compute the band again")

@@ -19,7 +19,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.header_record import geometry_of
-from sdm.io.maps.record import KEY, record, sign_arguments, signs_of, to_line, verify, with_checksum
+from sdm.io.maps.record import KEY, RECORD_CHECKSUM, record, sign_arguments, signs_of, to_line, verify, with_checksum
 
 # Headers are text and much shorter; values may follow in the same file.
 LONGEST_HEADER = 1 << 16
@@ -110,6 +110,8 @@ def _header(path: Path) -> tuple[dict[str, str], int]:
 
 
 def _kept(fields: dict[str, str]) -> Any:
+    if KEY not in fields and any(RECORD_CHECKSUM in value for value in fields.values()):
+        raise ValueError(f"its record has lost its name, {KEY!r}")
     return json.loads(fields[KEY]) if KEY in fields else None
 
 

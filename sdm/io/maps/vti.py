@@ -17,9 +17,13 @@ from sdm.errors import FormatError
 from sdm.io.files.vtk_xml import VtkFile, data_array, file_bytes
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.header_record import geometry_of
-from sdm.io.maps.record import KEY, record, sign_arguments, signs_of, to_line, verify, with_checksum
+from sdm.io.maps.record import KEY, RECORD_CHECKSUM, record, sign_arguments, signs_of, to_line, verify, with_checksum
 
 KIND = "ImageData"
+
+
+# The name of the record's checksum, letter by letter.
+CHECKSUM_CODES = f" {' '.join(str(ord(letter)) for letter in RECORD_CHECKSUM)} "
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -95,8 +99,12 @@ def _geometry(image: ET.Element) -> tuple[np.ndarray, tuple[int, ...]]:
 
 def _kept(image: ET.Element) -> Any:
     for array in image.iterfind("FieldData/"):
-        if array.get("Name") == KEY and array.get("format") == "ascii":
+        if array.get("Name") == KEY:
+            if array.get("format") != "ascii":
+                raise ValueError("its record is not as sdm wrote it")
             return json.loads(bytes(int(code) for code in (array.text or "").split() if code != "0"))
+        if CHECKSUM_CODES in f" {array.text or ''} ":
+            raise ValueError(f"its record has lost its name, {KEY!r}")
     return None
 
 

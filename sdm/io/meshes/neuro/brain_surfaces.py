@@ -6,6 +6,7 @@ volume's centre, c_ras, to lay them on a scan.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,6 +15,8 @@ import numpy as np
 from sdm.errors import MeshError
 from sdm.io.meshes.polygons import PolygonMesh
 
+# To which a parser of XML would count.
+DIMENSIONS = re.compile(rb"Dimensionality\s*=\s*[\"']\s*\+?([\d_]+)")
 # Of a file with triangles; others, of FreeSurfer's early days, have quads.
 MAGIC = b"\xff\xff\xfe"
 
@@ -26,6 +29,8 @@ def read_gifti(data: bytes, path: Path) -> PolygonMesh:
     """
     from nibabel.gifti.gifti import GiftiImage
 
+    if too_many := [number for number in DIMENSIONS.findall(data) if len(number) > 1]:
+        raise ValueError(f"an array of it would have {too_many[0][:20].decode()} dimensions")
     image = GiftiImage.from_bytes(data)
     points = image.get_arrays_from_intent("NIFTI_INTENT_POINTSET")
     triangles = image.get_arrays_from_intent("NIFTI_INTENT_TRIANGLE")

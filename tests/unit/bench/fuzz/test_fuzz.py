@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 
 import sdm
@@ -16,6 +18,7 @@ TRIALS = {
     "near_degenerate": 25,
     "mesh_files": 500,
     "map_files": 300,
+    "bands": 60,
     "datasets": 24,
     "models": 150,
 }
@@ -34,6 +37,21 @@ def test_nothing_is_found(part):
 def test_a_trial_is_its_number():
     first = [run_trial("map_files", 3, number) for number in range(4)]
     assert [run_trial("map_files", 3, number) for number in (3, 1)] == [first[3], first[1]]
+
+
+def test_a_trial_that_hangs_is_ended(monkeypatch):
+    monkeypatch.setattr(runs, "MOST_SECONDS", 0.05)
+    monkeypatch.setattr("sdm.bench.fuzz.models.trial", lambda *_: threading.Event().wait())
+    assert run_trial("models", 0, 0) == (None, "hangs: not done after 0 s")
+
+
+# Trials that found something: chunks as many as nobody has time for, a record that lost its format, dimensions to
+# which a parser counts.
+@pytest.mark.parametrize(
+    ("part", "seed", "number"), [("bands", 0, 1203), ("map_files", 0, 163), ("mesh_files", 5, 745)]
+)
+def test_former_findings(part, seed, number):
+    assert run_trial(part, seed, number)[1] == ""
 
 
 def test_processes_share_the_numbers(monkeypatch):
