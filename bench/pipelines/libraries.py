@@ -25,7 +25,8 @@ def scipy_maps(labels: Any, classes: int, spacing: Sequence[float]) -> torch.Ten
         if not inside.any():
             found.append(np.zeros(plain.shape, np.float32))
             continue
-        outward = distance_transform_edt(~inside, spacing) - distance_transform_edt(inside, spacing)
+        transform: Any = distance_transform_edt
+        outward = transform(~inside, spacing) - transform(inside, spacing)
         found.append(outward.astype(np.float32))
     return torch.from_numpy(np.stack(found))
 
