@@ -24,7 +24,12 @@ _loaded: set[wp.Module] = set()
 def threads() -> int:
     """Threads that CPU launches use: the cores this process may run on, or `SDM_NUM_THREADS`."""
     wanted = os.environ.get("SDM_NUM_THREADS", "")
-    return max(1, int(wanted)) if wanted.isdigit() else len(os.sched_getaffinity(0))
+    return max(1, int(wanted)) if wanted.isdigit() else cores()
+
+
+def cores() -> int:
+    """Cores that this process may run on; systems other than Linux tell how many there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache

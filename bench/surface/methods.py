@@ -31,7 +31,10 @@ def host_surface(found: Any) -> Surface:
 
 
 def _scikit_image(field: sdm.SDM, values: np.ndarray) -> dict[str, Callable[[], Any]]:
-    from skimage.measure import marching_cubes
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError:
+        return {}
 
     def call() -> Surface:
         index, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent", allow_degenerate=False)

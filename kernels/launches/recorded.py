@@ -31,7 +31,9 @@ def _unlock() -> None:
     loading = threading.RLock()
 
 
-os.register_at_fork(after_in_child=_unlock)
+# Windows has no forks.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_unlock)
 
 
 class RecordedLaunch:

@@ -15,6 +15,8 @@ from sdm.errors import DeviceError, GridError
 
 # Bytes that fit, and the part of a GPU's memory that is not asked about beforehand.
 SMALL, SHARE_UNASKED = 1 << 26, 64
+# Bytes, more than any machine has.
+UNKNOWN_MEMORY = 1 << 62
 
 
 def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) -> torch.device:
@@ -63,7 +65,11 @@ def free_memory(device: torch.device) -> int:
                 return 1024 * int(line.split()[1])
     except OSError:
         pass
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        # Windows does not say so to the standard library: nothing is refused there before it is tried.
+        return UNKNOWN_MEMORY
 
 
 def require_memory(needed: int, device: torch.device, what: str) -> None:

@@ -96,7 +96,10 @@ def own_name(path: Path, ending: str = LEFTOVER) -> Path:
 
 def _flush(path: Path) -> None:
     # Without this a power cut soon after the renaming may leave an empty file under the final name.
-    handle = os.open(path, os.O_RDONLY)
+    if os.name == "nt" and path.is_dir():
+        # Windows flushes no folders, and of files those alone that are open for writing.
+        return
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from sdm.errors import FormatError
+
+try:
+    import fcntl
+except ImportError:
+    # Windows, where a folder cannot be locked like this.
+    fcntl = None
 
 
 @contextmanager
@@ -17,7 +22,7 @@ def alone(folder: Path, *, wait: bool = False) -> Iterator[None]:
 
     Of two trainings each would go on from the other's checkpoint; of two that fill a dataset the one that finished it
     would take it away under the hands of the other. The lock goes with its process and those forked meanwhile, however
-    they end; a file system that has no locks does without.
+    they end; a file system that has no locks, and Windows, do without.
 
     Args:
         folder: It is there already.
@@ -26,6 +31,11 @@ def alone(folder: Path, *, wait: bool = False) -> Iterator[None]:
     Raises:
         FormatError: Another process has it, or it is not there.
     """
+    if fcntl is None:
+        if not folder.is_dir():
+            raise FormatError(f"{folder} cannot be written: there is no such folder")
+        yield
+        return
     try:
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:

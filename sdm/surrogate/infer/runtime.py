@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from sdm.errors import SDMError
+from sdm.kernels.launch import cores
 from sdm.surrogate.infer.onnx import export_halves, export_onnx
 from sdm.surrogate.infer.openvino_stages import Stages, has_bfloat16
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
@@ -46,7 +46,7 @@ def runner(model: nn.Module, backend: str | None = None, threads: int | None = N
     backend = available()[0] if backend is None else backend
     if backend not in available():
         raise SDMError(f"the backend {backend!r} is not installed here; use {', '.join(available())}")
-    threads = len(os.sched_getaffinity(0)) if threads is None else threads
+    threads = cores() if threads is None else threads
     if backend == "torch":
         return _torch(model.eval())
     with tempfile.TemporaryDirectory() as folder:
