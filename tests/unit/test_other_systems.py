@@ -1,4 +1,4 @@
-"""What other systems than Linux lack is asked for, not taken: the same code without it."""
+"""Systems other than Linux: the same code without what Linux alone has."""
 
 from __future__ import annotations
 
