@@ -25,6 +25,7 @@ class PlanOptions:
         pool_entries: Entries of the pool of candidate lists.
         most_regions: Regions of a pass.
         most_columns: Columns of voxels for each lane from which on a triangle is scan converted by many groups.
+        list_bricks: True to search coarse bricks by their cells' lists, see `dense.coarse_bricks`; False by the tree.
         slice_factors: Factors by which thick slices may be refined on a CPU; `(1,)` leaves all as they are.
         slab_voxels: Voxels of a slab of the grid that thick slices are refined to, from its thinnest one on.
 
@@ -41,6 +42,7 @@ class PlanOptions:
     pool_entries: int | None = None
     most_regions: int | None = None
     most_columns: int | None = None
+    list_bricks: bool | None = None
     slice_factors: tuple[int, ...] = (1, 2, 4, 8, 16)
     slab_voxels: int = 1 << 23
 

@@ -11,14 +11,15 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import LATTICE_SLACK, SCALE, Tree, load_corners, to_lattice
+from sdm.kernels.bvh.tree import SCALE, Tree, load_corners
 from sdm.kernels.geometry.block_table import VOXELS, BlockTable, inner_of, place_of, voxel_of
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab, along, count_below, voxel
+from sdm.kernels.geometry.voxel_grid import Slab, voxel
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.winding.dipole_tree import soup_winding
-from sdm.kernels.winding.ray_crossings import count_crossings, covers, crossing_of
+from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.scan_convert import column_crossing, columns_under
 from sdm.kernels.winding.winding_number import SOUP, Winding
 
 wp.set_module_options({"enable_backward": False})
@@ -47,39 +48,27 @@ def _mark_crossings(
     b = tree.lattice[3 * slot + 1]
     c = tree.lattice[3 * slot + 2]
     scale = tree.frame[SCALE]
-    low = wp.min(pa, wp.min(pb, pc))
-    high = wp.max(pa, wp.max(pb, pc))
-    if count_below(slab, 0, wp.float64(high[0]), scale) == 0:
-        return
-    j_begin = count_below(slab, 1, wp.float64(low[1]) - LATTICE_SLACK, scale)
-    j_end = count_below(slab, 1, wp.float64(high[1]) + LATTICE_SLACK, scale)
-    k_begin = count_below(slab, 2, wp.float64(low[2]) - LATTICE_SLACK, scale)
-    k_end = count_below(slab, 2, wp.float64(high[2]) + LATTICE_SLACK, scale)
-    width = k_end - k_begin
-    columns = (j_end - j_begin) * width
+    j_begin, k_begin, width, columns = columns_under(slab, pa, pb, pc, scale)
     known = wp.vec3i(-1, -1, -1)
     place = int(-1)
     column = lane
     while column < columns:
         j = j_begin + column / width
         k = k_begin + column % width
-        q = to_lattice(tree, 0, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
-        sign = covers(a, b, c, q)
-        if sign != 0:
-            below = count_below(slab, 0, crossing_of(a, b, c, pa[0], pb[0], pc[0], q), scale)
-            if below > 0:
-                at = wp.vec3i(below - 1, j, k)
-                block = wp.vec3i(at[0] >> 3, j >> 3, k >> 3)
-                # Neighbours are mostly in the same block.
-                if not block == known:
-                    known = block
-                    place = place_of(table, block)
-                if place >= 0:
-                    fetch_add(counts, VOXELS * place + inner_of(at), sign)
-                elif below == slab.shape[0] and beyond.shape[0] > 0:
-                    fetch_add(beyond, j * slab.shape[2] + k, sign)
-                else:
-                    fetch_add(lost, 0, 1)
+        sign, below = column_crossing(tree, slab, 0, pa, pb, pc, a, b, c, j, k, scale)
+        if below > 0:
+            at = wp.vec3i(below - 1, j, k)
+            block = wp.vec3i(at[0] >> 3, j >> 3, k >> 3)
+            # Neighbours are mostly in the same block.
+            if not block == known:
+                known = block
+                place = place_of(table, block)
+            if place >= 0:
+                fetch_add(counts, VOXELS * place + inner_of(at), sign)
+            elif below == slab.shape[0] and beyond.shape[0] > 0:
+                fetch_add(beyond, j * slab.shape[2] + k, sign)
+            else:
+                fetch_add(lost, 0, 1)
         column = column + lanes
 
 

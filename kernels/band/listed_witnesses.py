@@ -57,11 +57,11 @@ def _find_listed_witnesses(
 
 
 def find_listed_witnesses(
+    regions: wp.array,
     tree: Tree,
     frames: wp.array,
     slab: Slab,
     grid: RegionGrid,
-    regions: wp.array,
     counters: wp.array,
     cache: CellCache,
     workers: int,

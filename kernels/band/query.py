@@ -7,13 +7,15 @@ arithmetic, so that each value has the dense map's bits. Only the first and the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import warp as wp
 
 from sdm.kernels.band.listed_witnesses import find_listed_witnesses
-from sdm.kernels.bvh.tree import Tree, coarser, slots_of
+from sdm.kernels.bvh.tree import Tree, slots_of
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.winners import MISSED, BlockOutput, put_in_block
 from sdm.kernels.dense.block_schedule import BlockSchedule
@@ -21,22 +23,16 @@ from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
 from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
 from sdm.kernels.dense.plan import Plan
-from sdm.kernels.dense.query import Surface
+from sdm.kernels.dense.query import OwnStages, Surface, run_stages
 from sdm.kernels.dense.region_grid import RegionGrid
-from sdm.kernels.dense.stage2_regions import REGION_BLOCKS_PER_SM, list_regions
-from sdm.kernels.dense.stage3_cells import CELL_BLOCKS_PER_SM, list_cells
-from sdm.kernels.dense.stage4_blocks import SCHEDULE_BLOCKS_PER_SM, schedule_blocks
-from sdm.kernels.dense.stage5_select import SELECT_BLOCKS_PER_SM, select_features
-from sdm.kernels.dense.stage6_measure import measure_scheduled, scratch_rows
+from sdm.kernels.dense.stage6_measure import measure_scheduled
 from sdm.kernels.dense.voxel_search import searched_distance
-from sdm.kernels.dense.workspace import make_workspace
 from sdm.kernels.geometry.block_table import VOXELS, voxel_of
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, voxel
-from sdm.kernels.launch import launch, set_array, threads
+from sdm.kernels.launch import launch, set_array
 from sdm.kernels.primitives.atomics import fetch_add
-from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
-from sdm.kernels.primitives.shared_stacks import STACK
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM
 
 wp.set_module_options({"enable_backward": False})
 
@@ -128,7 +124,7 @@ def query_blocks(
             `find_listed_witnesses`.
         ambiguous: (1,) int32, to which the near voxels with an unclear winding number are added.
         plan: Of a dense query of the measured grid.
-        empty: Allocates scratch.
+        empty: Allocates workspace.
     """
     device: Any = to.values.device
     out: Any = Output()
@@ -139,18 +135,13 @@ def query_blocks(
     set_array(out, "searched", empty(0, wp.int32))
     if plan.method == "search":
         set_array(out, "missed", empty(1, wp.int32))
-        _search(surface, slab, out, to, everywhere=True)
+        _search_blocks(slab, to, surface.tree, measured, out, max(1, to.values.size // 8), everywhere=True)
         return
-    _run_stages(
-        surface,
-        measured,
-        out,
-        to,
-        regions,
-        band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda),
-        empty,
+    plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda)
+    own = OwnStages(
+        partial(find_listed_witnesses, regions), partial(_measure_blocks, to), partial(_search_blocks, slab, to)
     )
-    _search(surface, slab, out, to, everywhere=False)
+    run_stages(surface, measured, out, plan, empty, partial(nullcontext, _nothing), _nothing, own)
 
 
 def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
@@ -173,56 +164,40 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
         passes=passes,
         most=most,
         split_length=NO_SPLITS,
+        list_bricks=False,
         chunks=chunks,
         blocks=8 * most,
     )
 
 
-def _search(surface: Surface, slab: Slab, out: Any, to: Any, *, everywhere: bool) -> None:
-    device: Any = to.values.device
-    workers = gpu_workers(device, BLOCKS_PER_SM) * GPU_LANES if device.is_cuda else 16 * threads()
-    workers = max(1, to.values.size // 8) if everywhere else workers
-    launch(_search_voxels, workers, [workers, int(everywhere), surface.tree, slab, out, to], device, smallest=1)
+def _nothing() -> None:
+    """There is nothing to wait for."""
 
 
-def _run_stages(
-    surface: Surface,
-    slab: Slab,
-    out: Any,
-    to: Any,
-    listed: wp.array,
-    plan: Plan,
-    empty: Callable[[int, Any], wp.array],
+def _search_blocks(
+    slab: Slab, to: Any, tree: Tree, _measured: Slab, out: Any, workers: int, *, everywhere: bool = False
 ) -> None:
-    """The stages of `dense.query.run_stages`, over listed regions; no list is cut into splits."""
-    whole, frames, features, cones = surface
-    tree = coarser(whole, plan.levels_left_out) if plan.levels_left_out > 0 else whole
-    device: Any = to.values.device
-    gpu = device.is_cuda
-    lanes = GPU_LANES if gpu else 1
+    """`dense.voxel_search.mend_slab` of blocks of the grid `slab`, or a search for each of their voxels."""
+    inputs = [workers, int(everywhere), tree, slab, out, to]
+    launch(_search_voxels, workers, inputs, to.values.device, smallest=1)
 
-    def workers(blocks_per_sm: int) -> int:
-        return gpu_workers(device, blocks_per_sm) if gpu else 16 * threads()
 
-    work = make_workspace(plan, empty)
-    grid, pool, cache, schedule = work.grid, work.pool, work.cache, work.schedule
-    regions, cells, shares, blocks = work.regions, work.cells, work.share_witnesses, work.blocks
-    stacks = empty(1 if gpu else workers(1) * STACK, wp.int32)
-    scratch = empty(1 if gpu else workers(1) * scratch_rows(False) * 4, wp.float32)
-    set_array(out, "missed", work.missed)
-    for first in range(plan.passes):
-        work.begin_pass(plan, first)
-        some = workers(SCHEDULE_BLOCKS_PER_SM)
-        find_listed_witnesses(tree, frames, slab, grid, listed, work.counters, cache, some, lanes)
-        some = workers(REGION_BLOCKS_PER_SM)
-        list_regions(tree, frames, cones, slab, grid, cache, pool, regions, stacks, some, lanes)
-        some = workers(CELL_BLOCKS_PER_SM)
-        list_cells(tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, some, lanes)
-        some, length = workers(SCHEDULE_BLOCKS_PER_SM), plan.split_length
-        schedule_blocks(tree, frames, features, slab, grid, pool, cells, shares, cache, schedule, length, some, lanes)
-        some = workers(SELECT_BLOCKS_PER_SM)
-        select_features(
-            tree, frames, features, cones, slab, grid, pool, cells, cache, schedule, blocks, stacks, some, lanes
-        )
-        inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, to]
-        launch(_measure_band, workers(BLOCKS_PER_SM) * lanes, inputs, device, smallest=1)
+def _measure_blocks(
+    to: Any,
+    tree: Tree,
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
+    scratch: wp.array,
+    stacks: wp.array,
+    out: Output,
+    workers: int,
+    lanes: int,
+) -> None:
+    """`dense.stage6_measure.measure_blocks`, which writes to a `BlockOutput`."""
+    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, to]
+    launch(_measure_band, workers * lanes, inputs, scratch.device, smallest=1)

@@ -242,8 +242,8 @@ def build_tree(
         vertices: (meshes, V) vec3; of meshes that differ each row is all of their vertices, over the same memory.
         faces: (F, 3) int32, shared by the meshes; of meshes that differ one after the other, by all vertices.
         bounds: (6 * meshes) float32: afterwards each mesh's lowest and highest coordinates.
-        keys: (2 * slots) int64, scratch.
-        slots: (2 * slots) int32, scratch.
+        keys: (2 * slots) int64, workspace.
+        slots: (2 * slots) int32, workspace.
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
     """
     device = vertices.device

@@ -2,7 +2,8 @@
 
 One lane takes one voxel, and all lanes of a group go through the same list: the triangles that float32 cannot tell
 apart are judged in float64, as by `sdm.kernels.bvh.nearest_search`, whose answer this is. A search of the tree for each
-voxel takes a GPU many times as long, as its lanes go different ways.
+voxel takes a GPU many times as long, as its lanes go different ways; a CPU has none, and searches its voxels one after
+the other, each from the answer before.
 """
 
 from __future__ import annotations
@@ -50,11 +51,6 @@ from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import int_from_lane
 
 wp.set_module_options({"enable_backward": False})
-
-# Devices on which lists are gone through; a CPU searches its voxels one after the other, each from the answer before.
-DEVICES = {"cuda": True, "cpu": False}
-# Voxels along the longest axis of a grid from which on its bricks are hardly ever so coarse.
-FINE = 128
 
 
 @wp.func
@@ -180,8 +176,5 @@ def search_bricks(
     `tree` is the one that the lists are of, and `groups` groups of lanes are at work. A voxel without an answer stays
     as it is, for `voxel_search.mend_slab`.
     """
-    device = out.values.device
-    if not DEVICES["cuda" if device.is_cuda else "cpu"] or max(slab.shape) >= FINE:
-        return
     inputs = [lanes, groups, tree, slab, grid, pool, cells, cache, schedule, out]
-    launch(_search_bricks, groups * lanes, inputs, device, smallest=1)
+    launch(_search_bricks, groups * lanes, inputs, out.values.device, smallest=1)

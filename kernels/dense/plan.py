@@ -15,6 +15,7 @@ from sdm.kernels.dense.cost_model import (
     MOST_REGIONS,
     NO_SPLITS,
     cell_for,
+    coarse_bricks_are_many,
     expected_entries,
     levels_left_out,
     passes_for,
@@ -65,6 +66,7 @@ class Plan:
         chunks: Chunks of the pool of candidate lists.
         blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
         most_columns: See `PlanOptions`.
+        list_bricks: See `PlanOptions`.
     """
 
     method: str
@@ -80,6 +82,7 @@ class Plan:
     chunks: int
     blocks: int
     most_columns: int | None
+    list_bricks: bool
 
 
 @lru_cache(maxsize=16)
@@ -115,6 +118,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     passes = passes_for(expected, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
     most = -(-total // passes)
     chunks = entries // CHUNK
+    list_bricks = gpu and coarse_bricks_are_many(shape) if options.list_bricks is None else options.list_bricks
     return Plan(
         method=method,
         cell=cell,
@@ -129,6 +133,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
         most_columns=options.most_columns,
+        list_bricks=list_bricks,
     )
 
 
@@ -171,4 +176,5 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
+        list_bricks=all(plan.list_bricks for plan in plans),
     )

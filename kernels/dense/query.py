@@ -13,6 +13,7 @@ from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.coarse_bricks import search_bricks
+from sdm.kernels.dense.cost_model import NO_SPLITS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
 from sdm.kernels.dense.stage2_regions import REGION_BLOCKS_PER_SM, list_regions
@@ -34,6 +35,14 @@ from sdm.kernels.winding.winding_number import Winding
 Beside: TypeAlias = Callable[[], AbstractContextManager[Callable[[], None]]]
 
 
+class OwnStages(NamedTuple):
+    """Stages of a narrow band in place of those of the dense query, each with the same arguments."""
+
+    find_witnesses: Callable[..., None]
+    measure_blocks: Callable[..., None]
+    mend_slab: Callable[..., None]
+
+
 class Surface(NamedTuple):
     """The triangles of a batch of meshes, as the stages take them."""
 
@@ -48,7 +57,7 @@ class Target(NamedTuple):
 
     values: wp.array  # (meshes, n, ny, nz) float32: negative inside
     ambiguous: wp.array  # (meshes,) int32: voxels whose winding number is within 0.25 of 0.5 are added
-    # (1,) int64: where the distances go, if not to `values`, which then is scratch; known only when kernels run.
+    # (1,) int64: where the distances go, if not to `values`, which then are workspace; known only when kernels run.
     address: wp.array | None
     # (meshes * n * ny * nz,) int32: what each distance is from, see `dense.block.winners`; the plan then has no splits.
     winners: wp.array | None = None
@@ -72,7 +81,7 @@ def query_slab(
         slab: The voxels.
         target: Filled.
         plan: Decisions about the query; distances are exact whatever they are.
-        empty: Allocates scratch: `empty(length, dtype)`.
+        empty: Allocates workspace: `empty(length, dtype)`.
         beside: What is launched in `with beside() as join:` may run beside what comes after it, until `join()`.
     """
     values = target.values
@@ -115,7 +124,7 @@ def query_slabs(
         surface: The meshes.
         target: Filled; its values hold the winding numbers before.
         parts: The slabs with the regions of some meshes, and the plan for these; all together have those of all.
-        empty: Allocates scratch.
+        empty: Allocates workspace.
         beside: See `query_slab`.
     """
     out = output_of(target, empty)
@@ -131,6 +140,7 @@ def run_stages(
     empty: Callable[[int, Any], wp.array],
     beside: Beside,
     join_winding: Callable[[], None],
+    own: OwnStages | None = None,
 ) -> None:
     """The seven stages, pass by pass, and a search for what found no room; see `query_slab`.
 
@@ -141,6 +151,8 @@ def run_stages(
     device = out.values.device
     gpu = device.is_cuda
     lanes = GPU_LANES if gpu else 1
+    has_splits = plan.split_length < NO_SPLITS
+    find, measure, mend = own or (find_witnesses, measure_blocks, mend_slab)
 
     def workers(blocks_per_sm: int) -> int:
         return gpu_workers(device, blocks_per_sm) if gpu else 16 * threads()
@@ -155,7 +167,7 @@ def run_stages(
     set_array(out, "missed", work.missed)
     for first in range(plan.passes):
         work.begin_pass(plan, first)
-        find_witnesses(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)
+        find(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)
         list_regions(
             tree, frames, cones, slab, grid, cache, pool, regions, stacks, workers(REGION_BLOCKS_PER_SM), lanes
         )
@@ -177,9 +189,10 @@ def run_stages(
             workers(SCHEDULE_BLOCKS_PER_SM),
             lanes,
         )
-        with beside() as join_split:
-            # After the winding numbers, which are made there too.
-            begin_split(slab, grid, cache, schedule, out, merge_threads)
+        if has_splits:
+            with beside() as join_split:
+                # After the winding numbers, which are made there too.
+                begin_split(slab, grid, cache, schedule, out, merge_threads)
         select_features(
             tree,
             frames,
@@ -199,8 +212,9 @@ def run_stages(
         if first == 0:
             # From here on winding numbers are looked at.
             join_winding()
-        join_split()
-        measure_blocks(
+        if has_splits:
+            join_split()
+        measure(
             tree,
             features,
             slab,
@@ -215,6 +229,8 @@ def run_stages(
             workers(BLOCKS_PER_SM),
             lanes,
         )
-        end_split(slab, grid, cache, schedule, out, merge_threads)
-        search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(BLOCKS_PER_SM), lanes)
-    mend_slab(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)
+        if has_splits:
+            end_split(slab, grid, cache, schedule, out, merge_threads)
+        if plan.list_bricks:
+            search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(BLOCKS_PER_SM), lanes)
+    mend(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)

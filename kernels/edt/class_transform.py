@@ -35,7 +35,7 @@ def own_distances(
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         missing: Distance where all labels are equal.
         always: int32 ones, as many as the longest axis has voxels.
-        between: Scratch, float32, a number a voxel.
+        between: Workspace, float32, a number a voxel.
         own: float32, flat.
     """
     nx, ny, nz = shape
@@ -73,9 +73,9 @@ def transform_classes(
         signed: Whether voxels of a class get minus their distance in `own`, rather than 0.
         missing: Distance where there is no voxel of the class.
         own: What `own_distances` found; not read if not `signed`.
-        row_has: Scratch, int32, C * nx * ny.
-        slice_has: Scratch, int32, C * nx zeros.
-        between: Scratch, float32, C * nx * ny * nz.
+        row_has: Workspace, int32, C * nx * ny.
+        slice_has: Workspace, int32, C * nx zeros.
+        between: Workspace, float32, C * nx * ny * nz.
         out: float32, flat.
     """
     kinds, nx, ny, nz = shape

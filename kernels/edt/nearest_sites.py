@@ -131,7 +131,7 @@ def nearest_sites(
         shape: (B,nx,ny,nz).
         spacing: Size of a voxel along each axis.
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
-        room: Scratch of a number a voxel each: `heights` and `between` float32; `stack`, `x`, `y`, `z` int32.
+        room: Workspace of a number a voxel each: `heights` and `between` float32; `stack`, `x`, `y`, `z` int32.
         index: int32, flat, three for each voxel.
     """
     meshes, nx, ny, nz = shape

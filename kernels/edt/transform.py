@@ -29,7 +29,7 @@ PIECES = {"cuda": 8, "cpu": 1}
 
 
 def room_for(shape: tuple[int, int, int, int], signed: bool) -> dict[str, int]:
-    """Length of each kind of scratch that `transform` needs for volumes (B,nx,ny,nz)."""
+    """Length of each kind of workspace that `transform` needs for volumes (B,nx,ny,nz)."""
     meshes, nx, ny, nz = shape
     voxels = meshes * nx * ny * nz
     marks = (2 if signed else 1) * meshes * nz * (nx + ny)
@@ -61,7 +61,7 @@ def transform(
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         signed: Whether voxels inside get minus their distance to the outside, rather than 0.
         missing: Distance where there is no voxel of the other class.
-        room: Scratch, as large as `room_for` says: `between` float32, all else int32, `marks` zeros.
+        room: Workspace, as large as `room_for` says: `between` float32, all else int32, `marks` zeros.
         out: float32, flat.
         span: Of a single volume, the first slice along x with a voxel inside and the one after the last. Slices beyond
             have none to measure to within themselves, and are left out of the first two passes: `between` is infinite

@@ -61,8 +61,8 @@ def flood_signs(
         grid: The voxels of the flood, of which voxel 0 is beyond the mesh's box.
         distances: (N,) float32, unsigned, to the mesh.
         near: (N,) float32, the same to the mesh and what closes its small holes; may be the same array.
-        links: (N,) int32, scratch.
-        stuck: Scratch, of any size.
+        links: (N,) int32, workspace.
+        stuck: Workspace, of any size.
         values: Voxels (nx,ny,nz), flat: those of the flood's grid that lie within some layers of it.
         shape: (nx,ny,nz).
         skipped: Layers before them along each axis.

@@ -53,7 +53,8 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: str) -> w
             strides = (nbytes, *strides)
             nbytes *= length
         size = nbytes // step
-        packed = _pack(address, 0, *shape, *rest, *_kept(strides, shape), *rest, len(shape), 0)
+        kept = strides if strides[0] <= LARGEST_STRIDE else _kept(strides, shape)
+        packed = _pack(address, 0, *shape, *rest, *kept, *rest, len(shape), 0)
     attributes = known.copy()
     attributes["ptr"], attributes["shape"], attributes["strides"] = address, shape, strides
     attributes["size"], attributes["capacity"] = size, nbytes
@@ -65,8 +66,6 @@ def array_at(address: int, shape: tuple[int, ...], dtype: Any, device: str) -> w
 
 def _kept(strides: tuple[int, ...], shape: tuple[int, ...]) -> tuple[int, ...]:
     """The strides as 32 bits hold them: nothing steps along an axis of one element, so that its stride is free."""
-    if strides[0] <= LARGEST_STRIDE:
-        return strides
     if any(stride > LARGEST_STRIDE and length > 1 for stride, length in zip(strides, shape, strict=True)):
         raise ValueError(f"an array of shape {shape} has strides of more than {LARGEST_STRIDE:,} bytes: split it")
     return tuple(min(stride, LARGEST_STRIDE) for stride in strides)

@@ -196,7 +196,7 @@ def sort_points(
         points: (N,) vec3.
         owners: (N,) where meshes differ, that of each point: points of a mesh follow each other. Else empty.
         tree: One mesh's hierarchy, or that of meshes that differ.
-        keys: (2N,) int64, scratch.
+        keys: (2N,) int64, workspace.
         order: (2N,) int32, filled: the first N are the order.
         cube: The least x, y and z, and the edge. The curve takes each eighth of it as a whole, each eighth of that, ...
     """
@@ -231,7 +231,7 @@ def query_points(
             each packet the points of one mesh, and -1 for places without one.
         values: (N,) float32, filled: negative inside.
         hits: Filled if given: (N,) vec3, (N,) int32, (N,) vec3.
-        empty: Allocates scratch: `empty(length, dtype)`.
+        empty: Allocates workspace: `empty(length, dtype)`.
         plan: Decisions about the query; distances are exact whatever they are.
         meshes: (packets,) where meshes differ, that of each packet.
     """

@@ -267,7 +267,7 @@ def join_edges(
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
         caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns.
         flags: (FLAGS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
-        empty: Allocates scratch: `empty(length, dtype)`.
+        empty: Allocates workspace: `empty(length, dtype)`.
     """
     device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1

@@ -128,7 +128,7 @@ def judge_components(
         least: The share of its area to the power of 3/2 that each component's signed volume has to exceed. That of
             an open one is about the middle of its corners.
         parent: (F) int32, afterwards each face's root.
-        sums: (SUMS * F) float64, scratch.
+        sums: (SUMS * F) float64, workspace.
         flag: (1) int32, zero; afterwards 1 if a component falls short.
     """
     count, device = faces.shape[0], faces.device

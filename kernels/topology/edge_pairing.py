@@ -141,7 +141,7 @@ def pair_edges(
         unmatched: (3 * F, 3) int32; afterwards the first rows are the unmatched edges, in any order: the lower vertex,
             the higher, and how many more of the edges between them lead up than back.
         neighbours: (F,4) int32, filled as `sdm.topology.boundary_edges.neighbours` says.
-        empty: Allocates scratch: `empty(length, dtype)`.
+        empty: Allocates workspace: `empty(length, dtype)`.
     """
     count, vertices, device = faces.shape[0], first.shape[0], faces.device
     total, bits = 3 * count, bits_for(vertices)

@@ -311,8 +311,8 @@ def build_caps(
         vertices: (meshes, V) vec3.
         triangles: (E, 3) int32, shared by the meshes.
         bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
-        keys: (2 * meshes * E) int64, scratch.
-        slots: (2 * meshes * E) int32, scratch.
+        keys: (2 * meshes * E) int64, workspace.
+        slots: (2 * meshes * E) int32, workspace.
     """
     tree, device = caps.tree, vertices.device
     # The caps' own normals have no use: they go where the moments come afterwards.

@@ -2,6 +2,8 @@
 
 Closed and nearly closed meshes are scan converted: every triangle marks where it crosses the columns of voxels along
 x (see `scan_convert`), and a sum along each column turns crossings into winding numbers, exactly (see `ray_crossings`).
+Most triangles lie under few columns, and are the work of one thread or a few; those that lie under many are put aside
+and shared out, as the others would wait for them.
 """
 
 from __future__ import annotations
@@ -13,20 +15,74 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, start_of_mesh, unravel, voxel, voxel_at
-from sdm.kernels.launch import launch
+from sdm.kernels.launch import launch, threads
+from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.open_caps import open_caps
 from sdm.kernels.winding.ray_crossings import count_crossings
-from sdm.kernels.winding.scan_convert import scan_triangles
+from sdm.kernels.winding.scan_convert import mark_triangle
 from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
 
 wp.set_module_options({"enable_backward": False})
 
+# Columns for each lane from which on a triangle is shared out to many groups of lanes, into so many pieces: where most
+# triangles are small, the others would wait for one that lies under half of the grid.
+ANY = 1 << 30
+MOST_COLUMNS = {"cuda": 64, "cpu": ANY}
+PIECES = 64
+# Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
+MOST_THREADS = 1 << 26
+# Two, as Warp takes a constant that a kernel has cast for the cast one from there on.
+_PIECES_64 = wp.int64(PIECES)
 # Voxels of a column that are loaded at a time.
 AHEAD = 8
 
 Ahead = wp.types.vector(length=AHEAD, dtype=wp.int32)
+
+
+@wp.kernel
+def _scan_convert(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    lanes: int,
+    most: int,
+    counts: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.vec2i),
+    larges: wp.array(dtype=wp.int32),
+):
+    """Mark the columns of triangles that have few; note the slot and number of columns of those with `most` a lane."""
+    thread = begin + wp.tid()
+    slot = thread / lanes
+    lane = thread % lanes
+    columns = mark_triangle(tree, slab, counts, slot, most, lane, lanes)
+    if columns / lanes >= most and lane == 0:
+        large[fetch_add(larges, 0, 1)] = wp.vec2i(slot, columns)
+
+
+@wp.kernel
+def _scan_large(
+    begin: int,
+    tree: Tree,
+    slab: Slab,
+    lanes: int,
+    groups: int,
+    counts: wp.array(dtype=wp.int32),
+    large: wp.array(dtype=wp.vec2i),
+    larges: wp.array(dtype=wp.int32),
+):
+    """Mark the columns of those: each triangle is the work of up to so many groups of lanes."""
+    thread = begin + wp.tid()
+    item = wp.int64(thread / lanes)
+    # Pieces of 100 million triangles are more than 32 bits count.
+    while item < _PIECES_64 * wp.int64(larges[0]):
+        noted = large[wp.int32(item / _PIECES_64)]
+        lane = wp.int32(item % _PIECES_64) * lanes + thread % lanes
+        if lane < noted[1]:
+            mark_triangle(tree, slab, counts, noted[0], ANY, lane, PIECES * lanes)
+        item = item + wp.int64(groups)
 
 
 @wp.kernel
@@ -91,6 +147,44 @@ def _add_boundary(begin: int, tree: Tree, winding: Winding, slab: Slab, values: 
     values[mesh, i, j, k] = values[mesh, i, j, k] + share
 
 
+def lanes_for_each(triangles: int, meshes: int, columns: int, fewest: int, most: int) -> int:
+    """Lanes of a GPU for each of a mesh's triangles: for some times the columns that one covers, as some cover more.
+
+    A power of two times the fewest; of many meshes no more than there are threads to count.
+    """
+    lanes = fewest
+    while lanes < most and lanes * triangles < 4 * columns and lanes * triangles * meshes < MOST_THREADS:
+        lanes *= 2
+    return lanes
+
+
+def scan_triangles(
+    tree: Tree,
+    slab: Slab,
+    counts: wp.array,
+    meshes: int,
+    empty: Callable[[int, Any], wp.array],
+    most_columns: int | None = None,
+) -> None:
+    """Add to `counts`, the voxels of each mesh's slab, where all triangles cross its columns.
+
+    One that lies under `most_columns` for each lane or more is the work of many groups.
+    """
+    device = counts.device
+    columns = slab.shape[1] * slab.shape[2]
+    slots = tree.face.shape[0]
+    lanes = lanes_for_each(-(-slots // meshes), meshes, columns, 1, GPU_LANES) if device.is_cuda else 1
+    most = most_columns or MOST_COLUMNS["cuda" if device.is_cuda else "cpu"]
+    some_large = columns >= most * lanes
+    large, larges = empty(slots if some_large else 1, wp.vec2i), empty(1, wp.int32)
+    larges.zero_()
+    launch(_scan_convert, slots * lanes, [tree, slab, lanes, most, counts, large, larges], device)
+    if some_large:
+        lanes, groups = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, threads())
+        inputs = [tree, slab, lanes, groups, counts, large, larges]
+        launch(_scan_large, groups * lanes, inputs, device, smallest=1)
+
+
 # "caps" for the fast way of open meshes, "edges" for the sum over all boundary edges at each voxel: tests compare them.
 OPEN_METHOD = "caps"
 
@@ -107,7 +201,7 @@ def slab_winding(
 
     Fills `values` (meshes, n, ny, nz) float32, or of meshes that have grids of their own all in one row, each as if it
     were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
-    instead. `empty(length, dtype)` allocates scratch; for `most_columns` see `PlanOptions`.
+    instead. `empty(length, dtype)` allocates workspace; for `most_columns` see `PlanOptions`.
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()

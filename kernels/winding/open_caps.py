@@ -300,8 +300,8 @@ def open_caps(
 ) -> wp.array:
     """From the winding numbers of surface and caps to the surface's own, where it matters for sign or clearness.
 
-    Changes `values` (meshes, n, ny, nz) float32. `empty(length, dtype)` allocates scratch. Returns the counts, (COUNTS)
-    int32.
+    Changes `values` (meshes, n, ny, nz) float32. `empty(length, dtype)` allocates workspace. Returns the
+    counts, (COUNTS) int32.
     """
     device = values.device
     meshes, *shape = values.shape

@@ -344,7 +344,7 @@ class MeshIndex:
 
         The slabs together are what `signed_distance_map` gives: bit for bit, save where a mesh is so fine for the grid
         that lists of triangles outgrow their memory, and equally near triangles are then told apart in another order.
-        Beyond a slab, scratch memory is used as by `sdm.signed_distance_map`.
+        Beyond a slab, workspace is used as by `sdm.signed_distance_map`.
         """
         if not isinstance(grid, Grid):
             grid = as_grid(grid, self.mesh)

@@ -249,7 +249,8 @@ def _query_slices(
 
         def measure(winding: Any, slices: Slices, values: Tensor) -> Tensor:
             ambiguous = torch.zeros(meshes, dtype=torch.int32, device=device)
-            slot = current_slot()
+            # Calls are recorded on a GPU alone.
+            slot = current_slot() if values.is_cuda else None
             work = Workload(structure.sizes.faces, tree.depth, meshes, slices.shape, slices.spacing, turned)
             dense.query_slab(
                 surface,

@@ -119,7 +119,7 @@ def refuse_forward_mode(tensor: Tensor) -> None:
 
 
 def workspace(device: torch.device) -> Callable[[int, Any], wp.array]:
-    """An allocator of scratch arrays for kernels: torch's memory, kept for as long as the allocator lives."""
+    """An allocator of workspace for kernels: torch's memory, kept for as long as the allocator lives."""
     kept: list[Tensor] = []
     free, end, name = 0, 0, warp_name(device)
 

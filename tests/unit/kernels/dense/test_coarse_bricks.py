@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.dense import coarse_bricks, query
+from sdm.kernels.dense import query
 
 MESHES = ("torus-1000", "open hemisphere", "random soup", "zero-area faces", "coincident shells", "needle box")
 
@@ -23,7 +23,7 @@ def test_the_same_bits(monkeypatch, name, cell):
     index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cpu", warn=False)
     with plan_override(method="cells", cell=cell, split_length=7, slice_factors=(1,)):
         expected = index.signed_distance_map(grid)
-        monkeypatch.setitem(coarse_bricks.DEVICES, "cpu", True)
+    with plan_override(method="cells", cell=cell, split_length=7, slice_factors=(1,), list_bricks=True):
         assert torch.equal(index.signed_distance_map(grid).values, expected.values)
         # Nothing is left for the search.
         monkeypatch.setattr(query, "mend_slab", lambda *inputs: None)

@@ -20,7 +20,7 @@ from sdm.kernels.dense.cost_model import (
     shares_of,
     split_length_for,
 )
-from sdm.kernels.winding.scan_convert import lanes_for_each
+from sdm.kernels.winding.column_sums import lanes_for_each
 
 
 def test_coarse_grids_are_searched_and_fine_ones_are_not():
