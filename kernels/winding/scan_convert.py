@@ -50,7 +50,7 @@ def column_crossing(
     k: int,
     scale: wp.float64,
 ):
-    """How often a triangle crosses a column, -1 to 1, and the number of voxels before it."""
+    """Signed crossing of a column by a triangle, -1 to 1, and the number of voxels before it."""
     q = to_lattice(tree, mesh, scale * wp.float64(along(slab, 1, j)), scale * wp.float64(along(slab, 2, k)))
     sign = covers(a, b, c, q)
     below = int(0)
