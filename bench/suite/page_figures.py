@@ -195,6 +195,14 @@ def _label_fits(record: Any) -> list[float]:
     return [sum(row["seconds"] for row in rows) / len(rows)]
 
 
+def _sizes(record: Any) -> list[float]:
+    return [record[run]["training"]["model_mib"] for run in ("atria-published", "atria-local")]
+
+
+def _searches(record: Any) -> list[float]:
+    return [record[run]["unseen"]["seconds_a_shape"] for run in ("atria-published", "atria-local")]
+
+
 def _share(record: Any) -> list[float]:
     published, local = record["share"]["published"], record["share"]["local"]
     return [100 * published["share"], published["ms"], 100 * local["share"]]
@@ -278,6 +286,8 @@ FIGURES = (
         "deepsdf",
         lambda r: [r["cochlea-shipped"]["maps"]["deepsdf_ms"] / 1000],
     ),
+    Figure(PAPERS, "{:.1f} MiB (published network), {:.1f} MiB (local", "deepsdf", _sizes),
+    Figure(PAPERS, "{:.1f} s (published network), {:.2f} s (local)", "deepsdf", _searches),
     Figure(PAPERS, "| {:.0f} s on three label maps", "deepsdf", _label_fits),
     Figure(PAPERS, "{:.2f} mm off on the seen half, {:.1f} mm on the other", "deepsdf", lambda r: _half(r)[:2]),
     Figure(
