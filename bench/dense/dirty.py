@@ -72,7 +72,7 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
         "unsigned_ms": alone,
         "ratio": signed / alone,
         "looked_at": looked,
-        "wrong_signs": _wrong(case, grid, values),
+        "wrong_signs": _wrong(case, grid, values, device),
     }
     if not gpu:
         seconds = _cpu_seconds(calls, runs)
@@ -139,9 +139,9 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     }
 
 
-def _wrong(case: Case, grid: Any, values: np.ndarray) -> int:
+def _wrong(case: Case, grid: Any, values: np.ndarray, device: str) -> int:
     at = np.random.default_rng(1).integers(0, values.size, CHECKED)
-    winding = Brute(case.vertices, case.faces).winding_number(grid.points().reshape(-1, 3).numpy()[at])
+    winding = Brute(case.vertices, case.faces, device).winding_number(grid.points().reshape(-1, 3).numpy()[at])
     sure = np.abs(winding - 0.5) > 1e-3
     return int((((values.reshape(-1)[at] < 0) != (winding > 0.5)) & sure & (values.reshape(-1)[at] != 0)).sum())
 
@@ -198,13 +198,11 @@ def main() -> None:
             flush=True,
         )
         rows.append(found)
-    report = {
-        "machine": describe(given.device),
-        "resolution": given.resolution,
-        "rows": rows,
-    }
-    if given.out:
-        json_file.write(given.out, report)
+        report = {"machine": describe(given.device), "resolution": given.resolution, "rows": rows}
+        if given.out:
+            # After each, as a run may be cut short.
+            json_file.write(given.out, report)
+    if given.out and rows:
         draw(report, given.out.with_suffix(".png"))
 
 
