@@ -1,7 +1,7 @@
 """Voxels of bricks that are too coarse for float32, from their cells' lists: small grids have nothing else.
 
-One lane takes one voxel, and all lanes of a group go through the same list: the triangles that float32 cannot tell
-apart are judged in float64, as by `sdm.kernels.bvh.nearest_search`, whose answer this is. A search of the tree for each
+A few lanes take one voxel and share out its cell's list: the triangles that float32 cannot tell apart are judged in
+float64, as by `sdm.kernels.bvh.nearest_search`, whose answer this is, whatever the order. A search of the tree for each
 voxel takes a GPU many times as long, as its lanes go different ways; a CPU has none, and searches its voxels one after
 the other, each from the answer before.
 """
@@ -48,9 +48,48 @@ from sdm.kernels.geometry.voxel_grid import (
     voxel,
 )
 from sdm.kernels.launch import launch
-from sdm.kernels.primitives.lanes import int_from_lane
+from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, double_from_lane, int_from_lane, least_of_some
 
 wp.set_module_options({"enable_backward": False})
+
+# Lanes of a GPU's group for each voxel, and thread blocks of a multiprocessor.
+LANES_EACH, SEARCH_BLOCKS_PER_SM = 8, 2 * BLOCKS_PER_SM
+
+
+@wp.struct
+class Nearest:
+    """The nearest triangle of those that a lane has looked at."""
+
+    slot: wp.int32  # -1 if none is near enough
+    part: wp.int32
+    out2: wp.float32  # what is further than this is out
+    better2: wp.float32  # what is nearer than this is better; float64 judges what lies between
+    exact2: wp.float64  # its squared distance in float64, once that was needed, else -1
+
+
+@wp.func
+def look_into_leaf(tree: Tree, mesh: int, leaf: int, p: wp.vec3, room: float, found: Nearest):
+    """The nearest of the triangles of a leaf and the one found before; of equally near ones that of the least face."""
+    for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
+        slot = slots_of(tree, mesh) + t
+        d2, part = slot_part(tree, slot, p)
+        if d2 < found.out2:
+            wins = found.slot < 0 or d2 < found.better2
+            e2 = wp.float64(-1.0)
+            if not wins:
+                if found.exact2 < wp.float64(0.0):
+                    found.exact2 = exact_distance2(tree, found.slot, found.part, p)
+                e2 = exact_distance2(tree, slot, part, p)
+                wins = e2 < found.exact2
+                if e2 == found.exact2:
+                    wins = tree.face[slot] < tree.face[found.slot]
+            if wins:
+                found.slot = slot
+                found.part = part
+                found.exact2 = e2
+                found.out2 = wp.min(found.out2, moved_square(d2, room))
+                found.better2 = moved_square(d2, -room)
+    return found
 
 
 @wp.func
@@ -64,41 +103,63 @@ def nearest_of_list(
     within2: float,
     lane: int,
     lanes: int,
+    each: int,
 ):
-    """The slot of the triangle nearest to p (scaled) of those in a cell's list, or -1 if none is within a distance."""
+    """The slot of the triangle nearest to p (scaled) of those in a cell's list, or -1 if none is within a distance.
+
+    `each` neighbouring lanes have the same p, and share out the list. Each looks first into that leaf of its own whose
+    box is nearest: after that hardly any other is near enough.
+    """
     base = nodes_of(tree, mesh) + (1 << tree.depth)
     room = room_at(p)
-    best = int(-1)
-    best_part = int(0)
-    out2 = within2 + 0.0
-    better2 = within2 + 0.0
-    exact2 = wp.float64(-1.0)
+    mine = lane % each
+    first = int(-1)
+    first2 = within2 + 0.0
     reader = start_reading(cells, number * cells.shares, cells.shares)
     while reader.left > 0:
-        mine = read_entry(pool, reader, lane)
+        entry = read_entry(pool, reader, lane)
         reader = read_on(pool, cells, reader, lanes)
-        for k in range(lanes):
-            leaf = int_from_lane(mine, k)
-            if leaf >= 0 and node_distance2(tree, base + leaf, p) < out2:
-                for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                    slot = slots_of(tree, mesh) + t
-                    d2, part = slot_part(tree, slot, p)
-                    if d2 < out2:
-                        wins = best < 0 or d2 < better2
-                        e2 = wp.float64(-1.0)
-                        if not wins:
-                            if exact2 < wp.float64(0.0):
-                                exact2 = exact_distance2(tree, best, best_part, p)
-                            e2 = exact_distance2(tree, slot, part, p)
-                            wins = e2 < exact2
-                            if e2 == exact2:
-                                wins = tree.face[slot] < tree.face[best]
-                        if wins:
-                            best = slot
-                            best_part = part
-                            exact2 = e2
-                            out2 = moved_square(d2, room)
-                            better2 = moved_square(d2, -room)
+        for k in range(lanes / each):
+            leaf = int_from_lane(entry, k * each + mine)
+            if leaf >= 0:
+                box2 = node_distance2(tree, base + leaf, p)
+                if box2 < first2:
+                    first = leaf
+                    first2 = box2
+    found = Nearest()
+    found.slot = -1
+    found.out2 = within2
+    found.better2 = within2
+    found.exact2 = wp.float64(-1.0)
+    if first >= 0:
+        found = look_into_leaf(tree, mesh, first, p, room, found)
+    reader = start_reading(cells, number * cells.shares, cells.shares)
+    while reader.left > 0:
+        found.out2 = least_of_some(found.out2, each)
+        entry = read_entry(pool, reader, lane)
+        reader = read_on(pool, cells, reader, lanes)
+        for k in range(lanes / each):
+            leaf = int_from_lane(entry, k * each + mine)
+            if leaf >= 0 and leaf != first:
+                if node_distance2(tree, base + leaf, p) < found.out2:
+                    found = look_into_leaf(tree, mesh, leaf, p, room, found)
+    # All lanes' distances from one line of code, as another may be rounded otherwise.
+    best = found.slot
+    exact2 = wp.float64(wp.inf)
+    if best >= 0 and each > 1:
+        exact2 = exact_distance2(tree, best, found.part, p)
+    step = each / 2
+    while step > 0:
+        other = int_from_lane(best, lane ^ step)
+        other2 = double_from_lane(exact2, lane ^ step)
+        if other >= 0:
+            wins = best < 0 or other2 < exact2
+            if best >= 0 and other2 == exact2:
+                wins = tree.face[other] < tree.face[best]
+            if wins:
+                best = other
+                exact2 = other2
+        step = step / 2
     return best
 
 
@@ -106,6 +167,7 @@ def nearest_of_list(
 def _search_bricks(
     begin: int,
     lanes: int,
+    each: int,
     groups: int,
     tree: Tree,
     slab: Slab,
@@ -122,7 +184,8 @@ def _search_bricks(
     lane = thread % lanes
     item = thread / lanes
     size = grid.cell / 2
-    turns = size * size * size / lanes
+    together = lanes / each
+    turns = size * size * size / together
     address = distances_at(out)
     while item < 8 * schedule.counters[COARSE] * turns:
         brick = item / turns
@@ -137,7 +200,7 @@ def _search_bricks(
         # Each split of a list has the whole of it.
         if split_of(code) == 0 and length > 0 and is_within(here, start):
             if is_coarse(make_cell(one, here, mesh, start, size)):
-                inner = (item % turns) * lanes + lane
+                inner = (item % turns) * together + lane / each
                 at = start + wp.vec3i(inner / (size * size), (inner / size) % size, inner % size)
                 scale = tree.frame[mesh * FRAME_SIZE + SCALE]
                 point = voxel(here, at[0], at[1], at[2])
@@ -147,8 +210,8 @@ def _search_bricks(
                 within2 = float(wp.inf)
                 if known.distance2 < float(wp.inf):
                     within2 = moved_square(wp.dot(away, away), 2.0 * room_at(p))
-                best = nearest_of_list(one, pool, cells, number, mesh, p, within2, lane, lanes)
-                if best >= 0 and is_within(here, at):
+                best = nearest_of_list(one, pool, cells, number, mesh, p, within2, lane, lanes, each)
+                if best >= 0 and lane % each == 0 and is_within(here, at):
                     index = index_of(here, mesh, at)
                     before = read_distance(address, index)
                     if before == wp.inf or before == -wp.inf:
@@ -176,5 +239,6 @@ def search_bricks(
     `tree` is the one that the lists are of, and `groups` groups of lanes are at work. A voxel without an answer stays
     as it is, for `voxel_search.mend_slab`.
     """
-    inputs = [lanes, groups, tree, slab, grid, pool, cells, cache, schedule, out]
+    each = LANES_EACH if out.values.device.is_cuda else 1
+    inputs = [lanes, each, groups, tree, slab, grid, pool, cells, cache, schedule, out]
     launch(_search_bricks, groups * lanes, inputs, out.values.device, smallest=1)

@@ -12,7 +12,7 @@ import warp as wp
 from sdm.kernels.bvh.tree import Tree, coarser
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
-from sdm.kernels.dense.coarse_bricks import search_bricks
+from sdm.kernels.dense.coarse_bricks import SEARCH_BLOCKS_PER_SM, search_bricks
 from sdm.kernels.dense.cost_model import NO_SPLITS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.stage1_witnesses import find_witnesses
@@ -232,5 +232,5 @@ def run_stages(
         if has_splits:
             end_split(slab, grid, cache, schedule, out, merge_threads)
         if plan.list_bricks:
-            search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(BLOCKS_PER_SM), lanes)
+            search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(SEARCH_BLOCKS_PER_SM), lanes)
     mend(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)

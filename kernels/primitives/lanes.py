@@ -241,6 +241,34 @@ def int_from_lane(value: int, source: int) -> int:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, value, source);
+#else
+    return value;
+#endif
+"""
+)
+def double_from_lane(value: wp.float64, source: int) -> wp.float64:
+    """Another lane's value in float64."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 1; step < some; step <<= 1)
+        value = fminf(value, __shfl_xor_sync(0xffffffffu, value, step));
+#endif
+    return value;
+"""
+)
+def least_of_some(value: float, some: int) -> float:
+    """The least value of each so many neighbouring lanes, a power of two, the same for each of these."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     __syncwarp();
 #endif
 """
