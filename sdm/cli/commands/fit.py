@@ -1,4 +1,4 @@
-"""`sdm fit`: a cochlea's shape and pose from a CT image."""
+"""`sdm fit`: a shape and its pose from an image, or from points."""
 
 from __future__ import annotations
 
@@ -9,36 +9,50 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from sdm.fit import FitOptions, FitResult
+    from sdm.fit import FitResult
 
 
 def fit(
-    image: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(required)")],
+    image: Annotated[
+        tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(or --points)")
+    ] = None,
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    family: Annotated[str | None, tyro.conf.arg(metavar="FAMILY", help_behavior_hint="(default: the cochlea)")] = None,
+    points: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: an image)")] = None,
     mesh: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     picture: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
-    blur: float = 0.2,
+    blur: Annotated[
+        float | None,
+        tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.2; with --family half a voxel)"),
+    ] = None,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
-    fine: float = 0.15,
+    fine: Annotated[
+        float | None,
+        tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.15; of other sizes in proportion)"),
+    ] = None,
     turn: float = 0.5,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
-    triangles: int = 20_000,
+    triangles: Annotated[
+        int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 20000; with --family its own)")
+    ] = None,
     weights: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the package's)")
     ] = None,
     device: str = "auto",
 ) -> None:
-    """Fit the cochlea family to a CT image: shape parameters and pose with 90 % intervals.
+    """Fit a family of shapes to an image: shape parameters and pose with 90 % intervals. By default the cochlea to CT.
 
-    The image is cropped to one cochlea and a few millimetres around, in millimetres, turned roughly as the family is
-    (the axis of the spiral along z). If the steps do not converge, or there is no cochlea in the image, the command
-    says so, writes the report with "trusted": false, and exits with code 2.
+    The image is cropped to one shape and a little around, in the family's unit (a cochlea: millimetres), and turned
+    roughly as the family is (the axis of the spiral along z). If the steps do not converge, or there is no such shape
+    in the image, the command says so, writes the report with "trusted": false, and exits with code 2.
 
     Args:
         image: A NIfTI or NRRD image, in Hounsfield units or any other.
+        family: cochlea, ..., FILE.py:NAME of yours (the file is run), or a shape model, MODEL.npz.
+        points: Fit points of the surface instead: a mesh file's vertices, or .npy (N,3), in the family's unit.
         out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
         mesh: Also write the fitted surface here, as .ply, .stl, .obj, .glb or what else sdm.save_mesh writes, in the
             image's coordinates.
@@ -57,14 +71,34 @@ def fit(
     import sdm
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.progress import StageProgress
+    from sdm.errors import SDMError
     from sdm.fit import FitOptions, fit_shape
     from sdm.fit.model.backends import make_backends
 
     refuse_inputs([out, mesh, picture], [image, weights])
     _check_targets(out, mesh, picture)
+    if points is not None or family is not None:
+        from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
+
+        if backend != "exact" or weights is not None:
+            raise SDMError(
+                "--backend and --weights are for images of the cochlea: fits of families and points are exact"
+            )
+        if (points is None) == (image is None):
+            raise SDMError("give an image or --points, and not both")
+        if points is not None:
+            if picture is not None:
+                raise SDMError("--picture is of an image's fit: leave it out with --points")
+            refuse_inputs([out, mesh], [points])
+            return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
+        given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
+        return fit_any_family(Path(str(image)), str(family), out, mesh, picture, given, triangles, device)
+    if image is None:
+        raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
-    first, finish = make_backends(backend, triangles=triangles, weights=weights, device=device)
-    options = FitOptions(model=model, components=components, blur=blur, fine=fine, turn=turn)
+    first, finish = make_backends(backend, triangles=triangles or 20_000, weights=weights, device=device)
+    lengths = {name: value for name, value in (("blur", blur), ("fine", fine)) if value is not None}
+    options = FitOptions(model=model, components=components, turn=turn, **lengths)
     with StageProgress() as progress:
         result = fit_shape(
             scan.values,
@@ -84,7 +118,8 @@ def fit(
             write_surface(*surface, mesh)
         if picture is not None:
             draw_fit(scan.values, scan.grid, *surface, picture)
-    _print(result, options)
+    print_fit(result, options.blur)
+    return None
 
 
 def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
@@ -105,20 +140,22 @@ def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
             raise FormatError(f"{target} is given for two outputs, and one would replace the other: name two files")
 
 
-def _print(result: FitResult, options: FitOptions) -> None:
+def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> None:
+    """Print estimates with their intervals, and what they take for granted."""
     ends = result.posterior.intervals(0.9).tolist()
     for parameter, value, (low, high) in zip(result.parameters, result.state.theta.tolist(), ends, strict=False):
         unit = "" if parameter.unit == "1" else f" {parameter.unit}"
         print(f"{parameter.name:<6} {value:.4f}{unit}, 90 % within {low:.4f} to {high:.4f}")
     place = ", ".join(f"{x:.3f}" for x in result.state.translation.tolist())
-    print(f"centre {place} mm")
+    print(f"centre {place} {unit_of_length}".rstrip())
     diagnosis = result.diagnosis
     print(f"explains {diagnosis.explained:.1%} of its neighbourhood, contrast {diagnosis.contrast:.1f} times the noise")
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
     print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
     # Coverage where that is not so: sdm/fit/README.md, "Limits".
     print(
-        f"intervals take for granted a blur of {options.blur:g} mm (--blur), white noise, even intensities and voxels "
+        f"intervals take for granted a blur of {blur:g} {unit_of_length}".rstrip()
+        + " (--blur), white noise, even intensities and voxels "
         "that mix inside and outside; where one of these does not hold they are too narrow"
     )
     for sentence in diagnosis.warnings:

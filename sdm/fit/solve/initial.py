@@ -14,8 +14,10 @@ from sdm.fit.model.backend import Backend
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
 
-# Where in each range the plain shapes are: all corners of this smaller box, and the middle.
+# Where in each range the plain shapes are: all corners of this smaller box, and the middle. Of more parameters than
+# `MOST_CORNERS`, one at a time, the first `MOST_ALONE`: a shape model has its largest modes first.
 PLACES = (0.25, 0.75)
+MOST_CORNERS, MOST_ALONE = 5, 8
 COARSE = 0.6
 LENGTH = 0.15
 # How many of the best are turned too.
@@ -61,7 +63,7 @@ def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotatio
     The translation comes from a cross-correlation by FFT. Bright or dark insides are found alike.
     """
     low, high = (torch.tensor([getattr(p, end) for p in backend.parameters]).double() for end in ("low", "high"))
-    units = [*itertools.product(PLACES, repeat=len(low)), (0.5,) * len(low)]
+    units = _units(len(low))
     search = _Search(backend, image, grid)
     plain = [(low + (high - low) * torch.tensor(unit)).to(image.device) for unit in units]
     found = [search(State(theta, pose.rotation, search.middle, backend.centre)) for theta in plain]
@@ -72,6 +74,15 @@ def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotatio
         for turn in rotations
     ]
     return sorted(found + turned, key=lambda c: -c.explained)
+
+
+def _units(count: int) -> list[tuple[float, ...]]:
+    """Places of the plain shapes in the unit cube."""
+    middle = (0.5,) * count
+    if count <= MOST_CORNERS:
+        return [*itertools.product(PLACES, repeat=count), middle]
+    alone = [(*middle[:k], x, *middle[k + 1 :]) for k in range(min(count, MOST_ALONE)) for x in PLACES]
+    return [*alone, middle]
 
 
 class _Search:

@@ -51,7 +51,9 @@ class Image:
     grid: Grid
 
 
-def simulate(backend: Backend, state: State, scanner: Scanner, *, seed: int, margin: float = 1.5) -> Image:
+def simulate(
+    backend: Backend, state: State, scanner: Scanner, *, seed: int, margin: float = 1.5, grid: Grid | None = None
+) -> Image:
     """An image of a shape.
 
     Args:
@@ -59,10 +61,11 @@ def simulate(backend: Backend, state: State, scanner: Scanner, *, seed: int, mar
         state: The true shape and pose.
         scanner: How it is seen.
         seed: Of the noise and of where the voxels lie: a pure function of it.
-        margin: Bone around the shape's mean box [mm].
+        margin: Bone around the shape's mean box [mm], of a cochlea.
+        grid: Where the voxels are; by default around a cochlea. Other families need it.
     """
     generator = np.random.default_rng(derive_seed(seed, "simulated image"))
-    grid = _grid(state, scanner.spacing, margin, generator)
+    grid = _grid(state, scanner.spacing, margin, generator) if grid is None else grid
     renderer = Renderer(grid, backend, blur=scanner.blur, length=FINE / 4, fine=FINE)
     share = renderer(state, derivatives=False).share.cpu()
     noise = torch.from_numpy(generator.standard_normal(grid.shape))

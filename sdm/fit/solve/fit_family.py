@@ -1,0 +1,59 @@
+"""Fits of any family: its shapes are brought to the size that fits are made for, and the answer back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from sdm.core.as_grid import GridLike, as_grid
+from sdm.fit.model.exact import ExactBackend
+from sdm.fit.model.scaled_family import ScaledFamily, factor_of, scaled_grid, unscaled
+from sdm.fit.solve.fit_shape import FitOptions, fit_shape
+from sdm.fit.solve.result import FitResult
+from sdm.fit.solve.solver import Point
+from sdm.shapes import Family
+
+# Of the voxel's longest edge, where no blur is given: what scanners have.
+BLUR = 0.5
+
+
+def fit_family(
+    image: Any,
+    grid: GridLike,
+    family: Family,
+    *,
+    options: FitOptions | None = None,
+    device: torch.device | str | None = None,
+    report: Callable[[str, int, Point], None] | None = None,
+) -> FitResult:
+    """Fit any family's parameters and a rigid pose to an image by exact distances.
+
+    Args:
+        image: (nx,ny,nz) intensities, cropped to the shape and a little around.
+        grid: Where its voxels are, in the family's unit.
+        family: Any whose `vertices`, or `reference_vertices`, are plain torch code.
+        options: As of `fit_shape`, lengths in the family's unit; by default a blur of half a voxel.
+        device: Where to compute; by default a GPU if there is one.
+        report: As of `fit_shape`.
+
+    Returns:
+        As `fit_shape`, in the image's lengths.
+    """
+    grid = as_grid(grid)
+    factor = factor_of(family)
+    if options is None:
+        options = FitOptions(
+            blur=BLUR * max(grid.spacing), fine=FitOptions.fine / factor, shift=FitOptions.shift / factor
+        )
+    if factor == 1:
+        return fit_shape(image, grid, ExactBackend(family, device), options=options, report=report)
+    backend = ExactBackend(ScaledFamily(family, factor), device)
+    lengths = {name: getattr(options, name) * factor for name in ("blur", "fine", "shift")}
+    pose = None if options.pose is None else (options.pose[0], options.pose[1] * factor)
+    length = None if options.length is None else options.length * factor
+    scaled = replace(options, pose=pose, length=length, **lengths)
+    found = fit_shape(image, scaled_grid(grid, factor), backend, options=scaled, report=report)
+    return replace(found, posterior=unscaled(found.posterior, factor))
