@@ -1,7 +1,8 @@
-"""Blocks of a narrow band and their distances, without a dense map: the fast path."""
+"""Distances of the voxels of a narrow band's blocks, without a dense map: the fast path."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of
 from sdm.core.device import free_memory
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, MeshKind
-from sdm.engine.band.near_blocks import keys_near, regions_with
+from sdm.engine.band.near_blocks import regions_with
 from sdm.engine.gradients import IDENTITY
 from sdm.engine.ops import slab_view
 from sdm.engine.plan_override import OPTIONS
@@ -30,50 +31,54 @@ from sdm.kernels.geometry.block_table import BlockTable
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
-# Voxels are counted with 32 bits.
-MOST_BLOCKS = (1 << 22) - 1
 BLOCK_BYTES = 4 * BLOCK**3
 # Bytes that are always there; asking takes time.
 SMALL = 1 << 26
 # Rows of blocks that a table has all of.
 MOST_ROWS = 1 << 20
-# More than the spacing along x, at which a crossing is from the voxel that it is marked at.
-STEP_ROOM = 1.01
 
 
-def measured_blocks(
-    structure: AccelerationStructure, grid: Grid, width: float, *, signed: bool, beyond: bool
+def slab_blocks(
+    structure: AccelerationStructure,
+    whole: Grid,
+    width: float,
+    keys: Int64[Tensor, " k"],
+    layers: tuple[int, int],
+    *,
+    signed: bool,
+    beyond: bool,
 ) -> tuple[Int32[Tensor, "n 3"], Tensor, int]:
-    """Blocks (N,3) with a voxel nearer than `width`, their clamped values (N,8,8,8), and how many are ambiguous.
+    """Blocks (N,3) of some layers of a grid with a voxel in the band, their values, and how many are ambiguous.
 
     Args:
         structure: Of one mesh.
-        grid: The voxels.
+        whole: The grid.
         width: In the mesh's unit.
+        keys: Of the blocks of these layers that may have one, ascending, as `sdm.core.block_lookup` counts them.
+        layers: The first, a multiple of the edge of any region of voxels, and the one after the last.
         signed: False for distances of at least 0.
-        beyond: Whether triangles may be beyond the grid's last voxels along x.
+        beyond: Whether triangles may be beyond the last of the layers.
     """
     device = structure.device
-    direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
-    slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, direction)
+    direction = (*whole.direction[0], *whole.direction[1], *whole.direction[2])
+    shape = (layers[1] - layers[0], whole.shape[1], whole.shape[2])
+    grid = Slices(whole.spacing, shape, layers[0])
+    if layers[0]:
+        keys = keys - layers[0] // BLOCK * math.prod(blocks_along(shape)[1:])
+    slab = slab_view(whole.origin, whole.spacing, shape, layers[0], direction)
     with on_current_stream(structure.memory[0], structure.memory[0]) as warp_device:
         tree, winding, frames, features, cones = structure.view
-        keys = keys_near(tree, slab, grid, width, device)
-        if signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
-            caps = keys_near(winding.caps.tree, slab, grid, STEP_ROOM * grid.spacing[0], device)
-            keys = torch.unique(torch.cat([keys, caps]))
-        _refuse_too_many(len(keys), device)
-        blocks = blocks_of(keys, blocks_along(grid.shape))
+        blocks = blocks_of(keys, blocks_along(shape))
         values = torch.empty((len(keys), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
         if not len(keys):
             return blocks, values, 0
         near = torch.zeros(len(keys), dtype=torch.int32, device=device)
         ambiguous = torch.zeros(1, dtype=torch.int32, device=device)
-        table, rows = _table(blocks, blocks_along(grid.shape))
+        table, rows = _table(blocks, blocks_along(shape))
         flat, empty = values.view(-1), workspace(device)
         if signed:
-            order = _by_lines(blocks, blocks_along(grid.shape))
-            layer = torch.zeros(grid.shape[1] * grid.shape[2] if beyond else 0, dtype=torch.int32, device=device)
+            order = _by_lines(blocks, blocks_along(shape))
+            layer = torch.zeros(shape[1] * shape[2] if beyond else 0, dtype=torch.int32, device=device)
             lost = torch.zeros(1, dtype=torch.int32, device=device)
             whole_windings(
                 tree,
@@ -106,7 +111,7 @@ def measured_blocks(
         query_blocks(
             Surface(tree, frames, features, cones),
             slab,
-            slab_view(grid.origin, fine.spacing, fine.shape, 0, direction),
+            slab_view(whole.origin, fine.spacing, fine.shape, fine.first, direction),
             to,
             as_warp(regions, wp.vec4i),
             as_warp(ambiguous, wp.int32),
@@ -118,30 +123,28 @@ def measured_blocks(
         kept_values = torch.empty((len(kept), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
         gather_blocks(
             table,
-            grid.shape,
+            shape,
             width,
             as_warp(kept, wp.int64),
             as_warp(flat, wp.float32),
             as_warp(kept_blocks, wp.vec3i),
             as_warp(kept_values.view(-1), wp.float32),
         )
+        if layers[0]:
+            kept_blocks[:, 0] += layers[0] // BLOCK
         del rows
     unclear = 0 if structure.kind is MeshKind.CLOSED or not signed else int(ambiguous)
     return kept_blocks, kept_values, unclear
 
 
-def _refuse_too_many(blocks: int, device: torch.device) -> None:
+def refuse_too_many(blocks: int, device: torch.device) -> None:
     """Refuse a band that does not fit, before it is measured.
 
     Raises:
-        GridError: More blocks than kernels can count, or than there is memory for.
+        GridError: More blocks than there is memory for.
     """
     # What is measured, and what is kept of it.
     needed, advice = 2 * BLOCK_BYTES * blocks, "choose larger voxels, or a smaller half_width"
-    if blocks > MOST_BLOCKS:
-        raise GridError(
-            f"a narrow band of {blocks:,} blocks is more than the {MOST_BLOCKS:,} that there can be: {advice}"
-        )
     if needed > SMALL and needed > (free := free_memory(device)):
         raise GridError(
             f"a narrow band of {blocks:,} blocks needs {needed / 2**30:.1f} GiB, but {device} has "
@@ -180,20 +183,19 @@ def _by_lines(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int3
     return keys.argsort().int()
 
 
-def _times(structure: AccelerationStructure, grid: Grid) -> Triple:
-    """Factors by which a dense map of this grid is measured with more slices."""
+def _times(structure: AccelerationStructure, slices: Slices) -> Triple:
+    """Factors by which a dense map of these layers is measured with more slices."""
     options = OPTIONS.get()
     if structure.device.type != "cpu" or options.method == "search":
         return AS_IT_IS
-    slices = Slices(grid.spacing, grid.shape, 0)
     (scale,) = scales_of(structure.view.tree, 1)
     return finer(slices, scale, structure.sizes.faces, options.slice_factors)
 
 
-def _measured_slices(grid: Grid, times: Triple) -> Slices:
-    """The grid that is measured, with `times` as many slices."""
+def _measured_slices(wanted: Slices, times: Triple) -> Slices:
+    """The layers that are measured, with `times` as many slices."""
     if times == AS_IT_IS:
-        return Slices(grid.spacing, grid.shape, 0)
-    across = tuple(k * (n - 1) + 1 for k, n in zip(times[1:], grid.shape[1:], strict=True))
-    spacing = tuple(s / k for s, k in zip(grid.spacing, times, strict=True))
-    return Slices(spacing, (times[0] * grid.shape[0], *across), 0)
+        return wanted
+    across = tuple(k * (n - 1) + 1 for k, n in zip(times[1:], wanted.shape[1:], strict=True))
+    spacing = tuple(s / k for s, k in zip(wanted.spacing, times, strict=True))
+    return Slices(spacing, (times[0] * wanted.shape[0], *across), times[0] * wanted.first)

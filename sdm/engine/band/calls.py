@@ -16,7 +16,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign
-from sdm.engine.band.block_distances import measured_blocks
+from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.lists import are_meshes

@@ -3,12 +3,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.engine.band import block_distances
+from sdm.engine.band import band_slabs, block_distances
 from sdm.errors import GridError, SDMError
 
 
@@ -134,6 +135,28 @@ def test_many_copies_of_a_triangle():
     grid = sdm.Grid.around(crowded, 30)
     band = index.narrow_band(grid)
     assert_is_the_band(band, index.signed_distance_map(grid))
+
+
+@pytest.mark.parametrize("case", ["closed", "open", "turned", "cut off"])
+def test_more_blocks_than_one_slab_may_have(case, device, monkeypatch):
+    """Slabs along x, one after the other, have the same bits."""
+    made = opened() if case == "open" else mesh()
+    grid = sdm.Grid.around(made, 150)
+    if case == "turned":
+        turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+        turn[:, 2] *= np.linalg.det(turn)
+        grid = sdm.Grid(-turn @ np.full(3, 1.9), (0.03,) * 3, (128,) * 3, turn)
+    elif case == "cut off":
+        grid = sdm.Grid(grid.origin, grid.spacing, (90, *grid.shape[1:]))
+    whole = sdm.narrow_band(made, grid, device=device)
+    monkeypatch.setattr(band_slabs, "MOST_BLOCKS", 2 * len(whole) // 3)
+    parts = sdm.narrow_band(made, grid, device=device)
+    for name in ("blocks", "values", "inside"):
+        assert torch.equal(getattr(parts, name), getattr(whole, name))
+    assert parts.ambiguous_voxels == whole.ambiguous_voxels
+    monkeypatch.setattr(band_slabs, "MOST_BLOCKS", 10)
+    with pytest.raises(GridError, match="32 layers of a narrow band have more than 10 blocks"):
+        sdm.narrow_band(made, grid, device=device)
 
 
 def test_a_band_that_does_not_fit(monkeypatch):
