@@ -133,7 +133,7 @@ def test_strips_of_needles(width, size, seed):
     check(vertices @ turn, faces, sdm.Grid(centre - 8 * step, [step] * 3, [16, 16, 16]), seed=seed)
 
 
-@few
+@settings(max_examples=12)
 @given(fine=st.floats(-4.5, -1.5), seed=strategies.seeds)
 def test_between_a_fine_plate_and_a_far_triangle(fine, seed):
     """Both as near: rounding that turns a small triangle's edges must not lose it (it did)."""

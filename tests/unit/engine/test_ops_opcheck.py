@@ -32,8 +32,10 @@ def _points(gradients: bool, count: int = 11) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name", ["distance", "winding_number"])
-def test_without_gradients(name, case):
-    vertices, faces, tensors, kind = _inputs(case[0], False, case[2])
+@pytest.mark.parametrize("prebuilt", [False, True])
+@pytest.mark.parametrize("missing", [0, 3])
+def test_without_gradients(name, prebuilt, missing):
+    vertices, faces, tensors, kind = _inputs(prebuilt, False, missing)
     op = getattr(torch.ops.sdm, name).default
     torch.library.opcheck(op, (vertices[0], faces, _points(False), tensors, kind))
     torch.library.opcheck(op, (vertices[0], faces, _points(False, 0), tensors, kind))
@@ -46,12 +48,20 @@ def test_closest(case):
     torch.library.opcheck(torch.ops.sdm.closest.default, (leaf, faces, _points(gradients), tensors, kind))
 
 
-@pytest.mark.parametrize(
-    ("meshes", "direction"),
-    [(1, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), (3, [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0])],
-)
-def test_distance_map(case, meshes, direction):
-    vertices, faces, tensors, kind = _inputs(case[0], case[1], case[2], meshes)
+STRAIGHT, TURNED = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_distance_maps(case):
+    _check_maps(case, 3, TURNED)
+
+
+@pytest.mark.parametrize("case", [(False, False, 0), (True, True, 3)])
+def test_distance_map(case):
+    _check_maps(case, 1, STRAIGHT)
+
+
+def _check_maps(case: tuple[bool, bool, int], meshes: int, direction: list[float]) -> None:
+    vertices, faces, tensors, kind = _inputs(*case, meshes)
     arguments = (vertices, faces, tensors, kind, [-1.0, -1, -1], [0.5, 0.6, 0.7], [3, 4, 2], 1, direction)
     torch.library.opcheck(torch.ops.sdm.distance_map.default, arguments)
 
