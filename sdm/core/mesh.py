@@ -73,9 +73,9 @@ class TriangleMesh:
     @property
     def bounds(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest x, y, z over the vertices that faces use, float64 (3,) each."""
-        if self.device.type == "cpu":
-            # Without torch's threads, which take longer to meet.
-            placed = self.vertices.detach().numpy()[self.faces.numpy().ravel()]
+        places, numbers = plain_array(self.vertices), plain_array(self.faces)
+        if places is not None and numbers is not None:
+            placed = places[numbers.ravel()]
             return placed.min(0).astype(np.float64), placed.max(0).astype(np.float64)
         used = self.vertices.detach()[self.faces.reshape(-1).long()]
         low, high = used.amin(0), used.amax(0)
@@ -147,10 +147,23 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
         if tensor.dtype in (torch.uint16, torch.uint32, torch.uint64):
             tensor = tensor.to(torch.int64)
         if tensor.dtype == torch.int64 and tensor.numel():
-            low, high = torch.stack(tensor.aminmax()).tolist()
+            host = plain_array(tensor)
+            # Without torch's threads, which take longer to meet.
+            low, high = torch.stack(tensor.aminmax()).tolist() if host is None else (int(host.min()), int(host.max()))
             if low < -(2**31) or high >= 2**31:
                 raise MeshError(f"{what} hold the index {high if high >= 2**31 else low}, which is out of range")
     return tensor.to(device=device, dtype=dtype).contiguous()
+
+
+def plain_array(tensor: Tensor) -> np.ndarray | None:
+    """The memory of a tensor on the host as an array; None of any other tensor, and where a compiler watches."""
+    if tensor.device.type != "cpu" or type(tensor) is not Tensor or torch.compiler.is_compiling():
+        return None
+    try:
+        return tensor.detach().numpy()
+    except (RuntimeError, TypeError):
+        # Of a transform such as vmap, or of a type that NumPy has not.
+        return None
 
 
 def _host_array(array: Any, what: str) -> np.ndarray:
@@ -185,9 +198,14 @@ def _check_shapes(vertices: Tensor, faces: Tensor, name: str) -> None:
 
 def _check_values(vertices: Float32[Tensor, "V 3"], faces: Int32[Tensor, "F 3"], name: str) -> None:
     count = vertices.shape[0]
-    # All numbers in one copy: each would wait for a GPU. The largest is NaN if any coordinate is.
-    bounds = (*faces.aminmax(), vertices.detach().abs().amax())
-    low, high, largest = torch.stack([bound.double() for bound in bounds]).tolist()
+    places, numbers = plain_array(vertices), plain_array(faces)
+    if places is None or numbers is None:
+        # All numbers in one copy: each would wait for a GPU. The largest is NaN if any coordinate is.
+        bounds = (*faces.aminmax(), vertices.detach().abs().amax())
+        low, high, largest = torch.stack([bound.double() for bound in bounds]).tolist()
+    else:
+        low, high = int(numbers.min()), int(numbers.max())
+        largest = float(np.maximum(places.max(), -places.min()))
     if low < 0 or high >= count:
         bad = int(low if low < 0 else high)
         meant = "; they seem to be counted from 1, as in OBJ files: subtract 1" if low == 1 and high == count else ""

@@ -22,6 +22,8 @@ TYPES = {
     "UInt64": "u8",
     "Float32": "f4",
     "Float64": "f8",
+    # Its codes, a zero behind each text.
+    "String": "u1",
 }
 APPENDED = b"<AppendedData"
 

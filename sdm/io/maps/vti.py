@@ -47,7 +47,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
 def read(path: Path) -> SDM:
     """Read a map, or the active scalars of any image's points: values become float32."""
     file, image = _opened(path)
-    grid, count, kept = geometry_of(_kept(image), *_geometry(image), path)
+    grid, count, kept = geometry_of(_kept(file, image), *_geometry(image), path)
     pieces = image.findall("Piece")
     if len(pieces) != 1:
         raise FormatError(f"{path} has its values in {len(pieces)} pieces, which are not read: join them into one")
@@ -62,13 +62,13 @@ def read(path: Path) -> SDM:
 
 def read_grid(path: Path) -> Grid:
     """Read the geometry alone."""
-    image = _opened(path)[1]
-    return geometry_of(_kept(image), *_geometry(image), path)[0]
+    file, image = _opened(path)
+    return geometry_of(_kept(file, image), *_geometry(image), path)[0]
 
 
 def read_record(path: Path) -> Any:
     """Read what is kept beside the values; None where that is nothing."""
-    return _kept(_opened(path)[1])
+    return _kept(*_opened(path))
 
 
 def _line(numbers: Any) -> str:
@@ -97,12 +97,11 @@ def _geometry(image: ET.Element) -> tuple[np.ndarray, tuple[int, ...]]:
     return affine, tuple(high - low + 1 for low, high in zip(ends[::2], ends[1::2], strict=True))
 
 
-def _kept(image: ET.Element) -> Any:
+def _kept(file: VtkFile, image: ET.Element) -> Any:
     for array in image.iterfind("FieldData/"):
         if array.get("Name") == KEY:
-            if array.get("format") != "ascii":
-                raise ValueError("its record is not as sdm wrote it")
-            return json.loads(bytes(int(code) for code in (array.text or "").split() if code != "0"))
+            # Other programs write it again in the way of their values.
+            return json.loads(file.values(array).tobytes().rstrip(b"\0"))
         if CHECKSUM_CODES in f" {array.text or ''} ":
             raise ValueError(f"its record has lost its name, {KEY!r}")
     return None
