@@ -50,7 +50,7 @@ INSIDE_OUT = "nothing is inside: the mesh is inside out; swap two columns of its
 # A mesh that encloses less than minus this share of its box is inside out if nothing is inside it.
 LEAST_ENCLOSED = 0.01
 # Of more triangles together it looks at the first meshes.
-MOST_TRIANGLES = 1 << 20
+MOST_TRIANGLES = 1 << 18
 # Fewer points than this make no box to compare with.
 FEWEST_POINTS = 8
 PACKAGE = str(Path(__file__).parents[1])
