@@ -14,7 +14,6 @@ import importlib
 import importlib.metadata
 import itertools
 import json
-import platform
 import time
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from sdm.bench.common.checkout import data_folder, results_folder
 from sdm.bench.common.json_file import write
+from sdm.bench.common.machine import describe
 from sdm.inspect.edges import edges_of
 from sdm.shapes import Cochlea
 
@@ -52,7 +52,7 @@ def main() -> None:
         "fit": fit(family, options.data),
         "soundness": soundness(family, options.samples),
         "versions": {name: importlib.metadata.version(name) for name in ("libigl", "torch", "warp-lang", "numpy")},
-        "machine": {"processor": platform.processor() or platform.machine(), "device": "cpu"},
+        "machine": describe("cpu"),
     }
     write(options.out, result)
     print(json.dumps(result, indent=1))
