@@ -59,10 +59,9 @@ def most_of(caps: Caps, node: int, centre: wp.vec3, radius: float):
 
 
 @wp.func
-def rest_of(radius: float, r: float, sigma: float, rho: float, distance: float):
+def rest_of(radius: float, r: float, sigma: float, rho: float, inverse: float):
     """The bound of a node's error, times (1 - rho)^2 D^2 / area (`cap_field`)."""
     # In units of the distance, as powers of lengths may leave the range of float32.
-    inverse = 1.0 / distance
     far = inverse * radius
     wide = inverse * r
     mean = inverse * sigma
@@ -158,8 +157,10 @@ def see_caps(
                     bound = float(wp.inf)
                     left = distance - reach
                     if few * node < leaves and reach < 0.9 * distance and distance > NEAREST:
-                        rho = reach / distance
-                        bound = r1[0] / (left * left) * rest_of(radius, r0[3], r1[2], rho, distance)
+                        inverse = 1.0 / distance
+                        part = r1[0] * rest_of(radius, r0[3], r1[2], reach * inverse, inverse)
+                        if part <= tolerance * (left * left):
+                            bound = part / (left * left)
                     if bound <= tolerance:
                         m = load_rest(caps.moments, base + node, r0, r1)
                         m4 = load_fourth(caps.moments, base + node)
