@@ -92,6 +92,30 @@ def memory_of(device: str) -> int | None:
     return int(found.total_memory) if found.is_cuda else None
 
 
+class Decisions(NamedTuple):
+    """Decisions of a plan that the bits of a value depend on; see `Plan`."""
+
+    method: str
+    cell: int
+    region_shares: int
+    cell_shares: int
+    levels_left_out: int
+
+
+@lru_cache(maxsize=256)
+def decide(work: Workload, gpu: bool, options: PlanOptions) -> Decisions:
+    """The decisions of `make_plan` about a query on a GPU, or on a CPU, that decide about bits."""
+    shape, method = work.shape, options.method
+    if method == "auto":
+        method = "search" if search_is_faster(work.triangles, shape, gpu) else "cells"
+    cell = options.cell or cell_for(work.triangles, shape, gpu)
+    left_out = options.levels_left_out
+    if left_out is None:
+        left_out = levels_left_out(work.triangles, work.depth, shape)
+    region_shares, cell_shares = options.shares or (shares_of(work.triangles, shape, cell) if gpu else (1, 1))
+    return Decisions(method, cell, region_shares, cell_shares, min(left_out, work.depth))
+
+
 @lru_cache(maxsize=256)
 def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     """The plan of a query on a GPU with so many bytes of memory, or on a CPU if that is None.
@@ -99,19 +123,11 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     Remembered, as the cost model takes the host as long as some launches.
     """
     gpu, shape = memory is not None, work.shape
-    method = options.method
-    if method == "auto":
-        method = "search" if search_is_faster(work.triangles, shape, gpu) else "cells"
-    cell = options.cell or cell_for(work.triangles, shape, gpu)
+    method, cell, region_shares, cell_shares, left_out = decide(work, gpu, options)
     nx, ny, nz = (-(-n // (2 * cell)) for n in shape)
     total = work.meshes * nx * ny * nz
-    left_out = options.levels_left_out
-    if left_out is None:
-        left_out = levels_left_out(work.triangles, work.depth, shape)
-    left_out = min(left_out, work.depth)
     by_model = split_length_for(work.triangles, work.depth - left_out, 8 * total) if gpu else NO_SPLITS
     split_length = options.split_length or by_model
-    region_shares, cell_shares = options.shares or (shares_of(work.triangles, shape, cell) if gpu else (1, 1))
     expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares)
     expected *= uneven_room(work.spacing, work.turned)
     entries = options.pool_entries or pool_for(expected, total, memory)

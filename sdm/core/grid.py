@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -78,11 +78,14 @@ class Grid:
                 f"the grid reaches too far: its origin and its length add up to {reach:.3g}; at most {FARTHEST:g} is "
                 "supported: use a larger unit, or a smaller margin or spacing"
             )
-        direction = _orthonormal(self.direction)
+        direction: Any = IDENTITY
+        # NumPy takes longer to look at one than all else here.
+        if self.direction is not IDENTITY:
+            direction = tuple(tuple(float(x) for x in row) for row in _orthonormal(self.direction))
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "spacing", spacing)
         object.__setattr__(self, "shape", tuple(int(n) for n in size))
-        object.__setattr__(self, "direction", tuple(tuple(float(x) for x in row) for row in direction))
+        object.__setattr__(self, "direction", direction)
 
     @classmethod
     def around(
@@ -214,6 +217,8 @@ def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
 
 
 def _triple(values: object, what: str) -> tuple[float, float, float]:
+    if type(values) is tuple and len(values) == 3 and {float, int}.issuperset(map(type, values)):
+        return (float(values[0]), float(values[1]), float(values[2]))
     array = _numbers(values)
     if array is None or array.shape != (3,):
         raise GridError(f"the grid's {what} must be three numbers, not {values!r}")

@@ -16,7 +16,7 @@ from sdm.engine.acceleration import MeshKind
 from sdm.engine.plan_override import OPTIONS
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, uneven_room
-from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan
+from sdm.kernels.dense.plan import Plan, Workload, decide, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
 
 # Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
@@ -99,13 +99,13 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> Capac
     room = int(SHARED * most)
     if vertices > room:
         room = int(LOOSE * most)
-    own = make_plan(Workload(faces, depth_for(faces), 1, grid.shape, grid.spacing, turned), memory, options)
-    if vertices > room or own.method != "cells":
+    # All that decides about bits, and no more: a plan takes the host as long as some launches.
+    work = Workload(faces, depth_for(faces), 1, grid.shape, grid.spacing, turned)
+    method, *alike = decide(work, memory is not None, options)
+    if vertices > room or method != "cells":
         return None
     uneven = uneven_room(grid.spacing, turned) > 1
-    # These decide about bits.
-    alike = own.cell, own.region_shares, own.cell_shares, own.levels_left_out
-    return _class(least, most, room, grid.shape, turned, uneven, alike, memory, options)
+    return _class(least, most, room, grid.shape, turned, uneven, tuple(alike), memory, options)
 
 
 @lru_cache(maxsize=256)
@@ -116,7 +116,7 @@ def _class(
     shape: tuple[int, int, int],
     turned: bool,
     uneven: bool,
-    alike: tuple[int, int, int, int],
+    alike: tuple[int, ...],
     memory: int | None,
     options: PlanOptions,
 ) -> CapacityClass | None:

@@ -99,7 +99,8 @@ class CapturedCall:
         if last is None:
             raise RuntimeError("a pool without a recording")
         with torch.cuda.device(self._device), torch.no_grad():
-            stream = torch.cuda.current_stream()
+            # By its number, as torch looks for the current device otherwise.
+            stream = torch.cuda.current_stream(self._device.index)
             stream.wait_event(last)
             try:
                 return self._queue(inputs, stream)
