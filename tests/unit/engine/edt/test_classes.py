@@ -115,6 +115,8 @@ def test_classes_side_by_side(spacing, device, monkeypatch):
     """Blocks of random classes that border on each other: inside distances of all come from one volume."""
     # Some of the classes at a time.
     monkeypatch.setattr("sdm.engine.edt.passes.TOGETHER", 3 * 20 * 21 * 32)
+    # By a thread a line on a GPU, however few they are.
+    monkeypatch.setattr("sdm.engine.edt.passes.FEWEST_LINES", 0)
     small = torch.randint(0, 8, (5, 6, 7), generator=torch.Generator().manual_seed(1))
     labels = small.repeat_interleave(4, 0).repeat_interleave(3, 1)[:, :17].repeat_interleave(3, 2).byte().to(device)
     found = edt(labels, spacing, classes=8, signed=True, surface="faces")
