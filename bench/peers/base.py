@@ -43,7 +43,9 @@ class Peer(ABC):
         try:
             importlib.import_module(self.module)
         except ImportError as error:
-            known = isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] == self.module
+            known = (
+                isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] == self.module.split(".")[0]
+            )
             return f"{self.name} is not installed" if known else f"{self.name} is installed but does not load: {error}"
         return None
 
