@@ -75,17 +75,19 @@ def measure(parts: list[str], folder: Path, sizes: Sizes, device: str, out: Path
     if "limits" in parts:
         record["limits_mb_per_s"] = limits(folder)
         print(record["limits_mb_per_s"])
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = record.setdefault("pipelines", [])
     if "compute" in parts:
         found, times = compute_rows(folder, sizes, device)
         rows += found
+        json_file.write(out, record)
         check(folder, sizes, device)
         draw(times, out.with_suffix(".png"), f"sdm compute, {sizes.meshes} meshes to .npz, {device}")
     if "generate" in parts:
         rows += generate_rows(folder, sizes, device)
+        # What is measured is kept, should the rest be cut off.
+        json_file.write(out, record)
     if "sample" in parts:
         rows.append(sample_row(folder, sizes, device))
-    record["pipelines"] = rows
     for row in rows:
         print(" ".join(f"{key} {value}" for key, value in row.items()))
 

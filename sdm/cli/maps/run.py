@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -49,6 +50,7 @@ def run(
     threads = min(threads_beside(settings.device) if workers is None else workers, len(jobs))
     most = TOGETHER if settings.device.type == "cuda" else 1
     entries: list[MeshEntry] = []
+    names = _names([source for source, _ in jobs])
     with FileProgress(len(jobs), times) as progress:
         stages = MapStages(settings, progress.share, alone=len(jobs) == 1)
         tasks = numbered(MapTask(*job) for job in jobs)
@@ -63,15 +65,15 @@ def run(
             nbytes=lambda found: found.nbytes,
             prompt=True,
         )
-        progress.begin(jobs[0][0].name)
+        progress.begin(names[0])
         for outcome in written:
             source, target = jobs[outcome.number]
             entries.append(_entry(outcome, source, target, settings, alone=len(jobs) == 1 and not skip_bad))
             if isinstance(outcome, Done):
-                _tell(outcome.value, settings, progress)
+                _tell(names[outcome.number], outcome.value, settings, progress)
             progress.end()
             if outcome.number + 1 < len(jobs):
-                progress.begin(jobs[outcome.number + 1][0].name)
+                progress.begin(names[outcome.number + 1])
     if report is not None:
         write_report(entries, report, seconds_of_stages=times.seconds)
     return sum_up(entries, skip_bad)
@@ -103,9 +105,14 @@ def _entry(
     )
 
 
-def _tell(found: Written, settings: Settings, progress: FileProgress) -> None:
-    read = found.read
-    name, grid = read.mesh.name, read.grid
+def _names(sources: list[Path]) -> list[str]:
+    """What each mesh is called in a line: its path below the folder that is common to all."""
+    common = os.path.commonpath([source.parent.absolute() for source in sources])
+    return [source.absolute().relative_to(common).as_posix() for source in sources]
+
+
+def _tell(name: str, found: Written, settings: Settings, progress: FileProgress) -> None:
+    read, grid = found.read, found.read.grid
     if read.there:
         progress.print(f"{name}: {read.task.target} is there already")
         return

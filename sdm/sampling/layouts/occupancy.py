@@ -66,7 +66,8 @@ class OccupancyLayout:
             if there:
                 classes.setdefault(instance.category, []).append(instance.name)
         for category, names in classes.items():
-            (self._folder / category / "all.lst").write_text("".join(f"{name}\n" for name in names))
+            # That loader splits at newlines: one at the end would be a mesh without a name.
+            (self._folder / category / "all.lst").write_text("\n".join(names))
 
     def _place(self, number: int) -> Path:
         instance = self._instances[number]

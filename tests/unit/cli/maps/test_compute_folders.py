@@ -53,6 +53,7 @@ def test_the_tree_is_kept_and_numbers_are_those_of_single_calls(shapenet, tmp_pa
     out = tmp_path / "maps"
     assert run(shapenet, "-o", out, *SMALL, "--format", "npz", "--skip-bad") == 0
     table = capsys.readouterr().out.splitlines()
+    assert table[0].startswith("02691156/aa/models/model_normalized.obj: 80 triangles")
     assert table[-1] == "5 meshes: 4 done, 1 failed, 1 with warnings"
     assert "bad/model.off" in table[-2]
     files = sorted(path.relative_to(out) for path in out.rglob("*.npz"))

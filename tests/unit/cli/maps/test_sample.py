@@ -55,22 +55,31 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
-def unpack_sdf_samples(filename: Path, subsample: int) -> torch.Tensor:
-    """The function of facebookresearch/DeepSDF's deep_sdf/data.py, word for word."""
-    npz = np.load(filename)
-    pos_tensor = remove_nans(torch.from_numpy(npz["pos"]))
-    neg_tensor = remove_nans(torch.from_numpy(npz["neg"]))
-    half = int(subsample / 2)
-    random_pos = (torch.rand(half) * pos_tensor.shape[0]).long()
-    random_neg = (torch.rand(half) * neg_tensor.shape[0]).long()
-    sample_pos = torch.index_select(pos_tensor, 0, random_pos)
-    sample_neg = torch.index_select(neg_tensor, 0, random_neg)
-    return torch.cat([sample_pos, sample_neg], 0)
+def deepsdf_batch(folder: Path, split: dict[str, dict[str, list[str]]], count: int) -> dict[str, torch.Tensor]:
+    """What facebookresearch/DeepSDF (deep_sdf/data.py) gets: half of the rows outside, half inside, by instance.
+
+    It finds files by dataset, class and instance of a split, keeps rows whose fourth number is not NaN, draws rows with
+    repetition from tensors that are float32 as they are kept, and needs as many rows outside as half of its batch.
+    """
+    found = {}
+    for dataset, classes in split.items():
+        for category, instances in classes.items():
+            for instance in instances:
+                name = os.path.join(dataset, category, instance + ".npz")
+                kept = np.load(folder / "SdfSamples" / name)
+                assert sorted(kept) == ["neg", "pos"]
+                sides = [torch.from_numpy(kept[side]) for side in ("pos", "neg")]
+                assert all(len(side) and not side.isnan().any() for side in sides)
+                assert len(sides[0]) >= count // 2
+                draws = [side[torch.randint(len(side), (count // 2,))] for side in sides]
+                found[name] = torch.cat(draws)
+    return found
 
 
-def remove_nans(tensor: torch.Tensor) -> torch.Tensor:
-    tensor_nan = torch.isnan(tensor[:, 3])
-    return tensor[~tensor_nan, :]
+def occupancy_models(folder: Path, part: str) -> list[Path]:
+    """Models as Occupancy Networks (im2mesh/data/core.py) list them: every folder is a class, every line a model."""
+    classes = [place for place in sorted(folder.iterdir()) if place.is_dir()]
+    return [place / name for place in classes for name in (place / f"{part}.lst").read_text().split("\n")]
 
 
 def test_deepsdf_reads_its_layout(shapes, tmp_path, capsys):
@@ -81,22 +90,18 @@ def test_deepsdf_reads_its_layout(shapes, tmp_path, capsys):
     assert "is not closed" in said
     split = json.loads((out / "splits" / "all.json").read_text())
     assert split == {"ShapeNetV2": {"02691156": ["aa", "bb"], "03001627": ["cc"]}}
-    # As deep_sdf.data.get_instance_filenames puts names together.
-    for dataset, classes in split.items():
-        for category, instances in classes.items():
-            for instance in instances:
-                name = os.path.join(dataset, category, instance + ".npz")
-                rows = unpack_sdf_samples(out / "SdfSamples" / name, 100)
-                assert rows.shape == (100, 4)
-                assert rows.dtype == torch.float32
-                assert (rows[:50, 3] >= 0).all()
-                assert (rows[50:, 3] < 0).all()
-                # As deep_sdf.workspace and evaluate.py undo the normalisation: p / scale - offset.
-                by = np.load(out / "NormalizationParameters" / name)
-                points = rows[:, :3].numpy() / by["scale"] - by["offset"]
-                mesh = sdm.load_mesh(shapes / category / instance / "models" / "model_normalized.obj")
-                exact = sdm.signed_distance(mesh, points, device="cpu").numpy() * by["scale"]
-                np.testing.assert_allclose(exact, rows[:, 3], atol=3e-6)
+    for name, rows in deepsdf_batch(out, split, 100).items():
+        assert rows.shape == (100, 4)
+        assert rows.dtype == torch.float32
+        assert (rows[:50, 3] >= 0).all()
+        assert (rows[50:, 3] < 0).all()
+        # Its evaluate.py and generate_training_meshes.py undo the normalisation so: p / scale - offset.
+        by = np.load(out / "NormalizationParameters" / name)
+        points = rows[:, :3].numpy() / by["scale"] - by["offset"]
+        category, instance = name.removesuffix(".npz").split("/")[1:]
+        mesh = sdm.load_mesh(shapes / category / instance / "models" / "model_normalized.obj")
+        exact = sdm.signed_distance(mesh, points, device="cpu").numpy() * by["scale"]
+        np.testing.assert_allclose(exact, rows[:, 3], atol=3e-6)
     report = json.loads((out / "report.json").read_text())["meshes"]
     assert [entry["state"] for entry in report] == ["done", "done", "done", "failed"]
     assert report[0]["inside"] > 0
@@ -115,8 +120,12 @@ def test_deepsdf_reads_its_layout(shapes, tmp_path, capsys):
 def test_occupancy_networks_read_theirs(shapes, tmp_path):
     out = tmp_path / "out"
     assert run(shapes, "-o", out, "--layout", "occupancy", "--open-meshes", "keep") == 0
-    assert (out / "03001627" / "all.lst").read_text() == "cc\nopen\n"
-    # As im2mesh.data.fields: PointsField.load and PointCloudField.load.
+    models = occupancy_models(out, "all")
+    assert [str(model.relative_to(out)) for model in models] == [*PLACES, "03001627/open"]
+    for model in models:
+        # The keys that PointsField and PointCloudField of im2mesh/data/fields.py read.
+        assert sorted(np.load(model / "points.npz")) == ["loc", "occupancies", "points", "scale"]
+        assert sorted(np.load(model / "pointcloud.npz")) == ["loc", "normals", "points", "scale"]
     points_dict = np.load(out / "02691156" / "bb" / "points.npz")
     points = points_dict["points"]
     assert points.dtype == np.float16
