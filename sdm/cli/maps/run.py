@@ -106,7 +106,7 @@ def _entry(
 
 
 def _names(sources: list[Path]) -> list[str]:
-    """What each mesh is called in a line: its path below the folder that is common to all."""
+    """Paths of meshes below the folder that is common to all, as lines name them."""
     common = os.path.commonpath([source.parent.absolute() for source in sources])
     return [source.absolute().relative_to(common).as_posix() for source in sources]
 

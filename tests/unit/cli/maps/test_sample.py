@@ -56,7 +56,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def deepsdf_batch(folder: Path, split: dict[str, dict[str, list[str]]], count: int) -> dict[str, torch.Tensor]:
-    """What facebookresearch/DeepSDF (deep_sdf/data.py) gets: half of the rows outside, half inside, by instance.
+    """Batches of facebookresearch/DeepSDF (deep_sdf/data.py) by instance: half of the rows outside, half inside.
 
     It finds files by dataset, class and instance of a split, keeps rows whose fourth number is not NaN, draws rows with
     repetition from tensors that are float32 as they are kept, and needs as many rows outside as half of its batch.
