@@ -14,8 +14,9 @@ from typing import Any
 import torch
 
 import sdm
-from sdm.bench.disk.inputs import write_meshes
+from sdm.bench.disk.inputs import write_meshes, write_small
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.run import TOGETHER
 from sdm.cli.maps.run import run as compute
 from sdm.cli.maps.sample_run import SampleOptions
 from sdm.cli.maps.sample_run import run as sample
@@ -47,16 +48,7 @@ class Sizes:
 def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str, Any]], StageTimes]:
     """`sdm compute` of many binary PLY files, and the clock of the first run."""
     files = write_meshes(folder / "meshes", sizes.meshes, sizes.triangles, "ply")
-    settings = Settings(
-        resolution=sizes.resolution,
-        spacing=None,
-        like=None,
-        like_image=None,
-        margin=0.05,
-        device=torch.device(device),
-        orient="keep",
-        resume=False,
-    )
+    settings = _settings(sizes.resolution, device)
     meshes = [sdm.load_mesh(file) for file in files]
     # Before anything is timed: kernels are compiled, and recordings made.
     for mesh in meshes[:4]:
@@ -72,6 +64,38 @@ def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str
         rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, alone, out))
         first = first or times
     return rows, first or StageTimes()
+
+
+def small_run(folder: Path, files: int, resolution: int, device: str) -> tuple[float, StageTimes]:
+    """Seconds of `sdm compute` of many small files to .npz, and its clock with every span of work."""
+    out = folder / "maps"
+    sources = write_small(folder / "meshes", files)
+    jobs = [(file, out / file.parent.name / f"{file.stem}.npz") for file in sources]
+    for place in {target.parent for _, target in jobs}:
+        place.mkdir(parents=True)
+    settings = _settings(resolution, device)
+    # Kernels are compiled, and recordings made.
+    _quietly(lambda: compute([(file, target.with_suffix(".first.npz")) for file, target in jobs[:TOGETHER]], settings))
+    times = StageTimes(keep_spans=True)
+    return _quietly(lambda: compute(jobs, settings, times=times))[0], times
+
+
+def together_on(device: torch.device) -> int:
+    """Meshes that `sdm compute` measures in one call."""
+    return TOGETHER if device.type == "cuda" else 1
+
+
+def _settings(resolution: int, device: str) -> Settings:
+    return Settings(
+        resolution=resolution,
+        spacing=None,
+        like=None,
+        like_image=None,
+        margin=0.05,
+        device=torch.device(device),
+        orient="keep",
+        resume=False,
+    )
 
 
 def generate_rows(folder: Path, sizes: Sizes, device: str) -> list[dict[str, Any]]:

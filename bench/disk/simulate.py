@@ -10,13 +10,10 @@ times drawn from one mesh in twenty of that run, at the same number of meshes, w
 from __future__ import annotations
 
 import argparse
-import io
 import json
 import os
 import shutil
 import tempfile
-import time
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +22,8 @@ import torch
 
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
-from sdm.bench.disk.inputs import write_small
+from sdm.bench.disk.pipelines import small_run, together_on
 from sdm.bench.disk.queues import Draw, Pipeline
-from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.run import TOGETHER, run
-from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.thread_count import threads_beside
 
 COUNTS = (1_000, 10_000, 100_000)
@@ -62,30 +56,10 @@ def main() -> None:
 
 def from_run(folder: Path, files: int, resolution: int, device: str) -> dict[str, Any]:
     """Measure a run over small files, and simulate it."""
-    where, out = torch.device(device), folder / "maps"
-    sources = write_small(folder / "meshes", files)
-    jobs = [(file, out / file.parent.name / f"{file.stem}.npz") for file in sources]
-    for place in {target.parent for _, target in jobs}:
-        place.mkdir(parents=True)
-    settings = Settings(
-        resolution=resolution,
-        spacing=None,
-        like=None,
-        like_image=None,
-        margin=0.05,
-        device=where,
-        orient="keep",
-        resume=False,
-    )
-    quiet = redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO())
-    with quiet[0], quiet[1]:
-        # Kernels are compiled, and recordings made.
-        run([(source, target.with_suffix(".first.npz")) for source, target in jobs[:TOGETHER]], settings)
-        times, start = StageTimes(keep_spans=True), time.perf_counter()
-        run(jobs, settings, times=times)
-        seconds = time.perf_counter() - start
+    where = torch.device(device)
+    seconds, times = small_run(folder, files, resolution, device)
     spans = {stage: [span for span in times.spans if span.stage == stage] for stage in times.seconds}
-    together = TOGETHER if where.type == "cuda" else 1
+    together = together_on(where)
     drawn = [_resampled([span.end - span.begin for span in spans[stage]][::20]) for stage in ("read", device, "write")]
     model = Pipeline(threads=threads_beside(where), together=together, read=drawn[0], measure=drawn[1], write=drawn[2])
     simulated = model.seconds(files)
@@ -111,7 +85,7 @@ def from_record(record: dict[str, Any], work: str) -> dict[str, Any]:
     row = rows[work]
     device = next(stage for stage in row["busy_seconds"] if stage not in ("read", "write"))
     where = torch.device(device)
-    together = TOGETHER if where.type == "cuda" and work.startswith("compute") else 1
+    together = together_on(where) if work.startswith("compute") else 1
     each = {stage: busy / row["count"] for stage, busy in row["busy_seconds"].items()}
     cores = record["cores"]
     model = Pipeline(
