@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -97,7 +97,7 @@ def fit(
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
     first, finish = make_backends(backend, triangles=triangles or 20_000, weights=weights, device=device)
-    lengths = {name: value for name, value in (("blur", blur), ("fine", fine)) if value is not None}
+    lengths: dict[str, Any] = {n: x for n, x in (("blur", blur), ("fine", fine)) if x is not None}
     options = FitOptions(model=model, components=components, turn=turn, **lengths)
     with StageProgress() as progress:
         result = fit_shape(

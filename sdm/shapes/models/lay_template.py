@@ -27,12 +27,16 @@ TURNS, RIGID_TURNS = 48, 12
 STIFF, SOFT = 300.0, 0.05
 # Points of the mesh that pull, and steps of conjugate gradients in a turn.
 SAMPLES, SOLVES = 4000, 40
-# Surfaces that face away from each other do not pull (cosine of the angle between their normals).
-FACING = 0.3
+# Surfaces that face away from each other do not pull (cosine of the angle between their normals): vertices of the template
+# need a face of the mesh that faces alike, points of the mesh one of the template that is not their other wall. The
+# sides of a branch that the template does not reach yet pull at its end, which faces across them.
+FACING, FACING_BACK = 0.3, -0.2
 # An edge beside a face that would turn over becomes so much stiffer, up to a limit, and loses that again.
 STIFFER, STIFFEST, FADING = 4.0, 1000.0, 0.7
 # Times that a step is halved around faces that it would turn over; the last time it is left out there.
 HALVES = 4
+# Steps keep the cosine between a face's normal and that of its turned rest above this; below 0 it is turned over.
+MARGIN = 0.05
 # Turns of smoothing where faces are turned over at the end.
 SMOOTHINGS = 64
 
@@ -178,7 +182,7 @@ class TemplateLayer:
         near = self._index.signed_distance(points, return_closest=True, sign="none")[1]
         gap = points - near.points
         corners = self.faces.long()[near.faces.long()]
-        fitting = (_face_normals(x, self.faces)[near.faces.long()] * normals).sum(1) > FACING
+        fitting = (_face_normals(x, self.faces)[near.faces.long()] * normals).sum(1) > FACING_BACK
         e = gap.norm(dim=1)
         pull = torch.where((e > 1e-6)[:, None], _unit(gap), normals)
         back = fitting.float() / len(points)
@@ -216,18 +220,18 @@ class TemplateLayer:
             bad = self._turned(x + share[:, None] * step, rest, turns)
         return x + share[:, None] * step, first
 
-    def _turned(self, x: Tensor, rest: Tensor, turns: Tensor) -> Tensor:
+    def _turned(self, x: Tensor, rest: Tensor, turns: Tensor, margin: float = MARGIN) -> Tensor:
         """Mask (F,) of faces whose normal points against that of their rest, turned as their vertices are."""
         mean = turns[self.faces.long()].mean(1)
         wanted = torch.einsum("ni,nij->nj", _face_normals(rest, self.faces), mean)
-        return (_face_normals(x, self.faces) * wanted).sum(1) <= 0.05
+        return (_face_normals(x, self.faces) * wanted).sum(1) <= margin
 
     def _judged(self, x: Tensor, rest: Tensor, target: MeshIndex, points: Tensor) -> Laid:
         self._index.update(x)
         own, _ = surface_samples(TriangleMesh(x, self.faces, check=False), SAMPLES, 1, self.device)
         there = target.signed_distance(own).abs()
         back = self._index.signed_distance(points, sign="none")
-        turned = self._turned(x, rest, self._local_rotations(rest, x))
+        turned = self._turned(x, rest, self._local_rotations(rest, x), 0.0)
         figures = torch.stack([(there.mean() + back.mean()) / 2, torch.maximum(there.max(), back.max())])
         distance, most = figures.tolist()
         mesh = TriangleMesh(x, self.faces, check=False)
