@@ -27,8 +27,8 @@ TURNS, RIGID_TURNS = 48, 12
 STIFF, SOFT = 300.0, 0.05
 # Points of the mesh that pull, and steps of conjugate gradients in a turn.
 SAMPLES, SOLVES = 4000, 40
-# Surfaces that face away from each other do not pull (cosine of the angle between their normals): vertices of the template
-# need a face of the mesh that faces alike, points of the mesh one of the template that is not their other wall. The
+# Surfaces that face away from each other do not pull (cosine of the angle between their normals): vertices need a face
+# of the mesh that faces alike, points of the mesh one of the template that is not the other wall of the same part. The
 # sides of a branch that the template does not reach yet pull at its end, which faces across them.
 FACING, FACING_BACK = 0.3, -0.2
 # An edge beside a face that would turn over becomes so much stiffer, up to a limit, and loses that again.
