@@ -107,6 +107,11 @@ def _compared(meshes: list[TriangleMesh], options: Any, device: torch.device) ->
     return {"modes": modes, "voxel": round(grid.spacing[0], 4), "curves": curves}
 
 
+def drawn_codes(modes: int) -> torch.Tensor:
+    """Codes (DRAWN,modes) of shapes of a model, in its deviations; the same ones for each way to make it."""
+    return torch.randn(DRAWN, modes, generator=generator(0, "specificity of atria"))
+
+
 def _curve_of_points(
     aligned: Tensor, faces: Tensor, indices: list[MeshIndex], samples: list[Tensor], modes: list[int]
 ) -> dict[str, Any]:
@@ -123,7 +128,7 @@ def _curve_of_points(
         errors.append(row)
     mean = aligned.mean(0)
     basis, deviations = principal_components(aligned - mean)
-    theta = torch.randn(DRAWN, len(deviations), generator=generator(0, "specificity")).to(aligned) * deviations
+    theta = drawn_codes(len(deviations)).to(aligned) * deviations
     drawn = [
         [TriangleMesh((mean + torch.einsum("m,mvc->vc", t[:m], basis[:m])).float(), faces, check=False) for t in theta]
         for m in modes
@@ -140,7 +145,7 @@ def _curve_of_maps(
         theta = model.project(maps[out])
         errors.append([_distance(_surface(model.map(theta[:m])), indices[out], samples[out]) for m in modes])
     model = modes_of(maps, grid, len(maps) - 1, {})
-    theta = torch.randn(DRAWN, len(model.deviations), generator=generator(0, "specificity")).to(maps.device)
+    theta = drawn_codes(len(model.deviations)).to(maps.device)
     drawn = [[_surface(model.map(t[:m])) for t in theta] for m in modes]
     shares = _shares(model.deviations.double())
     return {**_summary(errors), "compactness": shares, "specificity": _nearest(drawn, indices, samples)}
