@@ -28,6 +28,9 @@ help: ## List the targets
 demo: $(VENV)/.installed ## Compute the built-in mesh's map: demo/demo.nii.gz and demo/demo.png
 	$(BIN)/sdm demo --out demo $(ARGS)
 
+# Thousands of assertions are rewritten by pytest, once if what is compiled may be kept.
+unexport PYTHONDONTWRITEBYTECODE
+
 test: $(VENV)/.installed-dev ## Run the quick tests
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile $(ARGS)
 

@@ -43,18 +43,20 @@ def alone(trained: TrainedModel, mirrors: str = "") -> torch.Tensor:
     return predict(trained.model, case().image, trained.settings.patch, mirrors=mirrors).field
 
 
+# Made when a test wants them: networks take longer than all that is collected here.
 MIXTURES = {
-    "seeds": [network(0), network(1), network(2)],
-    "methods": [network(0), network(1, "head-sdf-l1"), network(2, "boundary")],
-    "positions": [network(0), network(1, position=True)],
-    "patches": [network(0), network(1, patch=(32, 16, 8))],
-    "distances": [network(0, "pwr"), network(1, "pwr"), network(2, "pwr", position=True)],
-    "normalised distances": [network(0, "sdf-product"), network(1, "sdf-product")],
+    "seeds": lambda: [network(0), network(1), network(2)],
+    "methods": lambda: [network(0), network(1, "head-sdf-l1"), network(2, "boundary")],
+    "positions": lambda: [network(0), network(1, position=True)],
+    "patches": lambda: [network(0), network(1, patch=(32, 16, 8))],
+    "distances": lambda: [network(0, "pwr"), network(1, "pwr"), network(2, "pwr", position=True)],
+    "normalised distances": lambda: [network(0, "sdf-product"), network(1, "sdf-product")],
 }
 
 
-@pytest.mark.parametrize("models", MIXTURES.values(), ids=MIXTURES)
-def test_the_mean_of_what_networks_say(models):
+@pytest.mark.parametrize("name", MIXTURES)
+def test_the_mean_of_what_networks_say(name):
+    models = MIXTURES[name]()
     found = predict_ensemble(models, case().image, largest=False)
     expected = torch.stack([alone(trained).double() for trained in models]).mean(0)
     torch.testing.assert_close(found.field.double(), expected, atol=1e-6, rtol=1e-6)
@@ -63,8 +65,9 @@ def test_the_mean_of_what_networks_say(models):
     assert torch.equal(predict_ensemble(models, case().image).label, largest_component(found.label))
 
 
-@pytest.mark.parametrize("models", MIXTURES.values(), ids=MIXTURES)
-def test_their_order_does_not_matter(models):
+@pytest.mark.parametrize("name", MIXTURES)
+def test_their_order_does_not_matter(name):
+    models = MIXTURES[name]()
     one, other = (predict_ensemble(order, case().image).field for order in (models, models[::-1]))
     torch.testing.assert_close(one, other, atol=1e-6, rtol=1e-6)
 
@@ -94,25 +97,31 @@ def test_windows_can_be_the_same_for_all():
 
 
 REFUSED = {
-    "a probability and network 2 a clipped signed distance of cases, which have no mean": [
+    "a probability and network 2 a clipped signed distance of cases, which have no mean": lambda: [
         network(),
         network(1, "pwr"),
     ],
-    "a clipped signed distance of cases and network 2 a normalized": [network(0, "pwr"), network(1, "sdf-product")],
-    "distance of cases and network 3 a normalized signed distance of patches": [
+    "a clipped signed distance of cases and network 2 a normalized": lambda: [
+        network(0, "pwr"),
+        network(1, "sdf-product"),
+    ],
+    "distance of cases and network 3 a normalized signed distance of patches": lambda: [
         network(0, "sdf-product"),
         network(1, "sdf-product"),
         network(2, "sdf-product", targets="patch"),
     ],
-    "voxels of 0.8 x 0.8 x 1.25 mm and network 2 on those of 1 x 1 x 1 mm": [network(), network(spacing=(1, 1, 1))],
-    "give at least one": [],
+    "voxels of 0.8 x 0.8 x 1.25 mm and network 2 on those of 1 x 1 x 1 mm": lambda: [
+        network(),
+        network(spacing=(1, 1, 1)),
+    ],
+    "give at least one": list,
 }
 
 
 @pytest.mark.parametrize("said", REFUSED)
 def test_networks_that_have_no_mean(said):
     with pytest.raises(SDMError, match=said):
-        predict_ensemble(REFUSED[said], case().image)
+        predict_ensemble(REFUSED[said](), case().image)
 
 
 def test_refusals_name_the_files():
