@@ -29,13 +29,21 @@ class Recipe:
     closest: bool = False
     open_meshes: str = "reject"
 
-    def claim(self, folder: Path, names: list[str], *, resume: bool) -> None:
+    def claim(self, folder: Path, names: list[str], parts: dict[str, list[int]] | None = None, *, resume: bool) -> None:
         """Write the recipe into a folder, or see that the one that is there is this.
+
+        Args:
+            folder: The folder.
+            names: Paths of the meshes.
+            parts: Part of their split -> numbers of its meshes, whose lists the recipe holds.
+            resume: Go on with samples that are there.
 
         Raises:
             FormatError: The folder holds samples, and another recipe, other meshes, or nobody asked to go on.
         """
-        wanted = json.loads(json.dumps({"version": VERSION, **asdict(self), "meshes": names}))
+        lists = {part: [names[number] for number in own] for part, own in (parts or {}).items()}
+        content = {"version": VERSION, **asdict(self), "meshes": names, **({"parts": lists} if lists else {})}
+        wanted = json.loads(json.dumps(content))
         path = folder / NAME
         if not path.exists():
             folder.mkdir(parents=True, exist_ok=True)

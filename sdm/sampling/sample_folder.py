@@ -86,6 +86,7 @@ class FolderSampling:
         layout: How it is laid out.
         recipe: What is sampled.
         device: Where to compute.
+        parts: Part of the folder's split -> numbers of its meshes, for the lists.
         workers: Threads that read, and as many that write; by default what the machine has.
         times: The pipeline's clock.
 
@@ -102,9 +103,11 @@ class FolderSampling:
         recipe: Recipe,
         device: torch.device,
         *,
+        parts: dict[str, list[int]] | None = None,
         workers: int | None = None,
         times: StageTimes | None = None,
     ) -> None:
+        self._parts = parts or {}
         self._tasks = [_Task(n, *pair) for n, pair in enumerate(zip(sources, instances, strict=True))]
         self._layout, self._recipe, self._device = layout, recipe, device
         self._times = StageTimes() if times is None else times
@@ -127,7 +130,7 @@ class FolderSampling:
             if isinstance(outcome, Failed):
                 self._layout.failed(outcome.number)
             yield outcome
-        self._layout.end(done)
+        self._layout.end(done, self._parts)
 
     def _read(self, task: _Task) -> _Read | None:
         if self._layout.is_done(task.number):

@@ -32,6 +32,7 @@ def sample(
         tyro.conf.arg(metavar="{sphere,cube,none}", help_behavior_hint="(default: the layout's)"),
     ] = None,
     dataset: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the folder's)")] = None,
+    split: Annotated[str | None, tyro.conf.arg(metavar="PART", help_behavior_hint="(default: all)")] = None,
     closest: bool = False,
     sign: Literal["winding", "flood", "none"] = "winding",
     hole_size: Annotated[
@@ -66,6 +67,8 @@ def sample(
         normalize: sphere: the furthest vertex is 1/1.03 from the origin; cube: the longest edge of the box is from -1
             to 1; none: the mesh stays where it is.
         dataset: Name of the dataset in DeepSDF's paths.
+        split: The part of the folder to sample, of those that sdm split made of it. The lists of the parts are written
+            beside the samples of all, too: splits/train.json, CLASS/train.lst, and in sampling.json.
         closest: With zarr no, with webdataset also write closest points and normals.
         sign: winding goes by the generalised winding number; flood calls inside what a ball from outside cannot reach,
             for meshes with holes or whose faces look all ways; none writes unsigned distances.
@@ -91,4 +94,5 @@ def sample(
         open_meshes=open_meshes,
         seed=seed,
     )
-    return run(meshes, out, layout, options, dataset=dataset, device=device, resume=resume, skip_bad=skip_bad)
+    more = {"dataset": dataset, "split": split, "device": device}
+    return run(meshes, out, layout, options, **more, resume=resume, skip_bad=skip_bad)

@@ -15,11 +15,12 @@ from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
+from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.sampling.law import PAPER, RELEASED, SampleLaw
 from sdm.sampling.layouts.by_name import layout_called
-from sdm.sampling.layouts.instance import instances_of
+from sdm.sampling.layouts.instance import Instance, instances_of
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
 from sdm.sampling.sample_folder import FolderSampling, SampledMesh
@@ -86,6 +87,7 @@ def run(
     options: SampleOptions,
     *,
     dataset: str | None = None,
+    split: str | None = None,
     device: str = "auto",
     resume: bool = False,
     skip_bad: bool = False,
@@ -97,15 +99,17 @@ def run(
     if not found:
         where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
-    sources, instances = list(found), instances_of(places_in(found))
     roots = [path for path in meshes if path.is_dir()]
+    sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
     layout = layout_called(layout_name, dataset or (roots[0].resolve().name if roots else "meshes"))
     recipe, where = options.recipe(layout_name, layout), choose_device(device)
     times = StageTimes() if times is None else times
     entries: list[MeshEntry] = []
     try:
-        recipe.claim(out, [instance.path for instance in instances], resume=resume)
-        sampling = FolderSampling(sources, instances, out, layout, recipe, where, workers=workers, times=times)
+        recipe.claim(out, [instance.path for instance in instances], parts, resume=resume)
+        sampling = FolderSampling(
+            sources, instances, out, layout, recipe, where, parts=parts, workers=workers, times=times
+        )
         with FileProgress(len(sources), times) as progress:
             progress.begin(sources[0].name)
             for outcome in sampling.run():
@@ -119,6 +123,32 @@ def run(
     done = sum(entry.state != "failed" for entry in entries)
     print(f"{out}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
     return sum_up(entries, skip_bad)
+
+
+def _chosen(
+    found: dict[Path, Path], instances: list[Instance], meshes: list[Path], part: str | None
+) -> tuple[list[Path], list[Instance], dict[str, list[int]]]:
+    """The meshes to sample, of a folder's part or all, their names, and the numbers that each part of its split has."""
+    if part is not None and not (len(meshes) == 1 and meshes[0].is_dir()):
+        raise MeshError("--split takes a part of one folder of meshes, which sdm split has split: name that folder")
+    files = list(found)
+    if len(meshes) != 1:
+        return files, instances, {}
+    try:
+        lists = read_split(meshes[0]) if meshes[0].is_dir() else {}
+    except FormatError:
+        # A file of that name may be somebody else's.
+        if part is not None:
+            raise
+        lists = {}
+    if part is not None:
+        kept = files_of_part(meshes[0], part, files)
+        if not kept:
+            raise MeshError(f"the part {part!r} of {meshes[0]} has no mesh")
+        by_file = dict(zip(files, instances, strict=True))
+        files, instances, lists = kept, [by_file[file] for file in kept], {part: lists[part]}
+    number = {found[file].as_posix(): n for n, file in enumerate(files)}
+    return files, instances, {name: [number[path] for path in own if path in number] for name, own in lists.items()}
 
 
 def _entry(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> MeshEntry:

@@ -3,7 +3,8 @@
 - `SdfSamples/DATASET/CLASS/INSTANCE.npz`: `pos` and `neg`, (N,4) float32 each: x, y, z and the signed distance of the
   samples outside and inside, in the normalised unit;
 - `NormalizationParameters/DATASET/CLASS/INSTANCE.npz`: `offset` (3,) and `scale`: normalised = (p + offset) * scale;
-- `splits/all.json`: the instances that are there, as that code's splits name them.
+- `splits/all.json`: the instances that are there, as that code's splits name them; of a folder with a split also
+  `splits/train.json` and the like.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from torch import Tensor
 from sdm.core.normalization import Normal
 from sdm.io.files.atomic import put
 from sdm.sampling.law import PAPER, SampleLaw
-from sdm.sampling.layouts.instance import Instance
+from sdm.sampling.layouts.instance import Instance, lists_of
 from sdm.sampling.layouts.npz_file import write_npz
 from sdm.sampling.sample import PointSamples
 
-SAMPLES, NORMALIZATION, SPLIT = "SdfSamples", "NormalizationParameters", "splits/all.json"
+SAMPLES, NORMALIZATION, SPLITS = "SdfSamples", "NormalizationParameters", "splits"
 
 
 class DeepSDFLayout:
@@ -65,13 +66,12 @@ class DeepSDFLayout:
         """See `Layout`."""
         return points
 
-    def end(self, done: list[bool]) -> None:
+    def end(self, done: list[bool], parts: dict[str, list[int]]) -> None:
         """See `Layout`."""
-        classes: dict[str, list[str]] = {}
-        for instance, there in zip(self._instances, done, strict=True):
-            if there:
-                classes.setdefault(instance.category, []).append(instance.name)
-        put(self._folder / SPLIT, (json.dumps({self._dataset: classes}, indent=1) + "\n").encode())
+        for name, classes in lists_of(self._instances, done, parts).items():
+            put(
+                self._folder / SPLITS / f"{name}.json", (json.dumps({self._dataset: classes}, indent=1) + "\n").encode()
+            )
 
     def _file(self, part: str, number: int) -> Path:
         instance = self._instances[number]

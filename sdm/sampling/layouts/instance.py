@@ -39,3 +39,20 @@ def instances_of(places: Sequence[PurePath]) -> list[Instance]:
         Instance(place.as_posix(), "_".join(own[:-1]) or ONE_CLASS, own[-1])
         for place, own in zip(places, parts, strict=True)
     ]
+
+
+def lists_of(
+    instances: Sequence[Instance], done: Sequence[bool], parts: dict[str, list[int]]
+) -> dict[str, dict[str, list[str]]]:
+    """Lists of the instances that are there: part -> class -> names, of "all" and of each part of a split.
+
+    A class of which a part has nothing has an empty list there.
+    """
+    classes = list(dict.fromkeys(own.category for own, there in zip(instances, done, strict=True) if there))
+    found: dict[str, dict[str, list[str]]] = {}
+    for part, numbers in {"all": range(len(instances)), **parts}.items():
+        lists = found[part] = {category: [] for category in classes}
+        for number in numbers:
+            if done[number]:
+                lists[instances[number].category].append(instances[number].name)
+    return found

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sdm.core.normalization import Normal, Normalization
 from sdm.sampling.law import OCCUPANCY, SURFACE, SampleLaw
-from sdm.sampling.layouts.instance import Instance
+from sdm.sampling.layouts.instance import Instance, lists_of
 from sdm.sampling.layouts.npz_file import write_npz
 from sdm.sampling.sample import PointSamples
 
@@ -59,15 +59,12 @@ class OccupancyLayout:
         """See `Layout`: in half precision."""
         return (points / EDGE).half().float() * EDGE
 
-    def end(self, done: list[bool]) -> None:
+    def end(self, done: list[bool], parts: dict[str, list[int]]) -> None:
         """See `Layout`."""
-        classes: dict[str, list[str]] = {}
-        for instance, there in zip(self._instances, done, strict=True):
-            if there:
-                classes.setdefault(instance.category, []).append(instance.name)
-        for category, names in classes.items():
-            # That loader splits at newlines: one at the end would be a mesh without a name.
-            (self._folder / category / "all.lst").write_text("\n".join(names))
+        for part, classes in lists_of(self._instances, done, parts).items():
+            for category, names in classes.items():
+                # That loader splits at newlines: one at the end would be a mesh without a name.
+                (self._folder / category / f"{part}.lst").write_text("\n".join(names))
 
     def _place(self, number: int) -> Path:
         instance = self._instances[number]

@@ -43,6 +43,11 @@ class Layout(Protocol):
         """Points (N,3) as the layout keeps them: what is measured."""
         ...
 
-    def end(self, done: list[bool]) -> None:
-        """Complete the folder; `done` tells of each mesh whether its samples are there."""
+    def end(self, done: list[bool], parts: dict[str, list[int]]) -> None:
+        """Complete the folder.
+
+        Args:
+            done: Of each mesh, whether its samples are there.
+            parts: Part of the folder's split -> numbers of its meshes; none if there is no split.
+        """
         ...

@@ -58,7 +58,7 @@ class WebDatasetLayout:
         """See `Layout`."""
         return points
 
-    def end(self, done: list[bool]) -> None:
+    def end(self, done: list[bool], parts: dict[str, list[int]]) -> None:
         """See `Layout`."""
         names = "".join(
             f"{self._file(n).name}\n" for n in range(-(-len(done) // self._each)) if self._file(n).is_file()

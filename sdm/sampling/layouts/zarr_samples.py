@@ -70,12 +70,12 @@ class ZarrLayout:
         """See `Layout`."""
         return points
 
-    def end(self, done: list[bool]) -> None:
+    def end(self, done: list[bool], parts: dict[str, list[int]]) -> None:
         """See `Layout`."""
         found = json.loads((self._folder / "zarr.json").read_text())
         places = [self._folder / "normalization" / f"{number}.txt" for number in range(len(done))]
         known = [place.read_text() if there else None for place, there in zip(places, done, strict=True)]
-        found["attributes"][KEY].update(normalization=known, done=done)
+        found["attributes"][KEY].update(normalization=known, done=done, parts=parts)
         put(self._folder / "zarr.json", json.dumps(found, indent=1).encode())
 
     def _chunk(self, name: str, number: int) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from sdm.cli import main
 from sdm.cli.maps.sample_run import SampleOptions
 from sdm.cli.maps.sample_run import run as run_sampling
 from sdm.core.normalization import Normalization
+from sdm.io.meshes.split_file import write_split
 from sdm.sampling import sample
 from sdm.sampling.layouts.zarr_samples import read_zarr
 
@@ -143,6 +145,35 @@ def test_occupancy_networks_read_theirs(shapes, tmp_path):
     assert np.allclose(np.linalg.norm(cloud["normals"].astype(np.float32), axis=1), 1, atol=2e-3)
     middle = Normalization.of(mesh, "cube")
     assert (cloud["normals"].astype(np.float32) * (on - np.float32(middle.centre))).sum(1).min() > 0
+
+
+@pytest.mark.parametrize("layout", ["deepsdf", "occupancy"])
+def test_parts_of_a_split(layout, shapes, tmp_path, capsys):
+    """Lists of each part lie beside the samples of all; a part alone has the same samples, and no others."""
+    folder = shutil.copytree(shapes, tmp_path / "shapes")
+    whole, part = tmp_path / "all", tmp_path / "train"
+    words = ["--layout", layout, "--dataset", "shapes", "--skip-bad"]
+    assert run(folder, "-o", tmp_path / "no", *words, "--split", "train") == 2
+    assert "sdm split makes it" in capsys.readouterr().err
+    path = "{}/models/model_normalized.obj".format
+    parts = {"train": [path(PLACES[0]), path("03001627/open"), path(PLACES[2])], "val": [path(PLACES[1])]}
+    write_split(folder / "split.json", parts)
+    assert run(folder, "-o", whole, *words) == 0
+    assert run(folder, "-o", part, *words, "--split", "train") == 0
+    if layout == "deepsdf":
+        lists = {name: json.loads((whole / f"splits/{name}.json").read_text())["shapes"] for name in parts}
+        assert lists == {"train": {"02691156": ["aa"], "03001627": ["cc"]}, "val": {"02691156": ["bb"], "03001627": []}}
+    else:
+        assert occupancy_models(whole, "train") == [whole / PLACES[0], whole / PLACES[2]]
+        assert (whole / "02691156" / "val.lst").read_text() == "bb"
+    told = json.loads((whole / "sampling.json").read_text())["parts"]
+    assert told["val"] == ["02691156/bb/models/model_normalized"]
+    kept, alone = files(whole), files(part)
+    samples = {name for name in alone if name.endswith(".npz")}
+    assert samples == {name for name in kept if name.endswith(".npz") and "bb" not in name}
+    assert all(alone[name] == kept[name] for name in samples)
+    assert run(folder, "-o", tmp_path / "no", *words, "--split", "tra") == 2
+    assert "has no part 'tra', but train, val" in capsys.readouterr().err
 
 
 def test_zarr_and_webdataset_hold_the_same(shapes, tmp_path):
