@@ -17,6 +17,7 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.surface import Method
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.inspect import MeshReport, inspect_mesh
+from sdm.remeshing.beads import JOINED, without_beads
 from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
 
 Hidden = Literal["drop", "keep"]
@@ -74,7 +75,8 @@ def watertight(
         resolution: Voxels along the longest edge of the mesh's box, with the room around it.
         offset: In the mesh's unit, at least 0. By default 0 for a mesh that is closed, and else half a voxel, so that
             sheets become plates about a voxel thick. From 0.87 voxels on (half a voxel's diagonal) nothing of a mesh
-            is lost, also of wires; with less, what is thinner than a voxel may be.
+            is lost, also of wires; with less, what is thinner than a voxel may be, and single voxels beside the rim of
+            a sheet, which would be surfaces of their own, are dropped.
         hole_size: Gaps that are narrower than this length are closed; by default two voxels.
         hidden: `"drop"` fills what no way leads into from outside: cavities, and parts inside others. `"keep"` keeps
             cavities: of a closed mesh with faces that agree by winding numbers, of others as the space that is more
@@ -122,6 +124,8 @@ def watertight(
         )
     surface = field.to_mesh(level, method=method, mesh=index if method == "dual" else None)
     closed_mesh = TriangleMesh(surface.vertices, surface.faces, mesh.name, check=False)
+    if 0 < level < JOINED * step:
+        closed_mesh = without_beads(closed_mesh, index)
     if not return_report:
         return closed_mesh
     there = mesh.to(where)

@@ -11,6 +11,7 @@ import torch
 import sdm
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import GridError, MeshError, SDMError
+from sdm.remeshing.beads import without_beads
 from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold
 
 
@@ -56,6 +57,25 @@ def test_half_spheres_become_closed_shells():
     area = areas_and_volume(mesh)[0].sum()
     assert areas_and_volume(surface)[1] == pytest.approx(2 * report.offset * area, rel=0.3)
     assert report.input_to_output.largest < 0.87 * report.spacing
+
+
+def test_no_beads_beside_the_rims_of_half_spheres():
+    """Turned any way: a voxel near a corner of a rim may be alone, and is dropped; of a part that is all beads nothing."""
+    vertices, faces = half()
+    rng, parts = np.random.default_rng(19), []
+    for n in range(8):
+        parts.append((vertices @ np.linalg.qr(rng.normal(size=(3, 3)))[0].T + np.array([3 * n, 0, 0]), faces))
+    tiny = np.array([[0, 3, 0], [0.01, 3, 0], [0, 3.01, 0.01]])
+    mesh = joined(*parts, (tiny, np.array([[0, 1, 2]])))
+    index = sdm.MeshIndex(mesh, "cpu", warn=False)
+    # The small triangle is at a voxel.
+    grid = sdm.Grid((-1.5,) * 3, (0.15,) * 3, (161, 40, 21))
+    plates = index.signed_distance_map(grid, sign="none").to_mesh(0.505 * 0.15)
+    beads = sdm.inspect_mesh(plates).components
+    surface = without_beads(plates, index)
+    assert_closed_manifold(surface)
+    assert 9 == sdm.inspect_mesh(surface).components < beads
+    assert len(without_beads(surface, index)) == len(surface)
 
 
 def test_a_small_hole_is_closed_and_filled():
