@@ -25,7 +25,7 @@ from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.query import OwnStages, Surface, run_stages
 from sdm.kernels.dense.region_grid import RegionGrid
-from sdm.kernels.dense.stage6_measure import measure_scheduled
+from sdm.kernels.dense.stage6_measure import measure_blocks, measure_scheduled
 from sdm.kernels.dense.voxel_search import searched_distance
 from sdm.kernels.geometry.block_table import VOXELS, voxel_of
 from sdm.kernels.geometry.voxel_box import is_within
@@ -139,7 +139,9 @@ def query_blocks(
         return
     plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda)
     own = OwnStages(
-        partial(find_listed_witnesses, regions), partial(_measure_blocks, to), partial(_search_blocks, slab, to)
+        partial(find_listed_witnesses, regions),
+        partial(measure_blocks, kernel=_measure_band, more=[to]),
+        partial(_search_blocks, slab, to),
     )
     run_stages(surface, measured, out, plan, empty, partial(nullcontext, _nothing), _nothing, own)
 
@@ -180,24 +182,3 @@ def _search_blocks(
     """`dense.voxel_search.mend_slab` of blocks of the grid `slab`, or a search for each of their voxels."""
     inputs = [workers, int(everywhere), tree, slab, out, to]
     launch(_search_voxels, workers, inputs, to.values.device, smallest=1)
-
-
-def _measure_blocks(
-    to: Any,
-    tree: Tree,
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    schedule: BlockSchedule,
-    pool: ChunkPool,
-    blocks: CandidateLists,
-    scratch: wp.array,
-    stacks: wp.array,
-    out: Output,
-    workers: int,
-    lanes: int,
-) -> None:
-    """`dense.stage6_measure.measure_blocks`, which writes to a `BlockOutput`."""
-    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, to]
-    launch(_measure_band, workers * lanes, inputs, scratch.device, smallest=1)

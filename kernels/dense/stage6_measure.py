@@ -7,6 +7,7 @@ of the octant; then measures one feature in one eighth a lane. In the end all vo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -307,13 +308,15 @@ def measure_blocks(
     out: Output,
     workers: int,
     lanes: int,
+    kernel: wp.Kernel | None = None,
+    more: Sequence[Any] = (),
 ) -> None:
     """Write the distances of every voxel of one pass to `out`, block by block, with `workers` groups of lanes.
 
     All else is read; `scratch` and `stacks` are for this alone. Voxels of blocks whose list found no room become
     infinite with their sign, and are counted in `out.missed`. With room for winners in `out` those are written too;
-    then no list may be cut into splits.
+    then no list may be cut into splits. `kernel`, with `more` inputs, measures in the place of those here.
     """
-    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out]
-    kernel = _measure_winners if out.winners.shape[0] else _measure_blocks
-    launch(kernel, workers * lanes, inputs, out.values.device, smallest=1)
+    inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, *more]
+    chosen = kernel or (_measure_winners if out.winners.shape[0] else _measure_blocks)
+    launch(chosen, workers * lanes, inputs, out.values.device, smallest=1)
