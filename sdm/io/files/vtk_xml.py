@@ -5,11 +5,14 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Iterable
-from xml.etree import ElementTree as ET
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sdm.io.files.one_line import one_line
+
+if TYPE_CHECKING:
+    from xml.etree import ElementTree as ET
 
 TYPES = {
     "Int8": "i1",
@@ -36,6 +39,9 @@ class VtkFile:
     """
 
     def __init__(self, data: bytes, kind: str) -> None:
+        # A parser that commands without such files need not wait for.
+        from xml.etree import ElementTree as ET
+
         head, marker, tail = data.partition(APPENDED)
         try:
             # Not to be found among values: no bytes of XML are read behind the marker.
