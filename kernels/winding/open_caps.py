@@ -5,8 +5,8 @@ clearness. Boxes of 32^3 voxels are looked at first (`sdm.kernels.winding.cap_fi
 than a quarter all over a box, its whole numbers will do; where the field's error leaves no voxel in doubt, the field's
 values are taken; else its octants are looked at, down to 2^3 voxels, then single voxels, or on a CPU boxes of 2^3
 again: each octant from what the tree's descent for the whole box has found (`sdm.kernels.winding.cap_descent`).
-What is in doubt even so gets the sum over all boundary edges in float64, as `boundary_term` has it: so every voxel is on
-the side where that is.
+What is in doubt even so gets the sum over all boundary edges in float64, as `boundary_term` has it: so every voxel is
+on the side where that is.
 """
 
 from __future__ import annotations
