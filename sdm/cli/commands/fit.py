@@ -27,6 +27,7 @@ def fit(
         float | None,
         tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.2; with --family half a voxel)"),
     ] = None,
+    estimate_blur: bool = False,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
     fine: Annotated[
@@ -58,6 +59,7 @@ def fit(
             image's coordinates.
         picture: Also draw the image with the fitted outline here (.png, .pdf, .svg).
         blur: Standard deviation of the scanner's point spread function, mm.
+        estimate_blur: Estimate the blur with the shape, from --blur on; intervals then hold what is not known of it.
         model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
@@ -92,7 +94,11 @@ def fit(
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
         given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
-        return fit_any_family(Path(str(image)), str(family), out, mesh, picture, given, triangles, device)
+        if points is None and estimate_blur and model == "labels":
+            raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
+        return fit_any_family(
+            Path(str(image)), str(family), out, mesh, picture, given, triangles, device, with_blur=estimate_blur
+        )
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
@@ -108,6 +114,11 @@ def fit(
             options=options,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
+    if estimate_blur and result.trusted:
+        from sdm.fit.model.backend import exact_of
+        from sdm.fit.solve import estimate_blur as blurs
+
+        result = blurs.estimate_blur(scan.values, scan.grid, finish or exact_of(first) or first, result, options)
     result.save(out)
     result.require()
     if mesh is not None or picture is not None:
@@ -153,9 +164,12 @@ def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> Non
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
     print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
     # Coverage where that is not so: sdm/fit/README.md, "Limits".
+    granted = f"a blur of {f'{blur:g} {unit_of_length}'.rstrip()} (--blur), "
+    if result.blur is not None:
+        granted = ""
+        print(f"blur   {result.blur[0]:.4f}, standard deviation {result.blur[1]:.4f}")
     print(
-        f"intervals take for granted a blur of {blur:g} {unit_of_length}".rstrip()
-        + " (--blur), white noise, even intensities and voxels "
+        f"intervals take for granted {granted}white noise, even intensities and voxels "
         "that mix inside and outside; where one of these does not hold they are too narrow"
     )
     for sentence in diagnosis.warnings:

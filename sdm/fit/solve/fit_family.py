@@ -11,6 +11,7 @@ import torch
 from sdm.core.as_grid import GridLike, as_grid
 from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.scaled_family import ScaledFamily, factor_of, scaled_grid, unscaled
+from sdm.fit.solve.estimate_blur import estimate_blur
 from sdm.fit.solve.fit_shape import FitOptions, fit_shape
 from sdm.fit.solve.result import FitResult
 from sdm.fit.solve.solver import Point
@@ -26,6 +27,7 @@ def fit_family(
     family: Family,
     *,
     options: FitOptions | None = None,
+    with_blur: bool = False,
     device: torch.device | str | None = None,
     report: Callable[[str, int, Point], None] | None = None,
 ) -> FitResult:
@@ -36,6 +38,7 @@ def fit_family(
         grid: Where its voxels are, in the family's unit.
         family: Any whose `vertices`, or `reference_vertices`, are plain torch code.
         options: As of `fit_shape`, lengths in the family's unit; by default a blur of half a voxel.
+        with_blur: Estimate the blur with the shape; that of the options is where it begins.
         device: Where to compute; by default a GPU if there is one.
         report: As of `fit_shape`.
 
@@ -48,12 +51,14 @@ def fit_family(
         options = FitOptions(
             blur=BLUR * max(grid.spacing), fine=FitOptions.fine / factor, shift=FitOptions.shift / factor
         )
-    if factor == 1:
-        return fit_shape(image, grid, ExactBackend(family, device), options=options, report=report)
-    backend = ExactBackend(ScaledFamily(family, factor), device)
     lengths = {name: getattr(options, name) * factor for name in ("blur", "fine", "shift")}
     pose = None if options.pose is None else (options.pose[0], options.pose[1] * factor)
     length = None if options.length is None else options.length * factor
-    scaled = replace(options, pose=pose, length=length, **lengths)
-    found = fit_shape(image, scaled_grid(grid, factor), backend, options=scaled, report=report)
-    return replace(found, posterior=unscaled(found.posterior, factor))
+    own = replace(options, pose=pose, length=length, **lengths)
+    backend = ExactBackend(family if factor == 1 else ScaledFamily(family, factor), device)
+    there = grid if factor == 1 else scaled_grid(grid, factor)
+    found = fit_shape(image, there, backend, options=own, report=report)
+    if with_blur and found.trusted:
+        found = estimate_blur(image, there, backend, found, own)
+    blur = None if found.blur is None else (found.blur[0] / factor, found.blur[1] / factor)
+    return replace(found, posterior=unscaled(found.posterior, factor), blur=blur)

@@ -40,6 +40,7 @@ class FitResult:
         evaluations: Shapes built, by backend.
         steps: Steps of shape and pose, by stage.
         seconds: Wall time.
+        blur: Estimate of the scanner's blur and its standard deviation, where it was estimated with the shape.
     """
 
     parameters: tuple[Parameter, ...]
@@ -51,6 +52,7 @@ class FitResult:
     evaluations: dict[str, int]
     steps: dict[str, int]
     seconds: float
+    blur: tuple[float, float] | None = None
 
     @property
     def state(self) -> State:
@@ -102,6 +104,7 @@ class FitResult:
                 side: {"mean": mixture.mean, "deviation": mixture.deviation, "components": len(mixture.means)}
                 for side, mixture in (("inside", self.appearance.inside), ("outside", self.appearance.outside))
             },
+            **({} if self.blur is None else {"blur": {"estimate": self.blur[0], "deviation": self.blur[1]}}),
             "objective": self.objective,
             "converged": diagnosis.converged,
             "misfit": diagnosis.misfit,

@@ -15,6 +15,8 @@ def fit_any_family(
     given: dict[str, Any],
     triangles: int | None,
     device: str,
+    *,
+    with_blur: bool = False,
 ) -> None:
     """Fit a family to an image, and write report, surface and picture.
 
@@ -27,6 +29,7 @@ def fit_any_family(
         given: Options of `FitOptions`; those that are None count as not given.
         triangles: Of the family's meshes, where that can be chosen.
         device: Where.
+        with_blur: Estimate the blur with the shape.
     """
     import sdm
     from sdm.cli.commands.fit import print_fit
@@ -51,6 +54,7 @@ def fit_any_family(
             scan.grid,
             family,
             options=options,
+            with_blur=with_blur,
             device=device,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )

@@ -84,8 +84,10 @@ def test_commands_fit_images_and_points(balls, tmp_path, monkeypatch, capsys):
     _, image = image_of(balls)
     sdm.save(sdm.SDM(image.values.float(), image.grid), "ct.nii.gz")
     words = ["--family", "balls.npz", "--device", "cpu", "--mesh", "fit.ply", "-o", "fit.json"]
-    assert main(["fit", "ct.nii.gz", "--fine", "0.4", *words]) == 0
-    assert "mode1" in capsys.readouterr().out
+    assert main(["fit", "ct.nii.gz", "--fine", "0.4", "--estimate-blur", *words]) == 0
+    said = capsys.readouterr().out
+    assert "mode1" in said
+    assert "blur   0." in said, said
     assert sdm.load_mesh("fit.ply").faces.shape == balls.faces.shape
     cloud = balls.vertices(torch.tensor([[0.5, 0.0, 0.0]]))[0].numpy()
     trimesh.PointCloud(cloud).export("scan.ply")
