@@ -179,7 +179,9 @@ def _derivative_error(family: Family, theta: Tensor) -> float:
     for number, place in enumerate(unit):
         here = family.from_unit(place[None]).requires_grad_()
         points = family.vertices(here)
-        signs = torch.randint(0, 2, points.shape, generator=generator(0, "family check", number)) * 2.0 - 1
+        signs = (
+            torch.randint(0, 2, points.shape, generator=generator(0, "family check", number), device="cpu") * 2.0 - 1
+        )
         if not points.requires_grad:
             return float("inf")
         (found,) = torch.autograd.grad((points.double() * signs).sum(), here)

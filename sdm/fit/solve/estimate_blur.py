@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -87,17 +88,17 @@ def _best_blur(values: Tensor, prior: Prior, state: State, appearance: Appearanc
     voxels = values.flatten()
 
     def objective(log_blur: float) -> float:
-        share = make(float(torch.tensor(log_blur).exp()))(state, derivatives=False).share.flatten()
+        share = make(math.exp(log_blur))(state, derivatives=False).share.flatten()
         own = appearance
         for _ in range(EM_STEPS):
             own = own.update(voxels, share)
         return -own.evidence(voxels, share).log_likelihood
 
-    middle, reach = float(torch.tensor(blur).log()), float(torch.tensor(WIDE).log())
+    middle, reach = math.log(blur), math.log(WIDE)
     found: Any = minimize_scalar(
         objective, bounds=(middle - reach, middle + reach), method="bounded", options={"maxiter": LOOKS, "xatol": 1e-3}
     )
-    return float(torch.tensor(float(found.x)).exp())
+    return math.exp(float(found.x))
 
 
 def _with_blur(values: Tensor, outcome: Outcome, blur: float, make: Any) -> Tensor:
@@ -113,7 +114,7 @@ def _with_blur(values: Tensor, outcome: Outcome, blur: float, make: Any) -> Tens
     count, size = len(at.gradient), len(at.full)
     matrix = torch.zeros(size + 1, size + 1, dtype=torch.float64, device=values.device)
     order = [*range(count), *range(count + 1, size + 1)]
-    matrix[torch.tensor(order)[:, None], torch.tensor(order)] = at.full
+    matrix[torch.tensor(order, device=matrix.device)[:, None], torch.tensor(order, device=matrix.device)] = at.full
     cross = torch.cat([shape @ own, (own @ own)[None], own @ rows[:, 1:]])
     matrix[count], matrix[:, count] = cross, cross
     return torch.linalg.inv(matrix)[: count + 1, : count + 1]

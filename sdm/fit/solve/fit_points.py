@@ -94,7 +94,9 @@ def fit_points(points: Any, backend: Backend, *, turn: float = 0.5, shift: float
     theta = torch.tensor([(p.low + p.high) / 2 for p in backend.parameters], dtype=torch.float64, device=given.device)
     pose = State(theta, torch.eye(3, dtype=torch.float64, device=given.device), middle, backend.centre.to(given))
     prior = Prior.of(backend.parameters, pose, turn, shift or extent / 4)
-    turns = [torch.zeros(3)] + [s * TURNED * turn * torch.eye(3)[axis] for axis in range(3) for s in (-1.0, 1.0)]
+    turns = [torch.zeros(3, device="cpu")] + [
+        s * TURNED * turn * torch.eye(3, device="cpu")[axis] for axis in range(3) for s in (-1.0, 1.0)
+    ]
     best: tuple[float, PointFit] | None = None
     for vector in turns:
         rotation = rotation_from_vector(vector.to(given))

@@ -42,7 +42,7 @@ def generalisation(aligned: Tensor, modes: Sequence[int]) -> dict[str, list[floa
         errors.append(
             [float((mean + own[:m] @ basis[:m] - flat[out]).reshape(-1, 3).norm(dim=1).mean()) for m in modes]
         )
-    table = torch.tensor(errors).reshape(len(flat), -1)
+    table = torch.tensor(errors, device="cpu").reshape(len(flat), -1)
     return {
         "modes": list(modes),
         "mean": [round(x, 5) for x in table.mean(0).tolist()],
@@ -63,7 +63,9 @@ def specificity(
         drawn: Random shapes, of normally distributed theta.
     """
     mean = aligned.mean(0)
-    theta = torch.randn(drawn, len(deviations), generator=generator(0, "specificity"), dtype=torch.float64)
+    theta = torch.randn(
+        drawn, len(deviations), generator=generator(0, "specificity"), dtype=torch.float64, device="cpu"
+    )
     scaled = theta * deviations
     found = []
     for m in modes:

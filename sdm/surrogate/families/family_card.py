@@ -119,7 +119,7 @@ def _search(
     places, errors, best = theta[order].clone(), known[order].clone(), score[order].clone()
     for turn in range(ROUNDS):
         size = FIRST * (LAST / FIRST) ** (turn / (ROUNDS - 1))
-        steps = torch.randn(len(places), TRIES, len(width), generator=random) * size * width
+        steps = torch.randn(len(places), TRIES, len(width), generator=random, device="cpu") * size * width
         tries = torch.minimum(torch.maximum(places[:, None] + steps, low), low + width)
         found = rows(tries.reshape(-1, len(width))).reshape(len(places), TRIES, -1)
         worse, at = (sign * found[..., column]).nan_to_num(-torch.inf).max(1)

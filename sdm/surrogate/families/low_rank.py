@@ -58,10 +58,10 @@ class LowRankSurrogate(nn.Module):
         self.register_buffer("middle", box.mean(0).float(), persistent=False)
         self.register_buffer("reach", ((box[1] - box[0]) / 2).clamp_min(1e-12).float(), persistent=False)
         self.register_buffer("powers", total_degree_terms(count, degree), persistent=False)
-        self.register_buffer("weights", torch.zeros(len(self.powers), modes))
-        self.register_buffer("scale", torch.ones(modes))
-        self.register_buffer("mean", torch.zeros(size))
-        self.register_buffer("modes", torch.zeros(modes, size))
+        self.register_buffer("weights", torch.zeros(len(self.powers), modes, device="cpu"))
+        self.register_buffer("scale", torch.ones(modes, device="cpu"))
+        self.register_buffer("mean", torch.zeros(size, device="cpu"))
+        self.register_buffer("modes", torch.zeros(modes, size, device="cpu"))
         self.network: nn.Module | None = None
         if hidden:
             self.network = nn.Sequential(

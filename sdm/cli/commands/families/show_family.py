@@ -38,15 +38,15 @@ def show(
     family = load_family(name)
     family = family.with_triangles(triangles) or family
     width = len(family.parameters)
-    unit, captions = [torch.full((width,), 0.5)], ["centre"]
+    unit, captions = [torch.full((width,), 0.5, device="cpu")], ["centre"]
     for number, parameter in enumerate(family.parameters[:6]):
         for end, value in ((0.0, parameter.low), (1.0, parameter.high)):
-            place = torch.full((width,), 0.5)
+            place = torch.full((width,), 0.5, device="cpu")
             place[number] = end
             unit.append(place)
             captions.append(f"{parameter.name} = {value:g}")
     for end in (0.0, 1.0):
-        unit.append(torch.full((width,), end))
+        unit.append(torch.full((width,), end, device="cpu"))
         captions.append("all lowest" if end == 0 else "all highest")
     theta = torch.cat([family.from_unit(torch.stack(unit)), family.sample(count, seed=seed, device="cpu")])
     captions += [f"random {number}" for number in range(count)]

@@ -48,7 +48,7 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
             part.write_text(card_text(card))
         import torch
 
-        place = torch.tensor([list(card["worst"]["dice"]["theta"].values())])
+        place = torch.tensor([list(card["worst"]["dice"]["theta"].values())], device="cpu")
         exact = exact_maps(family, place, grid, where)[0].cpu().numpy()
         with torch.no_grad():
             guess = model(place)[0, 0].numpy()
