@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import Any
 
@@ -75,7 +75,18 @@ def launch(
     def part(begin: int) -> None:
         run(kernel, min(share, count - begin), [begin, *inputs], device, 1)
 
-    list(_pool(os.getpid()).map(part, range(0, count, share)))
+    pool, parts = _pool(os.getpid()), []
+    try:
+        for begin in range(0, count, share):
+            parts.append(pool.submit(part, begin))
+        for one in parts:
+            one.result()
+    except BaseException:
+        # An interrupt too: the caller lets go of memory that other threads still work on.
+        for one in parts:
+            one.cancel()
+        wait(parts)
+        raise
 
 
 def set_array(struct: Any, name: str, array: wp.array) -> None:

@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import warp as wp
@@ -69,3 +73,26 @@ def test_results_do_not_hang_on_the_threads(monkeypatch):
             maps.append(sdm.signed_distance_map(mesh, grid, device="cpu").values)
     launch._pool.cache_clear()
     assert all(torch.equal(values, maps[0]) for values in maps)
+
+
+def test_an_interrupt_waits_for_the_threads_that_are_at_work(monkeypatch):
+    """Otherwise they write to memory that the caller has let go of."""
+    begun, ended, other = [], [], threading.Event()
+
+    def run(kernel, count, inputs, device, block_dim):
+        begun.append(inputs[0])
+        if inputs[0] == 0:
+            assert other.wait(10)
+            raise KeyboardInterrupt
+        other.set()
+        time.sleep(0.1)
+        ended.append(inputs[0])
+
+    monkeypatch.setattr(launch, "run", run)
+    monkeypatch.setattr(launch, "threads", lambda: 2)
+    monkeypatch.setattr(launch, "_pool", lambda _: pool)
+    with ThreadPoolExecutor(2) as pool, pytest.raises(KeyboardInterrupt):
+        try:
+            launch.launch(_count, 64, [], "cpu", smallest=1)
+        finally:
+            assert sorted([0, *ended]) == sorted(begun)

@@ -144,7 +144,7 @@ def test_occupancy_networks_read_theirs(shapes, tmp_path):
     assert np.abs(sdm.signed_distance(mesh, on, device="cpu").numpy()).max() < 2e-3 * scale
     assert np.allclose(np.linalg.norm(cloud["normals"].astype(np.float32), axis=1), 1, atol=2e-3)
     middle = Normalization.of(mesh, "cube")
-    assert (cloud["normals"].astype(np.float32) * (on - np.float32(middle.centre))).sum(1).min() > 0
+    assert (cloud["normals"].astype(np.float32) * (on - np.asarray(middle.centre, np.float32))).sum(1).min() > 0
 
 
 @pytest.mark.parametrize("layout", ["deepsdf", "occupancy"])
@@ -207,7 +207,7 @@ def test_zarr_and_webdataset_hold_the_same(shapes, tmp_path):
 def test_any_number_of_threads_and_a_resume_make_the_same_bytes(layout, shapes, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sdm.sampling.layouts.webdataset.SHARD_BYTES", 16 * COUNT * 2)
     options = SampleOptions(
-        law="paper", shares=(None,) * 3, deviations=None, box=None, normalize=None, count=COUNT, closest=False,
+        law="paper", shares=(None, None, None), deviations=None, box=None, normalize=None, count=COUNT, closest=False,
         sign="winding", hole_size=None, open_meshes="keep", seed=5,
     )  # fmt: skip
     for workers in (1, 3):
