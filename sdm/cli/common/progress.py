@@ -89,7 +89,7 @@ class FileProgress(_Bar):
         """The next file, by name."""
         self._name = f"{name}{self._more}"
         # Of one file alone there is no share to show until a slab is written.
-        self.draw(name, self._done, None if self._total == 1 else self._total)
+        self.draw(self._name, self._done, None if self._total == 1 else self._total)
 
     def share(self, done: float) -> None:
         """The share of the file that is done, 0 to 1."""
