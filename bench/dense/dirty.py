@@ -157,8 +157,8 @@ def draw(report: dict[str, Any], path: Path) -> None:
     """Signed over unsigned, mesh by mesh, and the share of voxels that each size of box decides."""
     rows = [found for found in report["rows"] if found["boundary_edges"]]
     with drawing(path, f"{report['machine']['device']}, {report['resolution']}^3") as (figure, left):
-        left.set_position((0.24, 0.145, 0.34, 0.8))
-        right = figure.add_axes((0.6, 0.145, 0.38, 0.8))
+        left.set_position((0.24, 0.145, 0.34, 0.76))
+        right = figure.add_axes((0.6, 0.145, 0.38, 0.76))
         places = np.arange(len(rows))[::-1]
         left.barh(places, [found["ratio"] for found in rows])
         left.set_yticks(places, [found["mesh"] for found in rows], fontsize=7)
@@ -173,7 +173,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
             start += share
         right.set_yticks([])
         right.set_xlabel("share of voxels decided by boxes of")
-        right.legend(fontsize=7)
+        right.legend(fontsize=7, ncol=len(DECIDED), loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1)
 
 
 def main() -> None:

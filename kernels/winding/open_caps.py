@@ -50,7 +50,7 @@ LISTED_BITS = 1
 LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # What a node of the tree, or a cap, may add to the error of the winding number there; how many near caps there may be
 # to look at one by one, and how many to add voxel by voxel.
-TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 3e-5, 1e-5, 2e-6), "cpu": (4e-3, 2e-3, 1e-3, 7e-5, 2e-5, 3e-6, 3e-7)}
+TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 1e-5, 5e-6, 1e-6), "cpu": (4e-3, 2e-3, 1e-3, 7e-5, 2e-5, 3e-6, 3e-7)}
 LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
 SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
 # Whether voxels that boxes of 2^3 leave in doubt are looked at by such boxes again, with smaller tolerances, instead of

@@ -104,8 +104,8 @@ def test_an_unfinished_training_is_not_begun_anew(tmp_path: Path, capsys: pytest
         (["decode", "{short}", "-m", "{model}", "-o", "x.ply", "--to", "{short}"], "does not end like a picture"),
         (["decode", "{new}", "-m", "{model}", "-o", "x.ply"], "is no code of a shape"),
         (
-            ["decode", "{new}", "-m", "{model}", "-o", "x.vtk"],
-            "cannot write .vtk: use one of .ply, .stl, .obj, .off, .glb, .gii, .pial, .white, .png, .nii.gz",
+            ["decode", "{new}", "-m", "{model}", "-o", "x.step"],
+            "cannot write .step: use one of .ply, .stl, .obj, .off, .glb",
         ),
         (
             ["train", "deepsdf", "cochlea", "-o", "x", "--variant", "published", "--width", "100"],
