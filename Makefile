@@ -10,6 +10,9 @@ PIP_ARGS ?=
 ARGS ?=
 # Processes that run tests; ARGS="-n 0" is one that a debugger can stop.
 WORKERS ?= 2
+# A process that dies fails its test by name, and the others end. Replaced, it would leave pytest-xdist 3.8 waiting for
+# ever: it hands out files again that have nothing left to run.
+PARALLEL = -n $(WORKERS) --dist loadfile --max-worker-restart=0
 RECORDS ?= bench/results
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
 CODE = $(wildcard sdm kernels tests bench)
@@ -32,16 +35,16 @@ demo: $(VENV)/.installed ## Compute the built-in mesh's map: demo/demo.nii.gz an
 unexport PYTHONDONTWRITEBYTECODE
 
 test: $(VENV)/.installed-dev ## Run the quick tests
-	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)
 
 test-all: $(VENV)/.installed-dev ## Run every test
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 test-integrations: ## Run the tests of adapters beside the libraries that they are for, in an environment of its own
 	$(MAKE) VENV=$(VENV)-integrations run-integrations
 
 run-integrations: $(VENV)/.installed-integrations
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -rs $(INTEGRATION_TESTS) $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) -rs $(INTEGRATION_TESTS) $(ARGS)
 
 lint: $(VENV)/.installed-dev ## Check style, types and import rules
 	$(BIN)/ruff check $(CODE)

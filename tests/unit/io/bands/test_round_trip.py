@@ -101,7 +101,9 @@ def test_warp_looks_up_every_voxel(device):
 
 def test_active_voxels_are_counted(tmp_path):
     made = band()
-    data = made.to_warp().array().numpy()
+    # Kept: its array has no hold on its memory.
+    volume = made.to_warp()
+    data = volume.array().numpy()
     assert int(data[672 + 56 : 672 + 64].view(np.uint64)[0]) == made.active_voxels
 
 
