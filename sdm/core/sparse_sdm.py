@@ -234,6 +234,19 @@ class SparseSDM:
 
         return volume_of(self)
 
+    def to_fvdb(self) -> tuple[Any, Any]:
+        """An `fvdb.GridBatch` of one grid on the band's device, and the `fvdb.JaggedTensor` of its values (V,).
+
+        Its voxels are those of the band, nearer to the surface than the width. Values are copied, as fvdb stores them
+        in an order of its own; they are differentiable in the band's.
+
+        Raises:
+            SDMError: fvdb is not installed, or the grid is turned.
+        """
+        from sdm.core.to_libraries import band_to_fvdb
+
+        return band_to_fvdb(self)
+
 
 _PLAIN = ("grid", "width", "ambiguous_voxels", "sign")
 

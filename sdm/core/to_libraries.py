@@ -6,12 +6,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
+from sdm.core.block_lookup import BLOCK
 from sdm.errors import SDMError
 
 if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
     from sdm.core.signed_distance_map import SDM
+    from sdm.core.sparse_sdm import SparseSDM
 
 # The array's name in PyVista, by which its own `compute_implicit_distance` goes.
 IMPLICIT_DISTANCE = "implicit_distance"
@@ -80,3 +83,25 @@ def map_to_nibabel(field: SDM) -> Any:
     image = kind(field.numpy(), field.grid.affine)
     image.header.set_xyzt_units("mm")
     return image
+
+
+def band_to_fvdb(band: SparseSDM) -> tuple[Any, Any]:
+    """An `fvdb.GridBatch` of one grid, whose voxels are those of a band, and its `fvdb.JaggedTensor` of values.
+
+    Raises:
+        SDMError: fvdb cannot be imported; or the grid is turned, which fvdb has no place for.
+    """
+    fvdb = imported("fvdb", "fvdb-core")
+    if not band.grid.is_axis_aligned:
+        raise SDMError("fvdb's grids have an origin and a voxel size alone: a band on a turned grid is none of them")
+    near = band.values.detach().abs() < band.width
+    place, *inner = near.nonzero(as_tuple=True)
+    voxels = (BLOCK * band.blocks[place] + torch.stack(inner, -1)).int()
+    jagged = fvdb.JaggedTensor([voxels])
+    # The method since 0.3, and the function before.
+    make = fvdb.GridBatch.from_ijk if hasattr(fvdb.GridBatch, "from_ijk") else fvdb.gridbatch_from_ijk
+    grid = make(jagged, voxel_sizes=list(band.grid.spacing), origins=list(band.grid.origin))
+    # The grid has an order of its own. `index_put` carries gradients to the band's values.
+    index = grid.ijk_to_index(jagged).jdata.long()
+    values = band.values.new_zeros(len(voxels)).index_put((index,), band.values[near])
+    return grid, fvdb.JaggedTensor([values])
