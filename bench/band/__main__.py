@@ -4,7 +4,8 @@
 
 For each mesh and resolution (voxels along the longest axis of a cube around it) the band of `--half-width` voxels is
 made `--runs` times by turns: by `sdm.narrow_band` from vertices and faces in new memory, structure and signs included,
-and by OpenVDB's `meshToLevelSet` (see `sdm.bench.peers.openvdb`), on as many cores. `seconds` are medians, `cpu` those
+and by OpenVDB's `meshToLevelSet` (see `sdm.bench.peers.openvdb`), on as many cores; on a GPU by Newton's
+`Mesh.build_sdf` too, where it is installed (see `sdm.bench.peers.newton`). `seconds` are medians, `cpu` those
 of all cores together: on a machine that others use too, only these compare. Before that both are compared with a
 float64 brute force at `--samples` voxels of the band: `error` is the largest, in voxels, `signs` how many are on the
 wrong side. `peak` is what a process that makes one band has more in memory than before it, `bytes` what the band
@@ -25,7 +26,7 @@ from sdm.bench.band.job import measure
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import load_case, missing_note
-from sdm.bench.peers import openvdb
+from sdm.bench.peers import newton, openvdb
 
 MESHES = ("fandisk", "rocker-arm", "nefertiti", "torus-1000000")
 RESOLUTIONS = (256, 512, 1024)
@@ -49,13 +50,15 @@ def main() -> None:
     parser.add_argument("--half-width", type=float, default=3.0)
     parser.add_argument("--samples", type=int, default=2000, help="voxels of the band that are compared")
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--alone", action="store_true", help="without OpenVDB")
+    parser.add_argument("--alone", action="store_true", help="without other libraries")
     parser.add_argument("--add", action="store_true", help="keep the other rows of the file that is there")
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     note = "OpenVDB was not asked for" if given.alone else openvdb.missing()
-    if note:
-        print(note)
+    no_newton = "Newton was not asked for" if given.alone else newton.missing(given.device)
+    for sentence in (note, no_newton):
+        if sentence:
+            print(sentence)
     print(
         f"{'':36}{'seconds':>5}{'cpu':>9}{'error':>11}{'signs':>7}{'active voxels':>13}{'MiB':>9}{'peak':>9}",
         flush=True,
@@ -68,13 +71,21 @@ def main() -> None:
         case = load_case(name)
         for resolution in given.resolutions:
             found = measure(
-                case, given.device, resolution, given.half_width, given.samples, given.runs, with_peer=note is None
+                case,
+                given.device,
+                resolution,
+                given.half_width,
+                given.samples,
+                given.runs,
+                with_peer=note is None,
+                with_newton=no_newton is None,
             )
             for one in found:
                 print(line(name, resolution, one), flush=True)
             rows = [row for row in rows if (row["mesh"], row["resolution"]) != (case.name, resolution)] + found
             if given.out:
                 report = {"machine": describe(given.device), "half_width": given.half_width, "note": note, "rows": rows}
+                report |= {"note_on_newton": no_newton}
                 json_file.write(given.out, report)
     if given.out and rows:
         draw(json.loads(given.out.read_text()), given.out.with_suffix(".png"))

@@ -16,7 +16,7 @@ from sdm.bench.common.grids import cube_around
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
-from sdm.bench.peers import openvdb
+from sdm.bench.peers import newton, openvdb
 from sdm.core.voxel_points import voxel_points
 
 OURS, PEER = "sdm", "OpenVDB"
@@ -29,9 +29,17 @@ def fresh(case: Case, device: str) -> sdm.TriangleMesh:
 
 
 def measure(
-    case: Case, device: str, resolution: int, half_width: float, samples: int, runs: int, *, with_peer: bool
+    case: Case,
+    device: str,
+    resolution: int,
+    half_width: float,
+    samples: int,
+    runs: int,
+    *,
+    with_peer: bool,
+    with_newton: bool = False,
 ) -> list[dict[str, Any]]:
-    """The rows of the table: ours, and OpenVDB's if it is there."""
+    """The rows of the table: ours, and OpenVDB's and Newton's if they are there."""
     grid = cube_around(case, resolution)
     band = sdm.narrow_band(fresh(case, device), grid, half_width=half_width, device=device)
     voxels = _some_voxels(band, samples)
@@ -58,7 +66,23 @@ def measure(
     for row in rows:
         wall, cpu = zip(*times[row["library"]], strict=True)
         row |= {"seconds": statistics.median(wall), "cpu": statistics.median(cpu), "all_seconds": list(wall)}
+    if with_newton:
+        rows.append(_newton_row(case, device, resolution, half_width, voxel_points(grid, voxels).numpy(), runs))
     return rows
+
+
+def _newton_row(
+    case: Case, device: str, resolution: int, half_width: float, points: np.ndarray, runs: int
+) -> dict[str, Any]:
+    """Newton's row. At its own voxels, as it takes no grid; of its memory and processor time nothing is known."""
+    grid = cube_around(case, resolution)
+    found = newton.sparse_field(case, grid, half_width, points, runs, device)
+    row = _row(newton.NAME, case, resolution, found.voxels, found.nbytes)
+    brute = Brute(case.vertices, case.faces)
+    truth = brute.distance(found.points)[0], brute.winding_number(found.points)
+    row |= _errors(found.values.astype(np.float64), truth, grid)
+    row |= {"peak": 0, "seconds": statistics.median(found.seconds), "cpu": 0.0, "all_seconds": found.seconds}
+    return row
 
 
 def _row(library: str, case: Case, resolution: int, active: int, nbytes: int) -> dict[str, Any]:

@@ -46,5 +46,30 @@ class MeshLib(Peer):
         asked.vol.dimensions = meshlib.Vector3i(*grid.shape)
         asked.dist.signMode = meshlib.SignDetectionMode.HoleWindingRule
         asked.dist.maxDistSq = FAR
+        self._choose(asked)
         volume = meshlib.meshToDistanceVolume(meshlib.MeshPart(self._mesh), asked)
         return torch.from_numpy(self._numpy.getNumpy3Darray(volume)).float()
+
+    def _choose(self, asked: Any) -> None:
+        """Nothing: it has winding numbers of its own."""
+
+
+class MeshLibCuda(MeshLib):
+    """The same with winding numbers from a GPU; distances stay on the CPU, and so does the map."""
+
+    name, module, device = "MeshLib, CUDA signs", "meshlib.mrcudapy", "cuda"
+    note = "meshToDistanceVolume, HoleWindingRule by mrcudapy; distances on the CPU"
+
+    def __init__(self, device: str = "cuda") -> None:
+        self.device = device
+
+    @property
+    def library(self) -> Any:
+        return import_module("meshlib.mrmeshpy")
+
+    def build(self, case: Case) -> None:
+        super().build(case)
+        self._winding = import_module(self.module).FastWindingNumber(self._mesh)
+
+    def _choose(self, asked: Any) -> None:
+        asked.fwn = self._winding

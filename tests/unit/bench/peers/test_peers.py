@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
 from sdm import Grid
 from sdm.bench.common.meshes import load_case
-from sdm.bench.peers import all_peers
+from sdm.bench.peers import all_peers, newton
 from tests.helpers import oracle
 
 NAMES = [peer.name for peer in all_peers("cpu")]
@@ -79,3 +82,58 @@ def test_both_trees_of_warp_are_peers_on_a_gpu():
     assert notes["Warp winding number"] == "LBVH, leaf 4"
     assert notes["Warp winding number, SAH"] == "SAH, leaf 4"
     assert "Warp winding number, SAH" not in NAMES
+
+
+def test_physicsnemo_is_asked_for_winding_numbers(asked, monkeypatch):
+    case, points, expected = asked
+    calls = []
+
+    def signed_distance_field(vertices, faces, at, *, use_sign_winding_number):
+        calls.append((vertices, faces, use_sign_winding_number))
+        return torch.from_numpy(expected).float(), at, None
+
+    library = SimpleNamespace(signed_distance_field=signed_distance_field)
+    monkeypatch.setitem(sys.modules, "physicsnemo", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "physicsnemo.nn", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "physicsnemo.nn.functional", library)
+    peer = made("PhysicsNeMo")
+    peer.build(case)
+    assert torch.equal(peer.signed_distance(points), torch.from_numpy(expected).float())
+    ((vertices, faces, winding),) = calls
+    assert winding
+    assert vertices.shape == case.vertices.shape
+    assert (faces.dtype, faces.shape) == (torch.int32, case.faces.shape)
+
+
+def test_meshlib_takes_the_winding_numbers_of_a_gpu(asked, monkeypatch):
+    case, _, _ = asked
+    volumes = []
+    mesh = SimpleNamespace(getAABBTree=lambda: None)
+    params = SimpleNamespace(vol=SimpleNamespace(), dist=SimpleNamespace())
+    library = SimpleNamespace(
+        MeshToDistanceVolumeParams=lambda: params,
+        Vector3f=lambda *v: v,
+        Vector3i=lambda *v: v,
+        MeshPart=lambda one: one,
+        SignDetectionMode=SimpleNamespace(HoleWindingRule="rule"),
+        meshToDistanceVolume=lambda part, given: volumes.append((part, given)),
+    )
+    arrays = SimpleNamespace(
+        meshFromFacesVerts=lambda faces, vertices: mesh, getNumpy3Darray=lambda volume: np.zeros((2, 2, 2))
+    )
+    cuda = SimpleNamespace(FastWindingNumber=lambda one: ("on a GPU", one))
+    for name, module in {"mrmeshpy": library, "mrmeshnumpy": arrays, "mrcudapy": cuda}.items():
+        monkeypatch.setitem(sys.modules, f"meshlib.{name}", module)
+    monkeypatch.setitem(sys.modules, "meshlib", SimpleNamespace())
+    peer = next(peer for peer in all_peers("cuda") if peer.name == "MeshLib, CUDA signs")
+    peer.build(case)
+    peer.signed_distance_map(Grid((0, 0, 0), (1, 1, 1), (2, 2, 2)))
+    assert volumes == [(mesh, params)]
+    assert params.fwn == ("on a GPU", mesh)
+    assert params.vol.origin == (-0.5, -0.5, -0.5)
+
+
+def test_newton_says_why_it_is_left_out(monkeypatch):
+    assert newton.missing("cpu") == "Newton is left out: it makes its fields on a GPU alone"
+    monkeypatch.setitem(sys.modules, "newton", None)
+    assert "cannot be imported" in (newton.missing("cuda") or "")
