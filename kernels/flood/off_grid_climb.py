@@ -10,11 +10,14 @@ further from the surface than the one where it began; without one, the voxel is 
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
 from sdm.kernels.bvh.tree import SCALE, UNSCALE, Tree
-from sdm.kernels.flood.flood_grid import FloodGrid, is_in_grid, number_of
+from sdm.kernels.flood.flood_grid import FloodGrid, is_in_grid
+from sdm.kernels.flood.flood_nodes import node_at, voxel_at
 from sdm.kernels.flood.reached_region import REACHED
 from sdm.kernels.flood.uphill_links import STUCK, StuckVoxels
 from sdm.kernels.launch import launch, threads
@@ -99,17 +102,17 @@ def _on_surface(walls: Walls, p: wp.vec3d, at: int):
 
 
 @wp.func
-def _climb(
+def climbed(
     walls: Walls,
+    nodes: Any,
     grid: FloodGrid,
     distances: wp.array(dtype=wp.float32),
     links: wp.array(dtype=wp.int32),
     at: int,
 ):
     """The voxel where the climb from a voxel ends, itself if that is inside."""
-    k = at % grid.shape[2]
-    row = at / grid.shape[2]
-    p = _centre(grid, row / grid.shape[1], row % grid.shape[1], k)
+    v = voxel_at(nodes, at)
+    p = _centre(grid, v[0], v[1], v[2])
     closest, slots = _closest_of_both(walls, p, wp.vec2i(0, 0))
     away = p - closest
     distance = wp.length(away)
@@ -140,7 +143,7 @@ def _climb(
             step = wp.min(wp.float64(2.0) * step, wp.float64(2.0) * most)
             index = _place(grid, p)
             if is_in_grid(grid, index[0], index[1], index[2]):
-                other = number_of(grid, index[0], index[1], index[2])
+                other = node_at(nodes, index)
                 if wp.length(p - _centre(grid, index[0], index[1], index[2])) + grid.slack < distance:
                     if links[other] == REACHED or wp.float64(distances[other]) > begun + grid.slack:
                         return other
@@ -171,7 +174,7 @@ def _climb_listed(
     while place < count:
         at = stuck.numbers[place]
         # Below zero, so that nobody takes the end of another climb for a voxel that was reached.
-        links[at] = STUCK - 1 - _climb(walls, grid, distances, links, at)
+        links[at] = STUCK - 1 - climbed(walls, grid, grid, distances, links, at)
         place = place + step
 
 
@@ -188,7 +191,7 @@ def _climb_others(
     at = begin + wp.tid()
     if stuck.count[0] > stuck.numbers.shape[0]:
         if links[at] == STUCK:
-            links[at] = STUCK - 1 - _climb(walls, grid, distances, links, at)
+            links[at] = STUCK - 1 - climbed(walls, grid, grid, distances, links, at)
 
 
 @wp.func

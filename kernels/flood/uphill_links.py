@@ -7,9 +7,12 @@ it, so it crosses no surface. Voxels without such a neighbour, near the surface 
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.flood.flood_grid import FloodGrid, is_free, is_in_grid, length_of, number_of
+from sdm.kernels.flood.flood_grid import FloodGrid, is_free, is_in_grid, length_of
+from sdm.kernels.flood.flood_nodes import neighbour_at, voxel_at
 from sdm.kernels.flood.reached_region import REACHED
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
@@ -30,26 +33,10 @@ class StuckVoxels:
     count: wp.array(dtype=wp.int32)  # (1) of all of them
 
 
-@wp.kernel
-def _link(
-    begin: int,
-    grid: FloodGrid,
-    distances: wp.array(dtype=wp.float32),
-    links: wp.array(dtype=wp.int32),
-    stuck: StuckVoxels,
-):
-    at = begin + wp.tid()
-    if links[at] == REACHED:
-        return
-    here = wp.float64(distances[at])
-    if here >= grid.deep:
-        # Whatever is uphill was not reached either: the ball passes along all links from here on.
-        links[at] = at
-        return
-    k = at % grid.shape[2]
-    row = at / grid.shape[2]
-    j = row % grid.shape[1]
-    i = row / grid.shape[1]
+@wp.func
+def uphill(nodes: Any, grid: FloodGrid, distances: wp.array(dtype=wp.float32), at: int, here: wp.float64):
+    """The neighbour with the steepest free way up from a voxel `here` away from the surface, or `STUCK`."""
+    v = voxel_at(nodes, at)
     best = LEVEL
     link = STUCK
     # Bounds that are variables, so that Warp does not write the loop out.
@@ -58,19 +45,51 @@ def _link(
         di = place / 9 - 1
         dj = place / 3 % 3 - 1
         dk = place % 3 - 1
-        if place != 13 and is_in_grid(grid, i + di, j + dj, k + dk):
-            other = number_of(grid, i + di, j + dj, k + dk)
+        if place != 13 and is_in_grid(grid, v[0] + di, v[1] + dj, v[2] + dk):
+            other = neighbour_at(nodes, at, v, wp.vec3i(di, dj, dk))
             there = wp.float64(distances[other])
             length = length_of(grid, di, dj, dk)
             rise = (there - here) / length
             if rise > best and is_free(grid, here, there, length):
                 best = rise
                 link = other
+    return link
+
+
+@wp.func
+def link_or_list(
+    nodes: Any,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+    stuck: StuckVoxels,
+    at: int,
+):
+    """Replace the label of a voxel by its link, and list it if it is stuck."""
+    if links[at] == REACHED:
+        return
+    here = wp.float64(distances[at])
+    if here >= grid.deep:
+        # Whatever is uphill was not reached either: the ball passes along all links from here on.
+        links[at] = at
+        return
+    link = uphill(nodes, grid, distances, at, here)
     links[at] = link
     if link == STUCK:
         place = fetch_add(stuck.count, 0, 1)
         if place < stuck.numbers.shape[0]:
             stuck.numbers[place] = at
+
+
+@wp.kernel
+def _link(
+    begin: int,
+    grid: FloodGrid,
+    distances: wp.array(dtype=wp.float32),
+    links: wp.array(dtype=wp.int32),
+    stuck: StuckVoxels,
+):
+    link_or_list(grid, grid, distances, links, stuck, begin + wp.tid())
 
 
 def link_uphill(grid: FloodGrid, distances: wp.array, links: wp.array, stuck: StuckVoxels) -> None:
