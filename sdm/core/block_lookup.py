@@ -63,3 +63,17 @@ def gaps_of(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[Int
     begin, end = begin[end > begin], end[end > begin]
     order = begin.argsort()
     return begin[order], end[order]
+
+
+def joined_runs(runs: Int32[Tensor, "r 4"], count: tuple[int, int, int]) -> Int32[Tensor, "s 4"]:
+    """The same runs, sorted, those that follow each other as one."""
+    row: Int64[Tensor, " r"] = runs[:, 0].long() * count[1] + runs[:, 1]
+    order = (row * count[2] + runs[:, 2]).argsort()
+    runs, row = runs[order], row[order]
+    if not len(runs):
+        return runs
+    begins = torch.ones(len(runs), dtype=torch.bool, device=runs.device)
+    begins[1:] = (row[1:] != row[:-1]) | (runs[1:, 2] != runs[:-1, 3])
+    ends = begins.roll(-1)
+    ends[-1] = True
+    return torch.cat([runs[begins][:, :3], runs[ends][:, 3:]], 1)

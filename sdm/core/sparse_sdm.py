@@ -40,6 +40,7 @@ class SparseSDM:
         width: Half the band's width in the mesh's unit, of which all values are at most: the background.
         ambiguous_voxels: Of the voxels in the band, how many have a winding number within a quarter of 0.5.
         sign: As in `SDM`.
+        hole_size: Of `sign="flood"`, the width of the gaps that it just passes; None otherwise.
 
     Of a mesh that is not closed, the sign may change far from the surface, where a winding number passes 0.5. Stored
     blocks have it voxel by voxel, and of others it is a voxel in the middle that says it.
@@ -54,6 +55,7 @@ class SparseSDM:
     width: float
     ambiguous_voxels: int | None = None
     sign: str | None = None
+    hole_size: float | None = None
 
     def __post_init__(self) -> None:
         wanted = {"blocks": (3,), "values": (BLOCK,) * 3, "inside": (4,)}
@@ -167,7 +169,7 @@ class SparseSDM:
         origin = matrix[:3, 3] + matrix[:3, :3] @ begin
         shape = [high - low for low, high in zip(begin, end, strict=True)]
         grid = self.grid if box is None else Grid(origin, self.grid.spacing, shape, self.grid.direction)
-        return SDM(values, grid, sign=self.sign, truncated=self.width)
+        return SDM(values, grid, sign=self.sign, hole_size=self.hole_size, truncated=self.width)
 
     def sample(self, points: Any, order: Literal[1, 3] = 1) -> Float[Tensor, "*n"]:
         """Interpolation of the band, as `SDM.sample` interpolates the clamped map.
@@ -248,7 +250,7 @@ class SparseSDM:
         return band_to_fvdb(self)
 
 
-_PLAIN = ("grid", "width", "ambiguous_voxels", "sign")
+_PLAIN = ("grid", "width", "ambiguous_voxels", "sign", "hole_size")
 
 
 def _whole_box(shape: tuple[int, int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:

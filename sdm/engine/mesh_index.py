@@ -260,12 +260,17 @@ class MeshIndex:
             distances = put_together(slabs, grid.shape[0])[0]
         return method.field(grid, distances, winding, partial(self._flooded, grid))
 
-    def _flooded(self, grid: Grid, distances: Tensor, hole: float) -> Tensor:
+    @property
+    def rims(self) -> Tensor:
+        """Edges (E,2) of the mesh's holes, whichever way its faces face."""
         if self._rims is None:
             self._rims = rims_of(self.mesh, self._edges)
+        return self._rims
+
+    def _flooded(self, grid: Grid, distances: Tensor, hole: float) -> Tensor:
         closed = self.closed and self._repeated is None
         return flooded(
-            distances, hole, grid=grid, structure=self._structure, mesh=self._measured, rims=self._rims, closed=closed
+            distances, hole, grid=grid, structure=self._structure, mesh=self._measured, rims=self.rims, closed=closed
         )
 
     def _map_with_closest(self, method: SignMethod, grid: Grid) -> tuple[SDM, Closest]:
@@ -291,12 +296,19 @@ class MeshIndex:
             found = found._replace(values=signed[0], ambiguous=ambiguous)
         return found
 
-    def narrow_band(self, grid: BandGrid, *, half_width: float = 3.0, sign: Sign = "winding") -> SparseSDM:
+    def narrow_band(
+        self,
+        grid: BandGrid,
+        *,
+        half_width: float = 3.0,
+        sign: Sign = "winding",
+        hole_size: float | None = None,
+    ) -> SparseSDM:
         """As `sdm.narrow_band`, on this index."""
-        from sdm.engine.band.calls import band_grid, band_of, check_options
+        from sdm.engine.band.calls import band_grid, band_method, band_of
 
-        check_options(half_width, sign)
-        return band_of(self, band_grid(self.mesh, grid, half_width=half_width), half_width, sign)
+        method = band_method(half_width, sign, hole_size)
+        return band_of(self, band_grid(self.mesh, grid, half_width=half_width), half_width, method)
 
     @overload
     def slabs(

@@ -62,9 +62,9 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.band is not None:
-            from sdm.engine.band.calls import check_options
+            from sdm.engine.band.calls import band_method
 
-            check_options(self.band, self.sign)
+            band_method(self.band, self.sign, self.hole_size)
             if self.truncate is not None or self.normalize is not None or self.dtype != "float32":
                 raise SDMError(
                     "a narrow band is cut at its width, in float32: --truncate, --normalize and --dtype are for maps"

@@ -93,7 +93,9 @@ class MapStages:
         chosen = format_of(read.task.target)
         index = MeshIndex(read.measured, settings.device, warn=False)
         if settings.band is not None:
-            band = index.narrow_band(read.grid, half_width=settings.band, sign=settings.sign)
+            band = index.narrow_band(
+                read.grid, half_width=settings.band, sign=settings.sign, hole_size=settings.hole_size
+            )
             save_band(band, read.task.target, read.digest)
             self._progress(1.0)
             return Measured(read, None, band.inside_voxels, band.ambiguous_voxels or 0, read.seconds)

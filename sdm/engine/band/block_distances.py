@@ -74,7 +74,7 @@ def slab_blocks(
             return blocks, values, 0
         near = torch.zeros(len(keys), dtype=torch.int32, device=device)
         ambiguous = torch.zeros(1, dtype=torch.int32, device=device)
-        table, rows = _table(blocks, blocks_along(shape))
+        table, rows = block_table(blocks, blocks_along(shape))
         flat, empty = values.view(-1), workspace(device)
         if signed:
             order = _by_lines(blocks, blocks_along(shape))
@@ -160,7 +160,7 @@ def _regions_of(table: Any, blocks: int, cell: int, device: torch.device) -> Int
     return regions[: int(count)]
 
 
-def _table(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> tuple[Any, tuple[Tensor, ...]]:
+def block_table(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> tuple[Any, tuple[Tensor, ...]]:
     """The kernels' table of blocks that are sorted, and the memory that it is in."""
     low, size = [0, 0], list(count[:2])
     if count[0] * count[1] > MOST_ROWS:

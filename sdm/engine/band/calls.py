@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Sequence
-from typing import Any, TypeAlias, get_args, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 import torch
@@ -15,12 +15,13 @@ from sdm.core.block_lookup import blocks_along, keys_of
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
-from sdm.engine.arguments import Orient, Sign
+from sdm.engine.arguments import Orient, Sign, SignMethod
 from sdm.engine.band.band_slabs import measured_blocks
+from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.lists import are_meshes
-from sdm.errors import GridError, SDMError
+from sdm.errors import GridError
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.
 BandGrid: TypeAlias = Grid | float | Sequence[float]
@@ -41,6 +42,7 @@ def narrow_band(
     device: str | torch.device | None = None,
     orient: Orient = "keep",
     sign: Sign = "winding",
+    hole_size: float | None = None,
 ) -> list[SparseSDM]: ...
 @overload
 def narrow_band(
@@ -54,6 +56,7 @@ def narrow_band(
     device: str | torch.device | None = None,
     orient: Orient = "keep",
     sign: Sign = "winding",
+    hole_size: float | None = None,
 ) -> SparseSDM: ...
 def narrow_band(
     mesh: Any,
@@ -66,6 +69,7 @@ def narrow_band(
     device: str | torch.device | None = None,
     orient: Orient = "keep",
     sign: Sign = "winding",
+    hole_size: float | None = None,
 ) -> SparseSDM | list[SparseSDM]:
     """The exact signed distances of the voxels near a mesh's surface, in blocks of 8^3: memory grows with the surface.
 
@@ -82,8 +86,9 @@ def narrow_band(
             half the band and a voxel with a spacing.
         device: Where to compute; by default a GPU if there is one. The band stays there.
         orient: As for `sdm.signed_distance_map`.
-        sign: `"winding"` or `"none"`, as for `sdm.signed_distance_map`; `"flood"`, which needs all of the grid, is
-            refused.
+        sign: `"winding"`, `"flood"` or `"none"`, as for `sdm.signed_distance_map`. A flood goes through a band of half
+            the hole size and 3 diagonals of a voxel more, and takes about 16 bytes for each of its voxels.
+        hole_size: Of a flood, as there: by default two voxels.
 
     Returns:
         The band. Its values are those of `sdm.signed_distance_map` on the same grid, clamped to the width, bit for bit,
@@ -97,25 +102,29 @@ def narrow_band(
         GridError: Nothing says what the grid is, or several things do; or the band is too narrow, or does not fit into
             memory.
         MeshError: What is given is no mesh, or one that cannot be used.
-        SDMError: A sign that there is not, or `"flood"`.
+        SDMError: A sign that there is not, or a hole size without a flood.
     """
-    options: dict[str, Any] = {"half_width": half_width, "sign": sign}
     sized: dict[str, Any] = {"spacing": spacing, "resolution": resolution, "margin": margin}
     if are_meshes(mesh):
         meshes = list(mesh)
+        options: dict[str, Any] = {"half_width": half_width, "sign": sign, "hole_size": hole_size, **sized}
         pairs = zip(meshes, _grids_of(grid, len(meshes)), strict=True)
-        return [narrow_band(one, its, device=device, orient=orient, **options, **sized) for one, its in pairs]
-    check_options(half_width, sign)
+        return [narrow_band(one, its, device=device, orient=orient, **options) for one, its in pairs]
+    method = band_method(half_width, sign, hole_size)
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
     chosen = band_grid(mesh, grid, half_width=half_width, **sized)
-    return band_of(MeshIndex(mesh, device, orient=orient), chosen, **options)
+    return band_of(MeshIndex(mesh, device, orient=orient), chosen, half_width, method)
 
 
-def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> SparseSDM:
+def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod) -> SparseSDM:
     """The band of an index on a grid, whose options were checked."""
     # In float32, as the values are.
-    width = float(np.float32(half_width * max(grid.spacing)))
+    width, sign = float(np.float32(half_width * max(grid.spacing))), method.sign
+    if sign == "flood":
+        hole = method.hole_on(grid)
+        band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
+        return _looked_at(band, index)
     signed, beyond = sign == "winding" and index._repeated is None, reaches_beyond(index, grid)
     blocks, values, ambiguous = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond)
     if sign == "winding" and index._repeated is not None:
@@ -123,29 +132,28 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, sign: Sign) -> Spar
     if sign == "none":
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
     inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values, beyond=beyond)
-    band = SparseSDM(blocks, values, inside, grid, width, ambiguous, sign)
+    return _looked_at(SparseSDM(blocks, values, inside, grid, width, ambiguous, sign), index)
+
+
+def _looked_at(band: SparseSDM, index: MeshIndex) -> SparseSDM:
+    """The band, of which it was said if it is probably not what was meant."""
     if index._check is not None and band.device.type == "cpu":
         # On a GPU it would be waited for.
-        index._check.look_at(index._measured, grid, len(inside) > 0 or bool((values < 0).any()), sign)
+        there = len(band.inside) > 0 or bool((band.values < 0).any())
+        index._check.look_at(index._measured, band.grid, there, band.sign or "none")
     return band
 
 
-def check_options(half_width: float, sign: str) -> None:
-    """Refuse options of a band that make no sense.
+def band_method(half_width: float, sign: Sign, hole_size: float | None = None) -> SignMethod:
+    """The method that signs a band; refuses options that make no sense.
 
     Raises:
         GridError: The band is too narrow.
-        SDMError: A sign that there is not, or one that needs all of the grid.
+        SDMError: A sign that there is not, or a hole size without a flood.
     """
     if not (isinstance(half_width, int | float) and math.isfinite(half_width) and half_width >= LEAST_HALF_WIDTH):
         raise GridError(f"half_width is {half_width!r}; give a number of voxels of at least {LEAST_HALF_WIDTH}")
-    if sign == "flood":
-        raise SDMError(
-            "a flood goes through all of a grid, and a narrow band has no more than the voxels near the surface: use "
-            "sign='winding' or 'none', or sdm.signed_distance_map with sign='flood'"
-        )
-    if sign not in get_args(Sign):
-        raise SDMError(f"sign is {sign!r}; use 'winding' or 'none'")
+    return SignMethod(sign, hole_size)
 
 
 def band_grid(

@@ -9,14 +9,15 @@ from torch import Tensor
 
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError
-from sdm.io.maps.record import SIGN_METHOD, TRUNCATED, from_record, record
+from sdm.io.maps.record import HOLE_SIZE, SIGN_METHOD, TRUNCATED, from_record, record
 
 ARRAYS = {"blocks": np.int32, "values": np.float32, "inside": np.int32}
 
 
 def band_record(band: SparseSDM, made_from: str | None) -> dict[str, Any]:
     """Geometry, width, counts and sign of a band, and the digest of its mesh, ready for JSON."""
-    signs = {TRUNCATED: band.width} if band.sign is None else {TRUNCATED: band.width, SIGN_METHOD: band.sign}
+    signs: dict[str, Any] = {TRUNCATED: band.width} | ({} if band.sign is None else {SIGN_METHOD: band.sign})
+    signs |= {} if band.hole_size is None else {HOLE_SIZE: band.hole_size}
     return record(band.grid, band.ambiguous_voxels, made_from, signs)
 
 
@@ -34,8 +35,10 @@ def band_from(kept: Any, arrays: dict[str, Tensor], name: str) -> SparseSDM:
         FormatError: They do not fit each other.
     """
     grid, count = from_record(kept, name)
+    sign, hole = kept.get(SIGN_METHOD), kept.get(HOLE_SIZE)
+    hole = None if hole is None else float(hole)
     band = SparseSDM(
-        **arrays, grid=grid, width=float(kept[TRUNCATED]), ambiguous_voxels=count, sign=kept.get(SIGN_METHOD)
+        **arrays, grid=grid, width=float(kept[TRUNCATED]), ambiguous_voxels=count, sign=sign, hole_size=hole
     )
     if not bool((band.keys[1:] > band.keys[:-1]).all()):
         raise FormatError(f"{name} is damaged: its blocks are not sorted")

@@ -13,13 +13,13 @@ from typing import Any
 import torch
 import warp as wp
 
-from sdm.core.block_lookup import blocks_along, keys_of
+from sdm.core.block_lookup import blocks_along, joined_runs, keys_of
 from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.errors import FormatError
-from sdm.io.bands.volume import inside_of, joined, nodes_of, volume_of
+from sdm.io.bands.volume import inside_of, nodes_of, volume_of
 from sdm.io.maps import nvdb
-from sdm.io.maps.record import MADE_FROM, SIGN_METHOD, TRUNCATED
+from sdm.io.maps.record import HOLE_SIZE, MADE_FROM, SIGN_METHOD, TRUNCATED
 
 WORD = "sdmband"
 NAME = re.compile(nvdb.NAME.pattern.replace("sdm ", f"{WORD} ", 1))
@@ -37,7 +37,7 @@ def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
         raise FormatError(f"Warp cannot make a NanoVDB volume of shape {band.shape}: {error}") from error
     told: Any = SimpleNamespace(
         grid=band.grid,
-        hole_size=None,
+        hole_size=band.hole_size,
         truncated=band.width,
         ambiguous_voxels=band.ambiguous_voxels,
         sign=band.sign,
@@ -63,8 +63,10 @@ def read(path: Path) -> SparseSDM:
     near = (values.abs() < width).flatten(1).any(1)
     leaf = blocks[~near & (values[:, 0, 0, 0] < 0)]
     inside = torch.cat([inside_of(nodes, grid), torch.cat([leaf, leaf[:, 2:] + 1], 1)])
-    inside = joined(inside, blocks_along(grid.shape))
-    return SparseSDM(blocks[near], values[near], inside, grid, width, count, kept[SIGN_METHOD])
+    inside = joined_runs(inside, blocks_along(grid.shape))
+    hole = kept.get(HOLE_SIZE)
+    hole = None if hole is None else float(hole)
+    return SparseSDM(blocks[near], values[near], inside, grid, width, count, kept[SIGN_METHOD], hole)
 
 
 def read_origin(path: Path) -> tuple[Grid, str | None]:

@@ -11,10 +11,10 @@ from typing import Any
 
 import torch
 import warp as wp
-from jaxtyping import Float32, Int32, Int64, UInt8
+from jaxtyping import Float32, Int32, UInt8
 from torch import Tensor
 
-from sdm.core.block_lookup import BLOCK, blocks_along
+from sdm.core.block_lookup import BLOCK, blocks_along, joined_runs
 from sdm.core.grid import Grid
 from sdm.core.sparse_sdm import SparseSDM
 
@@ -157,18 +157,4 @@ def inside_of(nodes: Nodes, grid: Grid) -> Int32[Tensor, "r 4"]:
     found = torch.cat(runs)
     found[:, 3].clamp_(max=count[2])
     within = (found[:, 0] < count[0]) & (found[:, 1] < count[1]) & (found[:, 2] < found[:, 3])
-    return joined(found[within], count)
-
-
-def joined(runs: Int32[Tensor, "r 4"], count: tuple[int, int, int]) -> Int32[Tensor, "s 4"]:
-    """The same runs, sorted, those that follow each other as one."""
-    row: Int64[Tensor, " r"] = runs[:, 0].long() * count[1] + runs[:, 1]
-    order = (row * count[2] + runs[:, 2]).argsort()
-    runs, row = runs[order], row[order]
-    if not len(runs):
-        return runs
-    begins = torch.ones(len(runs), dtype=torch.bool, device=runs.device)
-    begins[1:] = (row[1:] != row[:-1]) | (runs[1:, 2] != runs[:-1, 3])
-    ends = begins.roll(-1)
-    ends[-1] = True
-    return torch.cat([runs[begins][:, :3], runs[ends][:, 3:]], 1)
+    return joined_runs(found[within], count)

@@ -54,7 +54,7 @@ def test_a_folder_of_bands(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--sign", "flood"], "a flood goes through all of a grid"),
+        (["--hole-size", "0.1"], "hole_size is the width of gaps"),
         (["--truncate", "1"], "are for maps"),
         (["--format", "nrrd"], "no place for a narrow band"),
     ],

@@ -188,8 +188,8 @@ def test_one_warning_about_a_mesh_inside_out():
 
 
 def test_refused():
-    with pytest.raises(SDMError, match="a flood goes through all of a grid"):
-        sdm.narrow_band(mesh(), 0.1, sign="flood", device="cpu")
+    with pytest.raises(SDMError, match="hole_size is the width of gaps"):
+        sdm.narrow_band(mesh(), 0.1, hole_size=0.1, device="cpu")
     with pytest.raises(GridError, match=r"at least 1\.5"):
         sdm.narrow_band(mesh(), 0.1, half_width=1, device="cpu")
     with pytest.raises(GridError, match="needs one of these"):

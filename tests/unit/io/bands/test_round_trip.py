@@ -9,10 +9,9 @@ import warp as wp
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.core.block_lookup import blocks_along
+from sdm.core.block_lookup import blocks_along, joined_runs
 from sdm.errors import FormatError
 from sdm.io import load_band
-from sdm.io.bands.volume import joined
 from sdm.kernels.nanovdb import lookup
 
 ENDINGS = ("npz", "zarr", "nvdb")
@@ -48,6 +47,16 @@ def test_what_is_written_is_read(ending, tmp_path):
         assert found.ambiguous_voxels == made.ambiguous_voxels
         assert torch.equal(load_band(path).values, made.values)
     assert len(band().inside) > 0
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_flood_keeps_its_hole_size(ending, tmp_path):
+    made = sdm.narrow_band(sdm.TriangleMesh(*sphere(6)), 0.2, sign="flood", hole_size=0.3, device="cpu")
+    made.save(tmp_path / f"band.{ending}")
+    found = sdm.load(tmp_path / f"band.{ending}")
+    assert (found.sign, found.hole_size) == ("flood", 0.3)
+    assert torch.equal(found.inside, made.inside)
+    assert found.to_dense().hole_size == 0.3
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -112,5 +121,5 @@ def test_runs_that_follow_each_other_are_one():
     runs = torch.tensor(
         [[0, 1, 4, 6], [0, 0, 0, 2], [0, 0, 2, 3], [0, 0, 5, 10], [0, 1, 0, 4]], dtype=torch.int32, device="cpu"
     )
-    assert joined(runs, count).tolist() == [[0, 0, 0, 3], [0, 0, 5, 10], [0, 1, 0, 6]]
-    assert joined(runs[:0], count).shape == (0, 4)
+    assert joined_runs(runs, count).tolist() == [[0, 0, 0, 3], [0, 0, 5, 10], [0, 1, 0, 6]]
+    assert joined_runs(runs[:0], count).shape == (0, 4)
