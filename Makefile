@@ -22,7 +22,7 @@ INTEGRATIONS = dev,bench,formats,integrations,jax,monai,nnunet,pyvista,torchio
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
 	tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
 
-.PHONY: demo test test-all test-integrations run-integrations lint format bench records release install clean help
+.PHONY: demo test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -39,6 +39,9 @@ test: $(VENV)/.installed-dev ## Run the quick tests
 
 test-all: $(VENV)/.installed-dev ## Run every test
 	$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+
+test-bounds: $(VENV)/.installed-dev ## Run the quick tests with kernels that check every index, in about an hour
+	WARP_CACHE_PATH=$(VENV)/warp-bounds $(BIN)/python -m pytest -p tests.helpers.checked_bounds -m "not slow" $(PARALLEL) $(ARGS)
 
 test-integrations: ## Run the tests of adapters beside the libraries that they are for, in an environment of its own
 	$(MAKE) VENV=$(VENV)-integrations run-integrations

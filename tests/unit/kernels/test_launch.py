@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -96,3 +97,8 @@ def test_an_interrupt_waits_for_the_threads_that_are_at_work(monkeypatch):
             launch.launch(_count, 64, [], "cpu", smallest=1)
         finally:
             assert sorted([0, *ended]) == sorted(begun)
+
+
+def test_no_kernel_uses_tiles(root):
+    """On a CPU Warp 1.19 keeps where they are in one variable of a module, which launches of several threads share."""
+    assert not [path for path in (root / "kernels").rglob("*.py") if re.search(r"\bwp\.tile_", path.read_text())]
