@@ -1,4 +1,4 @@
-"""Plugin of pytest (`make test-bounds`): Warp's kernels check every index of an array, and end the process if one is out.
+"""Plugin of pytest (`make test-bounds`): kernels check every index of an array, and end the process if one is out.
 
 Kernels are compiled without optimisation, into a cache of their own, so that the quick tests take about an hour.
 """
