@@ -163,15 +163,15 @@ def _unsigned(structure: AccelerationStructure, grid: Grid) -> Tensor:
     return structure_slab(structure, grid, 0, grid.shape[0], signed=False)[0][0]
 
 
-def frame_of(grid: Grid, vertices: Tensor, faces: Tensor, *, step: int = 1, limited: bool = True) -> Frame:
+def frame_of(grid: Grid, vertices: Tensor, faces: Tensor, *, limited: bool = True) -> Frame:
     """The grid of a flood: the map's, with further layers where the mesh's box comes to its border or beyond.
 
-    Those before it are a multiple of `step`; `limited` refuses a grid that is too large for a dense flood.
+    `limited` refuses one that is too large for a dense flood.
     """
     low, high, size = _box_of(grid, vertices, faces)
     last = np.asarray(grid.shape) - 1
     low, high = low - ROOM, high + ROOM
-    before = np.ceil(np.maximum(0, np.floor(-low) + 1) / step) * step
+    before = np.maximum(0, np.floor(-low) + 1)
     after = np.maximum(0, np.floor(high - last) + 1)
     shape = before + last + 1 + after
     voxels = float(np.prod(shape))

@@ -12,11 +12,12 @@ import warp as wp
 from jaxtyping import Bool, Int32, Int64
 from torch import Tensor
 
-from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, find_blocks, gaps_of, joined_runs, keys_of
+from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, find_blocks, joined_runs, keys_of
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.block_distances import block_table
+from sdm.engine.band.inside_runs import all_gaps, inner_parts, middle_voxels, runs_between
 from sdm.engine.flood import Frame, frame_of
 from sdm.errors import GridError
 from sdm.kernels.flood.block_flood import are_inside, flood_blocks, negate_in_blocks
@@ -41,7 +42,7 @@ class Flooded:
     """A flood that came to its end, on the grid of a frame.
 
     Args:
-        frame: The grid, which begins a multiple of blocks before the band's.
+        frame: The grid that the dense map's flood goes through: the band's, or one that holds the mesh.
         keys: (N,) of the blocks that it went through voxel by voxel, ascending.
         gaps: (R,4) runs of blocks along z that are not among them, sorted.
         nodes: Both, as kernels take them.
@@ -85,7 +86,7 @@ def flood_band(
         GridError: It does not fit into memory, or there are very many blocks.
     """
     mesh = index._measured
-    frame = frame_of(grid, mesh.vertices.detach(), mesh.faces, step=BLOCK, limited=False)
+    frame = frame_of(grid, mesh.vertices.detach(), mesh.faces, limited=False)
     flood = frame.as_struct(hole_size / 2)
     reach = (float(flood.deep) + math.hypot(*grid.spacing) + 4 * float(flood.slack)) * (1 + ROOM)
     reach = max(float(np.float32(reach)), width)
@@ -129,7 +130,7 @@ def _flooded(
             f"a flood would go through {len(keys):,} blocks of a band, and {MOST_BLOCKS:,} are possible: choose larger "
             "voxels or a smaller hole_size, or sign='winding'"
         )
-    gaps = _gaps(keys, count)
+    gaps = runs_between(*all_gaps(keys, count), count)
     row = gaps[:, 0].long() * count[1] + gaps[:, 1]
     rows = torch.searchsorted(row, torch.arange(count[0] * count[1] + 1, device=device)).int()
     table, kept = block_table(blocks, count)
@@ -167,32 +168,20 @@ def _of_nodes(values: Tensor, gaps: int, reach: float) -> Tensor:
     return torch.cat(parts)
 
 
-def _gaps(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> Int32[Tensor, "r 4"]:
-    """Runs (R,4) of all blocks that are not among these, sorted."""
-    begin, end = gaps_of(keys, count)
-    rows = torch.ones(count[0] * count[1], dtype=torch.bool, device=keys.device)
-    rows[torch.div(keys, count[2], rounding_mode="floor")] = False
-    empty = rows.nonzero()[:, 0] * count[2]
-    begin, end = torch.cat([begin, empty]), torch.cat([end, empty + count[2]])
-    order = begin.argsort()
-    begin, end = begin[order], end[order]
-    first = blocks_of(begin, count)
-    return torch.cat([first, first[:, 2:] + (end - begin).int()[:, None]], 1)
-
-
 def _inside_runs(found: Flooded, grid: Grid, blocks: Int32[Tensor, "n 3"]) -> Int32[Tensor, "r 4"]:
     """Runs (R,4) of the blocks of a grid that are not stored and are inside: a voxel in the middle says it."""
-    count, wide = blocks_along(grid.shape), blocks_along(found.frame.grid.shape)
-    device = blocks.device
-    skipped = torch.tensor(found.frame.skipped, dtype=torch.int32, device=device) // BLOCK
-    single = blocks_of(found.keys, wide) - skipped
-    within = ((single >= 0) & (single < torch.tensor(count, dtype=torch.int32, device=device))).all(1)
-    single = single[within]
-    single = single[find_blocks(keys_of(blocks, count), keys_of(single, count)) < 0]
-    runs = torch.cat([found.gaps[:, :3] - skipped, found.gaps[:, 3:] - skipped[2]], 1)
-    runs[:, 2:].clamp_(0, count[2])
-    within = (runs[:, :2] >= 0).all(1) & (runs[:, 0] < count[0]) & (runs[:, 1] < count[1]) & (runs[:, 2] < runs[:, 3])
-    runs = torch.cat([runs[within], torch.cat([single, single[:, 2:] + 1], 1)])
-    last = torch.tensor(grid.shape, dtype=torch.int32, device=device) - 1
-    middle = (BLOCK * runs[:, :3] + 3).minimum(last) + BLOCK * skipped
-    return joined_runs(runs[found.inside(middle)], count)
+    count = blocks_along(grid.shape)
+    keys = keys_of(blocks, count)
+    skipped = torch.tensor(found.frame.skipped, device=blocks.device)
+
+    def are_inside(some: Int64[Tensor, " k"]) -> Bool[Tensor, " k"]:
+        return found.inside((middle_voxels(some, grid) + skipped).int())
+
+    if found.frame.grid is not grid:
+        return runs_between(*inner_parts(are_inside, *all_gaps(keys, count)), count)
+    # All of a gap has one side, and of the flood's own blocks each is asked.
+    single = found.keys[find_blocks(keys, found.keys) < 0]
+    begin = keys_of(found.gaps[:, :3], count)
+    begin, end = torch.cat([begin, single]), torch.cat([begin + (found.gaps[:, 3] - found.gaps[:, 2]), single + 1])
+    inside = are_inside(begin)
+    return joined_runs(runs_between(begin[inside], end[inside], count), count)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +36,7 @@ def inside_runs(
     if index.closed:
         begin, end = _gaps_inside(keys, values, count)
     else:
-        begin, end = _inner_parts(index, grid, *gaps_of(keys, count))
+        begin, end = inner_parts(partial(_are_inside, index, grid), *gaps_of(keys, count))
     if beyond:
         empty = _empty_rows(keys, count)
         empty = empty[_are_inside(index, grid, empty * count[2] + count[2] // 2)]
@@ -42,8 +44,7 @@ def inside_runs(
         end = torch.cat([end, (empty + 1) * count[2]])
         order = begin.argsort()
         begin, end = begin[order], end[order]
-    first = blocks_of(begin, count)
-    return torch.cat([first, first[:, 2:] + (end - begin).int()[:, None]], 1)
+    return runs_between(begin, end, count)
 
 
 def _gaps_inside(
@@ -67,28 +68,51 @@ def _gaps_inside(
     return begin[order], (begin + (runs[:, 3] - runs[:, 2]))[order]
 
 
-def _inner_parts(
-    index: MeshIndex, grid: Grid, begin: Int64[Tensor, " m"], end: Int64[Tensor, " m"]
+def inner_parts(
+    are_inside: Callable[[Tensor], Tensor], begin: Int64[Tensor, " m"], end: Int64[Tensor, " m"]
 ) -> tuple[Int64[Tensor, " i"], Int64[Tensor, " i"]]:
-    """Of runs of blocks those that lie inside, or their parts, if they have one side at either end."""
-    first, last = _are_inside(index, grid, begin), _are_inside(index, grid, end - 1)
+    """Of runs of blocks those that lie inside, or their parts, if they have one side at either end.
+
+    `are_inside` takes keys (K,) of blocks, and says which are.
+    """
+    first, last = are_inside(begin), are_inside(end - 1)
     # The last block known to be on the side of the first, and the first known not to be.
     low, high = begin.clone(), torch.where(first == last, end, end - 1)
     while len(at := ((first != last) & (high - low > 1)).nonzero()[:, 0]):
         middle = (low[at] + high[at]) // 2
-        same = _are_inside(index, grid, middle) == first[at]
+        same = are_inside(middle) == first[at]
         low[at], high[at] = torch.where(same, middle, low[at]), torch.where(same, high[at], middle)
     inside = first | last
     begin, end = torch.where(first, begin, high), torch.where(last, end, high)
     return begin[inside], end[inside]
 
 
+def middle_voxels(keys: Int64[Tensor, " m"], grid: Grid) -> Int64[Tensor, "m 3"]:
+    """A voxel (M,3) near the middle of each block, by which its side is told."""
+    last = torch.tensor(grid.shape, device=keys.device) - 1
+    return (blocks_of(keys, blocks_along(grid.shape)).long() * BLOCK + 3).minimum(last)
+
+
+def runs_between(
+    begin: Int64[Tensor, " r"], end: Int64[Tensor, " r"], count: tuple[int, int, int]
+) -> Int32[Tensor, "r 4"]:
+    """Runs (R,4) along z, given their first keys and those after their last: x and y, first z, one after the last."""
+    first = blocks_of(begin, count)
+    return torch.cat([first, first[:, 2:] + (end - begin).int()[:, None]], 1)
+
+
+def all_gaps(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
+    """`gaps_of` these, and all rows that have none of them: first keys, ascending, and the keys after the last."""
+    begin, end = gaps_of(keys, count)
+    empty = _empty_rows(keys, count) * count[2]
+    begin, end = torch.cat([begin, empty]), torch.cat([end, empty + count[2]])
+    order = begin.argsort()
+    return begin[order], end[order]
+
+
 def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool[Tensor, " m"]:
     """True for blocks a voxel of which, near its middle, has a winding number of more than a half."""
-    blocks = blocks_of(keys, blocks_along(grid.shape)).long()
-    last = torch.tensor(grid.shape, device=keys.device) - 1
-    voxels = (blocks * BLOCK + 3).minimum(last)
-    return index.winding_number(voxel_points(grid, voxels)) > 0.5
+    return index.winding_number(voxel_points(grid, middle_voxels(keys, grid))) > 0.5
 
 
 def reaches_beyond(index: MeshIndex, grid: Grid) -> bool:

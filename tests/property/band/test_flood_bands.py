@@ -88,6 +88,19 @@ def test_where_gaps_are_not_stored(hole, device):
         assert not differ.any()
 
 
+@pytest.mark.parametrize(("hole", "filled"), [(1.95, False), (2.05, True)])
+def test_a_ball_that_just_passes(hole, filled, device):
+    """Half a sphere of radius 1: the ball is 40 voxels wide, and so far from the surface all has to be known."""
+    vertices, faces = sphere(16)
+    half = sdm.TriangleMesh(vertices, faces[(vertices[faces][:, :, 2] < 0.01).all(1)])
+    index = sdm.MeshIndex(half, device, warn=False)
+    grid = sdm.Grid((-1.4,) * 3, (0.05,) * 3, (57,) * 3)
+    # The plane of the opening goes through blocks, of which each has one side.
+    assert assert_is_the_map(index, grid, 1.5, hole).float().mean() < (0.03 if filled else 1e-9)
+    band = index.narrow_band(grid, half_width=1.5, sign="flood", hole_size=hole)
+    assert (band.inside_voxels > 10000) == filled
+
+
 def test_a_grid_in_the_mesh(device):
     index = sdm.MeshIndex(sdm.TriangleMesh(*sphere(12)), device)
     grid = sdm.Grid((-0.5, -0.4, 0.3), (0.03,) * 3, (30, 40, 33))
