@@ -11,7 +11,7 @@ from sdm.bench.common.figure import COLOURS, OURS, drawing, log_axes, plain_tick
 from sdm.bench.deepsdf.study.atria_split import read_record, table_of
 from sdm.bench.deepsdf.tables import rows_table
 from sdm.bench.segmentation.log_file import Log, LogFile
-from sdm.bench.studies.intervals import Values, difference, estimate
+from sdm.bench.studies.intervals import Estimate, Values, difference, estimate
 
 NAMES = {
     "published": "published network, 256 numbers",
@@ -22,6 +22,8 @@ NAMES = {
     "map-6": "exact map of 6^3 = 216 numbers, cubic",
     "map-24": "exact map of 24^3 = 13,824 numbers, cubic",
 }
+# What every method is compared with, shape by shape.
+COPIES = {"copy": "the copy", "copy-laid": "the copy that is laid on"}
 # Measure -> its heading, and digits.
 MEASURES = {
     "chamfer_paper": ("Chamfer", 3),
@@ -120,7 +122,7 @@ def of_measure(row: dict[int, dict[str, dict[str, float]]], measure: str) -> Val
 
 
 def task_table(values: dict[str, dict[int, dict[str, dict[str, float]]]], task: str) -> list[str]:
-    """A row for each method and baseline; then what each method gains over the better copy, shape by shape."""
+    """A row for each method and baseline; then what each method gains over either copy, shape by shape."""
     measures = MEASURES | (HALVES if task == "half" else {})
     rows = [{"": f"{NAMES[name]} ({len(row)})", **_cells(row, measures)} for name, row in values.items()]
     first = next(iter(next(iter(values.values())).values()))
@@ -133,13 +135,19 @@ def task_table(values: dict[str, dict[int, dict[str, dict[str, float]]]], task: 
     if "copy-laid" not in values:
         return lines
     over = "other_mm" if task == "half" else "mean_mm"
-    for name in (n for n in values if n not in ("copy", "copy-laid")):
-        less = difference(of_measure(values[name], over), of_measure(values["copy-laid"], over))
-        lines += [""] if lines[-1].startswith("|") else []
-        lines.append(
-            f"- {NAMES[name]} less the laid-on copy, {measures[over][0]}: {less.mean:+.3f} ± {less.half_width:.3f}"
-        )
+    lines += [""]
+    for name in (n for n in values if n not in COPIES):
+        less = [
+            f"{_signed(difference(of_measure(values[name], over), of_measure(values[copy], over)))} against {told}"
+            for copy, told in COPIES.items()
+            if copy in values
+        ]
+        lines.append(f"- {NAMES[name]}, {measures[over][0]}: {', '.join(less)}")
     return lines
+
+
+def _signed(less: Estimate) -> str:
+    return f"{less.mean:+.3f} ± {less.half_width:.3f}"
 
 
 def _cells(row: dict[int, dict[str, dict[str, float]]], measures: dict[str, tuple[str, int]]) -> dict[str, str]:
@@ -154,13 +162,15 @@ def _cells(row: dict[int, dict[str, dict[str, float]]], measures: dict[str, tupl
 
 def picture(logs: LogFile, target: Path) -> None:
     """Mean distance of every test shape by every method, and the baselines; both tasks."""
+    from matplotlib.ticker import LogLocator
+
     found = logs.trainings()
     about = sorted({f"{log['machine']['device']}, commit {log['machine']['commit']}" for log in found})
     with drawing(target, "; ".join(about), (12.5, 5.6)) as (figure, axes):
         axes.remove()
         tasks = (
-            ("unseen", "mean_mm", "all of the surface known"),
-            ("half", "other_mm", "completion: the half not seen"),
+            ("unseen", "mean_mm", "All of the surface known"),
+            ("half", "other_mm", "Completion: the half not seen"),
         )
         for place, (task, measure, title) in enumerate(tasks):
             own: Any = figure.add_axes((0.32 + 0.345 * place, 0.17, 0.315, 0.68))
@@ -174,11 +184,14 @@ def picture(logs: LogFile, target: Path) -> None:
                 own.plot(cases, [at] * len(cases), "o", color=hue, alpha=0.4)
                 own.plot(statistics.fmean(cases), at, "|", color=hue, markersize=24, markeredgewidth=3)
             log_axes(own, y=False)
-            plain_ticks(own.xaxis)
+            # The right one is less than a decade.
+            own.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if place == 0 else (1, 1.5, 2, 3, 5)))
+            plain_ticks(own.xaxis, "{:g}")
             own.set_yticks(range(len(names)), [NAMES[n] for n in names] if place == 0 else [""] * len(names))
             own.set_ylim(-0.6, len(names) - 0.4)
             own.grid(visible=True, axis="x")
-            own.set_xlabel(title)
+            own.set_title(title, fontsize=13)
+            own.set_xlabel("mean distance [mm]")
         figure.text(0.01, 0.93, "Left atria: a dot for each test shape, near twins apart", fontsize=16, weight="bold")
 
 

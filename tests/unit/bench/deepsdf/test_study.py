@@ -64,7 +64,7 @@ def test_tables_and_picture(tmp_path) -> None:
         job = {"name": f"local-{seed}", "kind": "test", "method": "local", "seed": seed}
         parts = {part: rows(1.0 + seed) for part in ("known", "unseen", "half")}
         logs.put({"job": job, "machine": {"device": "a CPU", "commit": "abc"}, **parts})
-    copies = {name: rows(4.0) for name in ("copy", "copy-laid")}
+    copies = {name: rows(4.0) for name in study_tables.COPIES}
     log = {"job": {"name": "baselines", "kind": "baselines"}, "unseen": copies, "half": copies}
     logs.put({**log, "machine": {"device": "a CPU", "commit": "abc"}})
     assert rates_of(logs, "local") == {0.1: 3.0, 0.2: 2.0}
@@ -72,7 +72,7 @@ def test_tables_and_picture(tmp_path) -> None:
     assert "| local codes, 14,912 numbers | 3.000 | **2.000** |" in text
     # Cases 1.5, 2.5, 3.5 by two seeds that are 1 apart, and the median beside the mean.
     assert "| local codes, 14,912 numbers (2) | 2.500 ± 2.484 (0.707); 2.500 |" in text
-    assert "local codes, 14,912 numbers less the laid-on copy, other half [mm]: -2.500 ± 0.000" in text
+    assert "- local codes, 14,912 numbers, other half [mm]: -2.500 ± 0.000 against the copy, -2.500" in text
     # Of the better rate, cases 2, 3 and 4.
     assert text.count("| local codes, 14,912 numbers (1) | 3.000 ± 2.484; 3.000 |") == 1
     assert "| copy of the nearest training shape (1) |" in text
