@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.device import choose_device, free_memory
+from sdm.core.device import choose_device
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
@@ -18,6 +18,7 @@ from sdm.engine.surface import Method
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.inspect import MeshReport, inspect_mesh
 from sdm.remeshing.beads import JOINED, without_beads
+from sdm.remeshing.closing_field import closing_field, is_reached, with_zeros_inside
 from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
 
 Hidden = Literal["drop", "keep"]
@@ -26,8 +27,6 @@ DEFAULT_OFFSET = 0.505
 # Voxels around the surface, so that it ends before the grid does.
 ROOM = 2
 SMALLEST = 8
-# Bytes a voxel: the map, its copy, and what a flood takes.
-BYTES = 16
 
 
 @overload
@@ -68,7 +67,8 @@ def watertight(
     """One closed surface of any mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
 
     The exact distance map of the mesh, negative where a flood from outside does not reach, and of that the surface at
-    `offset`: where outside is `offset` away from the mesh.
+    `offset`: where outside is `offset` away from the mesh. On a CPU, and where the map does not fit into memory, a
+    narrow band stands for it if it is much smaller, with the same surface.
 
     Args:
         mesh: Any triangles.
@@ -112,12 +112,9 @@ def watertight(
     level = (0.0 if closed else DEFAULT_OFFSET * step) if offset is None else float(offset)
     sign = _sign(found, closed, hidden)
     gap = None if sign != "flood" else (DEFAULT_HOLE * step if hole_size is None else float(hole_size))
-    _require_memory(grid, where)
     index = MeshIndex(mesh, where, warn=False)
-    field = index.signed_distance_map(grid, sign=sign, hole_size=gap)
-    # A voxel on a hidden face is inside though its distance is zero.
-    field.values.masked_fill_((field.values == 0) & field.values.signbit(), -1e-6 * step)
-    if not bool((field.values < level).any()):
+    field = with_zeros_inside(closing_field(index, grid, sign, gap, level), 1e-6 * step)
+    if not is_reached(field, level):
         raise SDMError(
             f"nothing of {mesh.name} is as thick as a voxel of {step:g}: give an offset of at least {step / 2:g}, or a "
             "higher resolution"
@@ -164,12 +161,3 @@ def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:
     room = ROOM + (DEFAULT_OFFSET if offset is None else offset / step)
     shape = np.ceil(size / step + 2 * room - 1e-6) + 1
     return Grid((low + high) / 2 - step * (shape - 1) / 2, (step,) * 3, shape)
-
-
-def _require_memory(grid: Grid, device: torch.device) -> None:
-    needed, free = BYTES * grid.size, free_memory(device)
-    if needed > free:
-        raise GridError(
-            f"a closed surface by {grid.summary} needs about {needed / 2**30:.1f} GiB, but {device} has "
-            f"{free / 2**30:.1f} GiB free; choose a lower resolution"
-        )

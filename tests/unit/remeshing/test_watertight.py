@@ -11,6 +11,7 @@ import torch
 import sdm
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import GridError, MeshError, SDMError
+from sdm.remeshing import closing_field
 from sdm.remeshing.beads import without_beads
 from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold
 
@@ -135,6 +136,31 @@ def test_wires_survive_an_offset_of_half_a_diagonal():
     assert sdm.inspect_mesh(surface).components == 1
 
 
+@pytest.mark.parametrize("case", ["closed", "half, filled", "half, open", "parts", "keep", "dual"])
+def test_bands_give_the_surface_of_the_map(case, monkeypatch):
+    """Vertex for vertex, also across an opening that the flood does not pass."""
+    vertices, faces = ball()
+    mesh, options = joined(half()), {}
+    if case == "closed":
+        mesh = joined(ball())
+    elif case == "half, filled":
+        # The rim is no circle: about 2 across.
+        options = {"hole_size": 2.1}
+    elif case == "parts":
+        mesh = joined((vertices, faces), (np.add(vertices, [1, 0, 0]), faces[:, ::-1]), (vertices / 3, faces[3:]))
+    elif case == "keep":
+        mesh, options = joined((vertices, faces), (vertices / 2, faces[:, ::-1])), {"hidden": "keep"}
+    elif case == "dual":
+        options = {"method": "dual"}
+    monkeypatch.setattr(closing_field, "SHARE", 1e9)
+    dense = sdm.watertight(mesh, 64, device="cpu", **options)
+    monkeypatch.setattr(closing_field, "SHARE", 0)
+    banded = sdm.watertight(mesh, 64, device="cpu", **options)
+    assert_closed_manifold(banded)
+    assert torch.equal(banded.faces, dense.faces)
+    assert torch.equal(banded.vertices, dense.vertices)
+
+
 def test_options_that_make_no_sense():
     mesh = joined(half())
     with pytest.raises(SDMError, match="use 'drop' or 'keep'"):
@@ -146,7 +172,7 @@ def test_options_that_make_no_sense():
     with pytest.raises(GridError, match="resolution 4 is too low"):
         sdm.watertight(mesh, 4)
     with pytest.raises(GridError, match="GiB"):
-        sdm.watertight(mesh, 20_000)
+        sdm.watertight(mesh, 20_000, hole_size=2.0)
     with pytest.raises(SDMError, match="as thick as a voxel"):
         sdm.watertight(mesh, 20, offset=0)
     with pytest.raises(MeshError, match="size zero"):
