@@ -14,7 +14,9 @@ from sdm.errors import GridError
 
 # Bytes a voxel: the map, its copy, and what a flood takes.
 BYTES = 16
-# Of a grid with fewer voxels along its shortest axis, for each voxel of a band's half width, the whole map is made.
+# Of a grid of fewer voxels a CPU makes the map in less time than the band.
+LARGEST_MAP = 1 << 26
+# So many times a band's half width are the voxels along the shortest axis of a grid for which it is worth while.
 SHARE = 16
 # For rounding.
 ROOM = 1.01
@@ -34,11 +36,11 @@ def closing_field(index: MeshIndex, grid: Grid, sign: Sign, hole_size: float | N
     width = ROOM * max(level + 2 * diagonal, 0.0 if hole_size is None else hole_size + 3 * diagonal)
     half_width = width / max(grid.spacing)
     needed, free = BYTES * grid.size, free_memory(index.device)
-    # On a GPU a map is one recorded call after the other.
-    fits = needed <= free
-    if fits and (index.device.type != "cpu" or SHARE * half_width > min(grid.shape)):
+    wide = SHARE * half_width > min(grid.shape)
+    # On a GPU, where bands by a flood were not timed, a map that fits is taken.
+    if needed <= free and (index.device.type != "cpu" or grid.size <= LARGEST_MAP or wide):
         return index.signed_distance_map(grid, sign=sign, hole_size=hole_size)
-    if SHARE * half_width > 4 * min(grid.shape):
+    if wide:
         raise GridError(
             f"a closed surface by {grid.summary} needs about {needed / 2**30:.1f} GiB, but {index.device} has "
             f"{free / 2**30:.1f} GiB free; choose a lower resolution"

@@ -67,8 +67,8 @@ def watertight(
     """One closed surface of any mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
 
     The exact distance map of the mesh, negative where a flood from outside does not reach, and of that the surface at
-    `offset`: where outside is `offset` away from the mesh. On a CPU, and where the map does not fit into memory, a
-    narrow band stands for it if it is much smaller, with the same surface.
+    `offset`: where outside is `offset` away from the mesh. A large map on a CPU, or one that does not fit into memory,
+    is replaced by a narrow band, with the same surface.
 
     Args:
         mesh: Any triangles.

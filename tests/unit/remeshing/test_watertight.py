@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -140,7 +141,7 @@ def test_wires_survive_an_offset_of_half_a_diagonal():
 def test_bands_give_the_surface_of_the_map(case, monkeypatch):
     """Vertex for vertex, also across an opening that the flood does not pass."""
     vertices, faces = ball()
-    mesh, options = joined(half()), {}
+    mesh, options = joined(half()), dict[str, Any]()
     if case == "closed":
         mesh = joined(ball())
     elif case == "half, filled":
@@ -152,8 +153,8 @@ def test_bands_give_the_surface_of_the_map(case, monkeypatch):
         mesh, options = joined((vertices, faces), (vertices / 2, faces[:, ::-1])), {"hidden": "keep"}
     elif case == "dual":
         options = {"method": "dual"}
-    monkeypatch.setattr(closing_field, "SHARE", 1e9)
     dense = sdm.watertight(mesh, 64, device="cpu", **options)
+    monkeypatch.setattr(closing_field, "LARGEST_MAP", 0)
     monkeypatch.setattr(closing_field, "SHARE", 0)
     banded = sdm.watertight(mesh, 64, device="cpu", **options)
     assert_closed_manifold(banded)
@@ -172,7 +173,7 @@ def test_options_that_make_no_sense():
     with pytest.raises(GridError, match="resolution 4 is too low"):
         sdm.watertight(mesh, 4)
     with pytest.raises(GridError, match="GiB"):
-        sdm.watertight(mesh, 20_000, hole_size=2.0)
+        sdm.watertight(mesh, 20_000, hole_size=1.0)
     with pytest.raises(SDMError, match="as thick as a voxel"):
         sdm.watertight(mesh, 20, offset=0)
     with pytest.raises(MeshError, match="size zero"):
