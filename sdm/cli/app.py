@@ -41,6 +41,7 @@ COMMANDS = (
     "evaluate",
     "view",
     "demo",
+    "doctor",
     "bench",
 )
 
