@@ -33,6 +33,7 @@ def watertight(
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: of a folder OUT/report.json)")
     ] = None,
     skip_bad: bool = False,
+    resume: bool = False,
     device: str = "auto",
 ) -> int | None:
     """Make one closed surface of each mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
@@ -52,9 +53,11 @@ def watertight(
         format: File format, for surfaces written to a folder.
         report: JSON file to write about all meshes.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
+        resume: Skip meshes whose surface is in the folder already: made from the same mesh, with the same options.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
-    from sdm.cli.surfaces.closing import Closing, run, targets_of
+    from sdm.cli.surfaces.closing import run, targets_of
+    from sdm.cli.surfaces.closing_stages import Closing
 
     options = Closing(
         resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, method=method, device=device
@@ -62,4 +65,4 @@ def watertight(
     jobs, folder = targets_of(meshes, out, format)
     if report is None and folder:
         report = out / "report.json"
-    return run(jobs, options, report=report, skip_bad=skip_bad)
+    return run(jobs, options, report=report, skip_bad=skip_bad, folder=out if folder else None, resume=resume)

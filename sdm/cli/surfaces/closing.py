@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.full_disk import is_full_disk
@@ -13,27 +12,18 @@ from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
+from sdm.cli.surfaces.closing_stages import Closed, Closing, ClosingStages
+from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
-from sdm.engine.surface import Method
 from sdm.errors import FormatError, MeshError
-from sdm.io import load_mesh
-from sdm.io.meshes.write import WRITERS, ending_to_write, save_mesh
-from sdm.remeshing import WatertightReport, watertight
-from sdm.remeshing.watertight import Hidden
+from sdm.io.meshes.write import WRITERS, ending_to_write
+from sdm.remeshing import WatertightReport
+from sdm.runtime.pipeline.outcome import Failed
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
+from sdm.runtime.pipeline.thread_count import threads_beside
 
 DEFAULT_ENDING = "ply"
-
-
-@dataclass(frozen=True)
-class Closing:
-    """Options that are the same for all meshes, see `sdm.watertight`."""
-
-    resolution: int
-    offset: float | None
-    hole_size: float | None
-    hidden: Hidden
-    method: Method
-    device: str
 
 
 def targets_of(meshes: list[Path], out: Path, ending: str | None) -> tuple[list[tuple[Path, Path]], bool]:
@@ -70,59 +60,82 @@ def targets_of(meshes: list[Path], out: Path, ending: str | None) -> tuple[list[
 
 
 def run(
-    jobs: list[tuple[Path, Path]], options: Closing, *, report: Path | None = None, skip_bad: bool = False
+    jobs: list[tuple[Path, Path]],
+    options: Closing,
+    *,
+    report: Path | None = None,
+    skip_bad: bool = False,
+    folder: Path | None = None,
+    resume: bool = False,
 ) -> int | None:
-    """Close each mesh into its file; 2 if some failed and are not to be skipped. One alone raises its error."""
-    choose_device(options.device)
+    """Close each mesh into its file; 2 if some failed and are not to be skipped. One alone raises its error.
+
+    Args:
+        jobs: Pairs of a mesh file and the file to write.
+        options: What is the same for all.
+        report: A JSON file about all meshes to write.
+        skip_bad: Meshes that cannot be used are no failure of the whole.
+        folder: Where surfaces go, if they go to a folder: what is finished is kept there until the report is written.
+        resume: Leave surfaces that are there already, made from the same mesh in the same way.
+    """
+    device = choose_device(options.device)
     if report is not None:
         refuse_inputs([report], (source for source, _ in jobs))
+    journal, times = Journal(folder, report, resume=resume), StageTimes()
+    stages, threads = ClosingStages(options, journal), min(threads_beside(device), len(jobs))
     entries: list[MeshEntry] = []
-    found: dict[str, dict[str, object]] = {}
-    with FileProgress(len(jobs)) as progress:
-        for source, target in jobs:
-            progress.begin(source.name)
-            try:
-                start = time.perf_counter()
-                made = _close(source, target, options)
-                seconds = time.perf_counter() - start
-                progress.print(_line(made, seconds, target))
-                found[str(source)] = made.as_dict()
-                entries.append(_entry(source, target, made, seconds))
-            except Exception as error:
-                sentence = sentence_of(error)
-                if sentence is None or is_full_disk(error) or (len(jobs) == 1 and not skip_bad):
-                    raise
-                entries.append(MeshEntry(mesh=str(source), state="failed", reason=sentence))
+    found: dict[str, dict[str, Any]] = {}
+    alone = len(jobs) == 1 and not skip_bad
+    with FileProgress(len(jobs), times) as progress:
+        read = in_threads(numbered(jobs), "read", stages.read, workers=threads, times=times)
+        closed = one_by_one(read, str(device), stages.close, times=times)
+        written = in_threads(
+            closed, "write", stages.write, workers=threads, times=times, nbytes=lambda one: one.nbytes, prompt=True
+        )
+        progress.begin(jobs[0][0].name)
+        for outcome in written:
+            source, target = jobs[outcome.number]
+            if isinstance(outcome, Failed):
+                entries.append(_failed(outcome.error, source, alone=alone))
+            else:
+                found[str(source)] = _told(outcome.value, target, journal, progress)
+                entries.append(_entry(source, target, outcome.value, found[str(source)]))
             progress.end()
+            if outcome.number + 1 < len(jobs):
+                progress.begin(jobs[outcome.number + 1][0].name)
     if report is not None:
-        write_report(entries, report, surfaces=found)
+        write_report(entries, report, surfaces=found, seconds_of_stages=times.seconds)
+        journal.close()
     return sum_up(entries, skip_bad)
 
 
-def _close(source: Path, target: Path, options: Closing) -> WatertightReport:
-    surface, made = watertight(
-        load_mesh(source),
-        options.resolution,
-        options.offset,
-        options.hole_size,
-        hidden=options.hidden,
-        method=options.method,
-        device=options.device,
-        return_report=True,
-    )
-    save_mesh(surface, target)
-    return made
+def _failed(error: Exception, source: Path, *, alone: bool) -> MeshEntry:
+    sentence = sentence_of(error)
+    if sentence is None or alone:
+        raise error
+    if is_full_disk(error):
+        raise FormatError(f"{sentence}; --resume goes on from there") from error
+    return MeshEntry(mesh=str(source), state="failed", reason=sentence)
 
 
-def _entry(source: Path, target: Path, made: WatertightReport, seconds: float) -> MeshEntry:
+def _told(made: Closed, target: Path, journal: Journal, progress: FileProgress) -> dict[str, Any]:
+    """What the report says of a surface, kept and printed."""
+    if made.report is None:
+        progress.print(f"{made.read.mesh.name}: {target} is there already")
+        return made.read.known or {}
+    progress.print(_line(made.report, made.seconds, target))
+    return journal.add(target, made.read.digest, made.report.as_dict())
+
+
+def _entry(source: Path, target: Path, made: Closed, told: dict[str, Any]) -> MeshEntry:
     return MeshEntry(
         mesh=str(source),
-        state="done",
+        state="there already" if made.report is None else "done",
         output=str(target),
-        triangles=made.triangles,
-        closed=made.closed,
-        sign=made.sign,
-        seconds=round(seconds, 4),
+        triangles=len(made.read.mesh),
+        closed=told.get("closed"),
+        sign=told.get("sign"),
+        seconds=None if made.report is None else round(made.seconds, 4),
     )
 
 

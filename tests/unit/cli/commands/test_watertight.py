@@ -9,6 +9,7 @@ import pytest
 
 import sdm
 from sdm.cli import main
+from sdm.cli.surfaces import closing, closing_stages, journal
 from sdm.core.mesh import TriangleMesh
 from tests.helpers.closed_surface import assert_edges_cancel
 
@@ -47,6 +48,49 @@ def test_a_folder_goes_on_past_a_bad_mesh(roof, tmp_path, capsys):
     (surface,) = report["surfaces"].values()
     assert 0 < surface["output_to_input"]["largest"] < surface["spacing"]
     assert main([*words, "--skip-bad"]) == 0
+
+
+def test_a_run_that_was_interrupted_goes_on(roof, tmp_path, capsys, monkeypatch):
+    """Finished surfaces are left; those of another mesh, in another way, or cut short are made again."""
+    for number in range(3):
+        (roof.parent / f"roof{number}.obj").write_bytes(roof.read_bytes())
+    out, made = tmp_path / "out", []
+    words = ["watertight", str(roof.parent), "-o", str(out), "--resolution", "16", "--device", "cpu"]
+    close = closing_stages.watertight
+
+    def interrupted(mesh, *args, **options):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(mesh.name)
+        return close(mesh, *args, **options)
+
+    monkeypatch.setattr(closing, "threads_beside", lambda _: 1)
+    monkeypatch.setattr(closing_stages, "watertight", interrupted)
+    assert main(words) == 130
+    monkeypatch.setattr(closing_stages, "watertight", close)
+    assert not (out / "report.json").exists()
+    lines = (out / journal.NAME).read_text().strip().splitlines()
+    # One more was written than was told when the interrupt came, or none.
+    assert len(lines) in (1, 2)
+    (out / journal.NAME).write_text("\n".join([*lines, lines[0][: len(lines[0]) // 2]]))
+    capsys.readouterr()
+    assert main([*words, "--resume"]) == 0
+    assert capsys.readouterr().out.count("is there already") == len(lines)
+    report = json.loads((out / "report.json").read_text())
+    assert [entry["state"] for entry in report["meshes"]].count("there already") == len(lines)
+    assert len(report["surfaces"]) == 4
+    assert sorted(path.name for path in out.iterdir()) == ["report.json", *(f"roof{n}.ply" for n in ("", 0, 1, 2))]
+    # From the report.
+    first = out / "roof.ply"
+    whole = first.read_bytes()
+    first.write_bytes(whole[:-1])
+    other = sdm.load_mesh(roof.parent / "roof0.obj")
+    sdm.save_mesh(TriangleMesh(other.vertices + 1, other.faces), roof.parent / "roof0.obj")
+    assert main([*words, "--resume"]) == 0
+    assert capsys.readouterr().out.count("is there already") == 2
+    assert first.read_bytes() == whole
+    assert main([*words, "--resume", "--hidden", "keep"]) == 0
+    assert "is there already" not in capsys.readouterr().out
 
 
 def test_what_cannot_be_is_refused_in_a_sentence(roof, tmp_path, capsys):

@@ -1,0 +1,102 @@
+"""The stages of `sdm watertight`: reading and writing in threads, closing in the caller's."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sdm.cli.surfaces.journal import Journal
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.surface import Method
+from sdm.io import load_mesh
+from sdm.io.maps.record import digest_of
+from sdm.io.meshes.write import save_mesh
+from sdm.remeshing import WatertightReport, watertight
+from sdm.remeshing.watertight import Hidden
+
+
+@dataclass(frozen=True)
+class Closing:
+    """Options that are the same for all meshes, see `sdm.watertight`."""
+
+    resolution: int
+    offset: float | None
+    hole_size: float | None
+    hidden: Hidden
+    method: Method
+    device: str
+
+    @property
+    def how(self) -> str:
+        """All that a surface depends on besides the mesh."""
+        return f" {self.resolution} {self.offset} {self.hole_size} {self.hidden} {self.method}"
+
+
+@dataclass(frozen=True)
+class ReadSurface:
+    """A mesh that was read: its digest, what is known of a surface that is there already, and the seconds it took."""
+
+    target: Path
+    mesh: TriangleMesh
+    digest: str
+    known: dict[str, Any] | None
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A mesh with its surface, on the host, and the report about them; neither if it is there already."""
+
+    read: ReadSurface
+    surface: TriangleMesh | None
+    report: WatertightReport | None
+    seconds: float
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the surface."""
+        return 0 if self.surface is None else self.surface.vertices.nbytes + self.surface.faces.nbytes
+
+
+class ClosingStages:
+    """The work on each mesh, stage by stage."""
+
+    def __init__(self, options: Closing, journal: Journal) -> None:
+        self._options, self._journal = options, journal
+
+    def read(self, job: tuple[Path, Path]) -> ReadSurface:
+        """Read a mesh, and see whether its surface is there already."""
+        start = time.perf_counter()
+        source, target = job
+        mesh = load_mesh(source)
+        digest = digest_of(mesh, self._options.how)
+        known = self._journal.find(target, digest)
+        return ReadSurface(target, mesh, digest, known, time.perf_counter() - start)
+
+    def close(self, read: ReadSurface) -> Closed:
+        """Make the surface of a mesh."""
+        if read.known is not None:
+            return Closed(read, None, None, read.seconds)
+        start, options = time.perf_counter(), self._options
+        surface, report = watertight(
+            read.mesh,
+            options.resolution,
+            options.offset,
+            options.hole_size,
+            hidden=options.hidden,
+            method=options.method,
+            device=options.device,
+            return_report=True,
+        )
+        return Closed(read, surface.to("cpu"), report, read.seconds + time.perf_counter() - start)
+
+    def write(self, found: Closed) -> Closed:
+        """Write a surface."""
+        if found.surface is None:
+            return found
+        start = time.perf_counter()
+        save_mesh(found.surface, found.read.target)
+        # What was written is let go.
+        return Closed(found.read, None, found.report, found.seconds + time.perf_counter() - start)
