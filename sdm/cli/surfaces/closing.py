@@ -119,7 +119,7 @@ def _failed(error: Exception, source: Path, *, alone: bool) -> MeshEntry:
 
 
 def _told(made: Closed, target: Path, journal: Journal, progress: FileProgress) -> dict[str, Any]:
-    """What the report says of a surface, kept and printed."""
+    """The report's part about a surface, which is kept and printed."""
     if made.report is None:
         progress.print(f"{made.read.mesh.name}: {target} is there already")
         return made.read.known or {}

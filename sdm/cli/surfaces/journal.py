@@ -13,7 +13,7 @@ NAME = "unfinished.jsonl"
 
 
 class Journal:
-    """What is known of finished surfaces, by the file that each was written to.
+    """Known facts of finished surfaces, by the file that each was written to.
 
     While a run goes on they are lines of a file of their own, `unfinished.jsonl`; `write_report` puts them into the
     report at its end, and the file goes.
@@ -36,7 +36,7 @@ class Journal:
             self._path.unlink(missing_ok=True)
 
     def find(self, output: Path, made_from: str) -> dict[str, Any] | None:
-        """What was told of a surface, if it is there as it was written, and from the same mesh in the same way."""
+        """Facts of a surface that is there as it was written, from the same mesh in the same way; None of another."""
         found = self._known.get(str(output))
         if found is None or found.get("made_from") != made_from:
             return None
@@ -46,7 +46,7 @@ class Journal:
         return None
 
     def add(self, output: Path, made_from: str, told: dict[str, Any]) -> dict[str, Any]:
-        """Keep what there is to tell of a surface that was written; returns it with its marks."""
+        """Keep the facts of a surface that was written; returns them with its marks."""
         told = {**told, "output": str(output), "made_from": made_from, "bytes": output.stat().st_size}
         if self._path is not None:
             try:
