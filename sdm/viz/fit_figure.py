@@ -59,8 +59,7 @@ def draw_fit(
     figure.suptitle(title, fontsize=18, fontweight="bold", x=0.03, ha="left")
     axes = figure.subplots(2, 4, gridspec_kw={"left": 0.04, "right": 0.98, "top": 0.88, "bottom": 0.06})
     values, share = image.double().cpu().numpy(), result.share.cpu().numpy()
-    expected = share * result.appearance.inside.mean + (1 - share) * result.appearance.outside.mean
-    left = values - expected
+    left = values - result.expected.double().cpu().numpy()
     limits, spread = np.percentile(values, [0.5, 99.5]), 3 * float(left.std()) or 1.0
     inside = np.argwhere(share > 0.5)
     middle = inside.mean(0).round().astype(int) if len(inside) else np.array(values.shape) // 2

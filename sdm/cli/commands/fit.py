@@ -28,6 +28,8 @@ def fit(
         tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.2; with --family half a voxel)"),
     ] = None,
     estimate_blur: bool = False,
+    estimate_formation: bool = False,
+    residuals: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
     fine: Annotated[
@@ -60,6 +62,9 @@ def fit(
         picture: Also draw the image with the fitted outline here (.png, .pdf, .svg).
         blur: Standard deviation of the scanner's point spread function, mm.
         estimate_blur: Estimate the blur with the shape, from --blur on; intervals then hold what is not known of it.
+        estimate_formation: Estimate blur, intensities that change smoothly over the image, and the noise's correlation
+            with the shape, and check by the residuals whether the model describes the image.
+        residuals: Also write the image less what the fit expects, as an image (.nii.gz, .nrrd, ...).
         model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
@@ -75,10 +80,12 @@ def fit(
     from sdm.cli.common.progress import StageProgress
     from sdm.errors import SDMError
     from sdm.fit import FitOptions, fit_shape
+    from sdm.fit.model.backend import exact_of
     from sdm.fit.model.backends import make_backends
 
-    refuse_inputs([out, mesh, picture], [image, weights])
-    _check_targets(out, mesh, picture)
+    refuse_inputs([out, mesh, picture, residuals], [image, weights])
+    _check_targets(out, mesh, picture, residuals)
+    _check_formation(estimate_formation, model, components)
     if points is not None or family is not None:
         from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
 
@@ -89,16 +96,16 @@ def fit(
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
         if points is not None:
-            if picture is not None:
-                raise SDMError("--picture is of an image's fit: leave it out with --points")
+            _refuse_with_points(picture, residuals, estimate_formation)
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
         given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
         if points is None and estimate_blur and model == "labels":
             raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
         return fit_any_family(
-            Path(str(image)), str(family), out, mesh, picture, given, triangles, device, with_blur=estimate_blur
-        )
+            Path(str(image)), str(family), out, mesh, picture, given, triangles, device,
+            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals,
+        )  # fmt: skip
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
@@ -114,12 +121,17 @@ def fit(
             options=options,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
-    if estimate_blur and result.trusted:
-        from sdm.fit.model.backend import exact_of
+    exact = finish or exact_of(first) or first
+    if estimate_formation:
+        from sdm.fit.solve.formation import estimate as formations
+
+        result = formations.estimate_formation(scan.values, scan.grid, exact, result, options)
+    elif estimate_blur and result.trusted:
         from sdm.fit.solve import estimate_blur as blurs
 
-        result = blurs.estimate_blur(scan.values, scan.grid, finish or exact_of(first) or first, result, options)
+        result = blurs.estimate_blur(scan.values, scan.grid, exact, result, options)
     result.save(out)
+    save_residuals(scan, result, residuals)
     result.require()
     if mesh is not None or picture is not None:
         from sdm.viz.fit_figure import draw_fit, write_surface
@@ -133,18 +145,45 @@ def fit(
     return None
 
 
-def _check_targets(out: Path, mesh: Path | None, picture: Path | None) -> None:
+def _check_formation(wanted: bool, model: str, components: tuple[int, int]) -> None:
+    from sdm.errors import SDMError
+
+    if wanted and (model == "labels" or tuple(components) != (1, 1)):
+        raise SDMError("--estimate-formation is for --model partial-volume and --components 1 1")
+
+
+def _refuse_with_points(picture: Path | None, residuals: Path | None, formation: bool) -> None:
+    from sdm.errors import SDMError
+
+    if picture is not None:
+        raise SDMError("--picture is of an image's fit: leave it out with --points")
+    if residuals is not None or formation:
+        raise SDMError("--residuals and --estimate-formation are of an image's fit: leave them out with --points")
+
+
+def save_residuals(scan: Any, result: FitResult, path: Path | None) -> None:
+    """Write the image less what the fit expects, where a file for it is named."""
+    import sdm
+
+    if path is not None:
+        left = scan.values.double().cpu() - result.expected.cpu()
+        sdm.save(sdm.SDM(left.float(), scan.grid), path)
+
+
+def _check_targets(out: Path, mesh: Path | None, picture: Path | None, residuals: Path | None) -> None:
     """Find out before the fit, which takes minutes, what could not be written after it."""
     from sdm.errors import FormatError
-    from sdm.io.maps.formats import check_file
+    from sdm.io.maps.formats import check_file, format_of
     from sdm.io.meshes.write import ending_to_write
     from sdm.viz.fit_figure import FORMATS
 
     if mesh is not None:
         ending_to_write(mesh)
+    if residuals is not None:
+        format_of(residuals)
     if picture is not None and picture.suffix.lower().lstrip(".") not in FORMATS:
         raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
-    targets = [target for target in (out, mesh, picture) if target is not None]
+    targets = [target for target in (out, mesh, picture, residuals) if target is not None]
     for number, target in enumerate(targets):
         check_file(target)
         if target.resolve() in [other.resolve() for other in targets[:number]]:
@@ -164,6 +203,16 @@ def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> Non
     evaluations = ", ".join(f"{count} ({name})" for name, count in result.evaluations.items())
     print(f"shape evaluations: {evaluations}; {result.seconds:.1f} s")
     # Coverage where that is not so: sdm/fit/README.md, "Limits".
+    if result.formation is not None:
+        found, share = result.formation, result.formation.effective_share
+        print(f"blur   {found.blur[0]:.4f}, standard deviation {found.blur[1]:.4f}")
+        print(
+            f"noise  counts {share:.0%} of the voxels; what the residuals at the surface say: p = {found.p_value:.2g}"
+        )
+        print("intervals take for granted voxels that mix inside and outside, and that the family holds the shape")
+        for sentence in diagnosis.warnings:
+            print(f"sdm: {sentence}", file=sys.stderr)
+        return
     granted = f"a blur of {f'{blur:g} {unit_of_length}'.rstrip()} (--blur), "
     if result.blur is not None:
         granted = ""

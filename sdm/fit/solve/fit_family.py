@@ -13,6 +13,7 @@ from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.scaled_family import ScaledFamily, factor_of, scaled_grid, unscaled
 from sdm.fit.solve.estimate_blur import estimate_blur
 from sdm.fit.solve.fit_shape import FitOptions, fit_shape
+from sdm.fit.solve.formation.estimate import estimate_formation
 from sdm.fit.solve.result import FitResult
 from sdm.fit.solve.solver import Point
 from sdm.shapes import Family
@@ -28,6 +29,7 @@ def fit_family(
     *,
     options: FitOptions | None = None,
     with_blur: bool = False,
+    with_formation: bool = False,
     device: torch.device | str | None = None,
     report: Callable[[str, int, Point], None] | None = None,
 ) -> FitResult:
@@ -39,6 +41,7 @@ def fit_family(
         family: Any whose `vertices`, or `reference_vertices`, are plain torch code.
         options: As of `fit_shape`, lengths in the family's unit; by default a blur of half a voxel.
         with_blur: Estimate the blur with the shape; that of the options is where it begins.
+        with_formation: Estimate blur, uneven intensities and the noise's correlation with the shape.
         device: Where to compute; by default a GPU if there is one.
         report: As of `fit_shape`.
 
@@ -58,7 +61,10 @@ def fit_family(
     backend = ExactBackend(family if factor == 1 else ScaledFamily(family, factor), device)
     there = grid if factor == 1 else scaled_grid(grid, factor)
     found = fit_shape(image, there, backend, options=own, report=report)
-    if with_blur and found.trusted:
+    if with_formation:
+        found = estimate_formation(image, there, backend, found, own)
+    elif with_blur and found.trusted:
         found = estimate_blur(image, there, backend, found, own)
     blur = None if found.blur is None else (found.blur[0] / factor, found.blur[1] / factor)
-    return replace(found, posterior=unscaled(found.posterior, factor), blur=blur)
+    formation = None if found.formation is None or blur is None else replace(found.formation, blur=blur)
+    return replace(found, posterior=unscaled(found.posterior, factor), blur=blur, formation=formation)

@@ -27,6 +27,36 @@ class FitError(SDMError):
 
 
 @dataclass(frozen=True, eq=False)
+class Formation:
+    """Formation of an image, as it was estimated with the shape.
+
+    Args:
+        blur: The scanner's blur and its standard deviation.
+        effective_share: Independent voxels for each voxel, by the noise's correlation; 1 for white noise.
+        coefficients: (2F,) of the polynomials of the intensities, inside and outside.
+        expected: (nx,ny,nz) expected image.
+        p_value: Of the posterior predictive check of residuals at the surface.
+        unexplained: Residuals at the surface beyond the noise, root mean square, as a share of the contrast.
+    """
+
+    blur: tuple[float, float]
+    effective_share: float
+    coefficients: Tensor
+    expected: Tensor
+    p_value: float
+    unexplained: float
+
+    def record(self) -> dict[str, Any]:
+        """Everything but the image as plain numbers, for JSON."""
+        return {
+            "effective_share_of_voxels": self.effective_share,
+            "intensity_coefficients": self.coefficients.tolist(),
+            "p_value": self.p_value,
+            "unexplained_share_of_contrast": self.unexplained,
+        }
+
+
+@dataclass(frozen=True, eq=False)
 class FitResult:
     """An estimate with its uncertainty, and whether to believe it.
 
@@ -41,6 +71,7 @@ class FitResult:
         steps: Steps of shape and pose, by stage.
         seconds: Wall time.
         blur: Estimate of the scanner's blur and its standard deviation, where it was estimated with the shape.
+        formation: The image's formation, where it was estimated with the shape.
     """
 
     parameters: tuple[Parameter, ...]
@@ -53,6 +84,14 @@ class FitResult:
     steps: dict[str, int]
     seconds: float
     blur: tuple[float, float] | None = None
+    formation: Formation | None = None
+
+    @property
+    def expected(self) -> Tensor:
+        """(nx,ny,nz) expected image; the image less this is the residual map."""
+        if self.formation is not None:
+            return self.formation.expected
+        return self.share * self.appearance.inside.mean + (1 - self.share) * self.appearance.outside.mean
 
     @property
     def state(self) -> State:
@@ -105,6 +144,7 @@ class FitResult:
                 for side, mixture in (("inside", self.appearance.inside), ("outside", self.appearance.outside))
             },
             **({} if self.blur is None else {"blur": {"estimate": self.blur[0], "deviation": self.blur[1]}}),
+            **({} if self.formation is None else {"formation": self.formation.record()}),
             "objective": self.objective,
             "converged": diagnosis.converged,
             "misfit": diagnosis.misfit,

@@ -25,6 +25,7 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     sdm.SDM(image.values, image.grid).save(tmp_path / "scan.nii.gz")
     words = ["fit", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "fit.json"), "--blur", "0.3", *QUICK]
     words += ["--mesh", str(tmp_path / "fit.glb"), "--picture", str(tmp_path / "fit.png")]
+    words += ["--residuals", str(tmp_path / "left.nii.gz"), "--estimate-formation"]
     assert main(words) == 0
     record = json.loads((tmp_path / "fit.json").read_text())
     assert record["trusted"]
@@ -35,7 +36,10 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (tmp_path / "fit.png").stat().st_size > 10_000
     said = capsys.readouterr().out
     assert "90 % within" in said
-    assert "intervals take for granted a blur of" in said
+    assert "counts" in said
+    assert record["formation"]["p_value"] > 1e-3
+    assert abs(record["blur"]["estimate"] - 0.3) < 0.1
+    assert abs(float(sdm.load(tmp_path / "left.nii.gz").values.std()) - 100) < 10
 
 
 def test_noise_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,8 @@ def fit_any_family(
     device: str,
     *,
     with_blur: bool = False,
+    with_formation: bool = False,
+    residuals: Path | None = None,
 ) -> None:
     """Fit a family to an image, and write report, surface and picture.
 
@@ -30,9 +32,11 @@ def fit_any_family(
         triangles: Of the family's meshes, where that can be chosen.
         device: Where.
         with_blur: Estimate the blur with the shape.
+        with_formation: Estimate the image's formation with the shape.
+        residuals: Residual map, or None.
     """
     import sdm
-    from sdm.cli.commands.fit import print_fit
+    from sdm.cli.commands.fit import print_fit, save_residuals
     from sdm.cli.common.progress import StageProgress
     from sdm.fit import ExactBackend, FitOptions
     from sdm.fit.model.scaled_family import factor_of
@@ -55,10 +59,12 @@ def fit_any_family(
             family,
             options=options,
             with_blur=with_blur,
+            with_formation=with_formation,
             device=device,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
     result.save(out)
+    save_residuals(scan, result, residuals)
     result.require()
     if mesh is not None or picture is not None:
         from sdm.viz.fit_figure import draw_fit, write_surface

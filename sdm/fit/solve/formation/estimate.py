@@ -1,0 +1,258 @@
+"""Shape, pose, blur and uneven intensities at their joint optimum, with intervals that hold for correlated noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.core.as_grid import GridLike, as_grid
+from sdm.errors import SDMError
+from sdm.fit.model.appearance import Mixture, PartialVolume
+from sdm.fit.model.backend import Backend
+from sdm.fit.model.partial_volume import Renderer
+from sdm.fit.model.pose import State
+from sdm.fit.model.prior import Prior
+from sdm.fit.solve.diagnosis import diagnose
+from sdm.fit.solve.fit_shape import FitOptions, image_tensor, prior_of, renderer_of
+from sdm.fit.solve.formation.intensity_field import Intensities, polynomials
+from sdm.fit.solve.formation.noise_correlation import Lag, autocorrelation, correlated_information, effective_share
+from sdm.fit.solve.formation.predictive_check import predictive_p
+from sdm.fit.solve.posterior import Posterior
+from sdm.fit.solve.result import FitResult, Formation
+from sdm.fit.solve.solver import Outcome, Point
+
+# Steps; the length of a step, in posterior standard deviations, that ends them; halvings of a step that goes up.
+MOST_STEPS, STILL, HALVINGS = 15, 0.02, 5
+# A rise that facets alone may make [nats].
+ROUGHNESS = 0.01
+# Prior of the logarithm of the blur about the one that is named, and relative change for its derivative.
+BLUR_SPREAD, BLUR_STEP = 0.7, 0.02
+# The model does not describe the image where the check's p is below the one, and the residuals at the surface that
+# noise does not explain are beyond the other, as a share of the contrast: facets alone leave less.
+LEAST_P, MATERIAL = 1e-3, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """A state with its objective and, where asked for, derivatives."""
+
+    state: State
+    log_blur: float
+    share: Tensor
+    intensities: Intensities
+    objective: float
+    rows: Tensor | None = None  # (P+7,N) derivatives in standard deviations of the noise
+
+
+def estimate_formation(
+    image: Any, grid: GridLike, backend: Backend, result: FitResult, options: FitOptions, *, degree: int = 1
+) -> FitResult:
+    """Go on from a fit with the image's formation as further unknowns.
+
+    Args:
+        image: As `fit_shape` had it.
+        grid: As `fit_shape` had it.
+        backend: Exact distances.
+        result: Its result.
+        options: Its options: "partial-volume", one component inside and one outside, a blur above 0.
+        degree: Of the polynomials by which intensities inside and outside may change over the image; 0: even.
+
+    Returns:
+        The result at the joint optimum of shape, pose, blur and intensities. Its covariance has the others integrated
+        out and holds for the noise's correlation as the residuals show it, and is widened where the surface is seen
+        less well than the noise lets expect. `result.formation` says what was found.
+        A hopeless result comes back as it is. One is not trusted where a
+        posterior predictive check says that the model does not describe the image.
+
+    Raises:
+        SDMError: Another model, or a degree below 0 or above 3.
+    """
+    if options.model != "partial-volume" or options.components != (1, 1) or not options.blur > 0:
+        raise SDMError(
+            "the image's formation is estimated for the model partial-volume, one component inside and one outside, "
+            "and from a blur above 0"
+        )
+    if not 0 <= degree <= 3:
+        raise SDMError(f"degree is {degree}; the polynomials of the intensities have degree 0 to 3")
+    if result.diagnosis.hopeless:
+        return result
+    grid = as_grid(grid)
+    values = image_tensor(image, grid, backend.device)
+    prior = prior_of(grid, backend, options)
+    voxels, named = values.flatten(), math.log(options.blur)
+
+    def make(log_blur: float) -> Renderer:
+        return renderer_of(grid, backend, replace(options, blur=math.exp(log_blur)))
+
+    basis = polynomials(grid.shape, degree, values.device)
+    means = torch.zeros(2 * basis.shape[1], dtype=torch.float64, device=values.device)
+    means[0], means[basis.shape[1]] = result.appearance.inside.mean, result.appearance.outside.mean
+    noise = (result.appearance.inside.deviation**2, result.appearance.outside.deviation**2)
+    begun = Intensities(basis, means, noise, result.appearance.least)
+    start = math.log(result.blur[0]) if result.blur is not None else named
+
+    def evaluate(state: State, log_blur: float, intensities: Intensities, *, held: bool = False) -> _At:
+        share = make(log_blur)(state, derivatives=False).share.flatten()
+        intensities = intensities.fitted(voxels, share)
+        for _ in range(0 if held else 2):
+            intensities = intensities.with_noise(voxels, share).fitted(voxels, share)
+        return _At(state, log_blur, share, intensities, _objective(voxels, share, intensities, state, log_blur))
+
+    def _objective(voxels: Tensor, share: Tensor, it: Intensities, state: State, log_blur: float) -> float:
+        variance = it.variance(share)
+        fit = 0.5 * float(((voxels - it.design(share) @ it.coefficients) ** 2 / variance + variance.log()).sum())
+        uneven = 0.5 * float((it.precision() * it.coefficients**2).sum())
+        return fit + uneven + prior.penalty(state) + 0.5 * ((log_blur - named) / BLUR_SPREAD) ** 2
+
+    at, steps, length, full, step = evaluate(result.state, start, begun), 0, math.inf, torch.empty(0), torch.empty(0)
+    converged = False
+    rows = torch.empty(0)
+    while True:
+        rows = _rows(at, make)
+        full, gradient = _normal(at, rows, voxels, prior, named)
+        count = rows.shape[0]
+        step = _step(full, gradient, at.state, prior)
+        length = float((step @ full @ step).clamp_min(0).sqrt())
+        converged = length < STILL
+        if converged or steps >= MOST_STEPS:
+            break
+        tried = _down(at, step[:count], prior, evaluate)
+        if tried is None:
+            break
+        at, steps = tried, steps + 1
+    return _finished(values, grid, result, prior, backend, at, rows, full, length, converged, steps)
+
+
+def _down(at: _At, step: Tensor, prior: Prior, evaluate: Callable[..., _At]) -> _At | None:
+    """The step, or a half, quarter, ... of it, that does not go up."""
+    for halving in range(HALVINGS):
+        part = step / 2**halving
+        blur = at.log_blur + max(-0.5, min(0.5, float(part[-1])))
+        state = at.state.moved(prior.clip(at.state, part[:-1]))
+        found = evaluate(state, blur, at.intensities, held=True)
+        if found.objective < at.objective + ROUGHNESS:
+            return evaluate(state, blur, found.intensities)
+    return None
+
+
+def _rows(at: _At, make: Callable[[float], Renderer]) -> Tensor:
+    """(P+7,N) derivatives of the expected intensities by shape, pose and log blur."""
+    rendered = make(at.log_blur)(at.state)
+    assert rendered.by_step is not None  # noqa: S101 - for the type checker
+    more, less = (make(at.log_blur + s)(at.state, derivatives=False).share for s in (BLUR_STEP, -BLUR_STEP))
+    by_blur = ((more - less) / (2 * BLUR_STEP)).flatten()
+    return torch.cat([rendered.by_step.flatten(1).double(), by_blur[None]]) * at.intensities.contrast()
+
+
+def _normal(at: _At, rows: Tensor, voxels: Tensor, prior: Prior, named: float) -> tuple[Tensor, Tensor]:
+    """Information (K,K) of all unknowns, intensities last, and the objective's gradient (K,)."""
+    design = at.intensities.design(at.share)
+    every = torch.cat([rows, design.T])
+    weight = 1 / at.intensities.variance(at.share)
+    own = torch.cat([prior.precision, _number(1 / BLUR_SPREAD**2, rows), at.intensities.precision()])
+    full = (every * weight) @ every.T + own.diag()
+    residual = voxels - design @ at.intensities.coefficients
+    away = torch.cat([prior.residual(at.state), _number(at.log_blur - named, rows), at.intensities.coefficients])
+    return full, -every @ (weight * residual) + own * away
+
+
+def _number(value: float, like: Tensor) -> Tensor:
+    return torch.tensor([value], dtype=like.dtype, device=like.device)
+
+
+def _step(full: Tensor, gradient: Tensor, state: State, prior: Prior) -> Tensor:
+    """The Gauss-Newton step (K,); shape parameters at an end of their range stay there."""
+    free = torch.ones(len(gradient), dtype=torch.bool, device=gradient.device)
+    step = torch.zeros_like(gradient)
+    count = len(prior.precision)
+    for _ in range(len(prior.low) + 1):
+        step = torch.zeros_like(gradient)
+        step[free] = -torch.linalg.solve(full[free][:, free], gradient[free])
+        stuck = torch.zeros_like(free)
+        stuck[:count] = prior.blocked(state, step[:count]) & free[:count]
+        if not bool(stuck.any()):
+            break
+        free = free & ~stuck
+    return step
+
+
+def _finished(
+    values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At, rows: Tensor,
+    full: Tensor, length: float, converged: bool, steps: int,
+) -> FitResult:  # fmt: skip
+    shape, count = values.shape, rows.shape[0]
+    it = at.intensities
+    design, deviation = it.design(at.share), it.variance(at.share).sqrt()
+    expected = (design @ it.coefficients).view(shape)
+    residual = (values - expected) / deviation.view(shape)
+    lags: dict[Lag, float] = autocorrelation(residual)
+    near = ((at.share > 0.02) & (at.share < 0.98)).view(shape)
+    p, excess = predictive_p(residual, near, count, lags)
+    scaled = (torch.cat([rows, design.T]) / deviation).view(-1, *shape)
+    if excess > 1:
+        scaled = scaled * torch.where(near, math.sqrt(excess), 1.0)
+    white = full - (torch.cat([rows, design.T]) / deviation**2) @ torch.cat([rows, design.T]).T
+    inverse = torch.linalg.inv(full)
+    covariance = inverse @ (correlated_information(scaled, lags) + white) @ inverse
+    covariance = _not_narrower(covariance[:count, :count], inverse[:count, :count]) if lags else covariance
+    covariance = covariance[:count, :count]
+
+    # The image as it were with even intensities, for the checks that know of no others.
+    inside, outside = (float((w * (it.basis @ c)).sum() / w.sum().clamp_min(1e-12)) for w, c in zip(
+        (at.share, 1 - at.share), it.coefficients.chunk(2), strict=True))  # fmt: skip
+    share = at.share.view(shape)
+    even = values - expected + share * inside + (1 - share) * outside
+    parts = [_gaussian(m, v, share) for m, v in zip((inside, outside), it.variances, strict=True)]
+    appearance = PartialVolume(parts[0], parts[1], it.least)
+    body = count - 1
+    point = Point(at.state, appearance, at.objective, full[:body, 0] * 0, full[:body, :body], full, share)
+    names = [q.name for q in backend.parameters]
+    told = diagnose(even, grid, Outcome(point, converged, length, steps, ()), prior, names)
+    contrast = abs(inside - outside)
+    noise = float(residual[~near].std()) * float(deviation.view(shape)[near].mean()) if bool(near.any()) else 0.0
+    left = noise * math.sqrt(max(0.0, excess - 1)) / max(contrast, 1e-300)
+    # Told by the check instead, which knows of correlated noise.
+    warnings = tuple(w for w in told.warnings if not w.startswith("the image differs"))
+    problems = told.problems
+    if p < LEAST_P and left > MATERIAL:
+        sentence = (
+            f"the model does not describe the image: its residuals at the surface, beyond the noise, are {left:.1%} "
+            f"of the contrast (p = {p:.2g})"
+        )
+        problems = (*problems, sentence)
+    blur = math.exp(at.log_blur)
+    found = Formation(
+        blur=(blur, blur * float(covariance[body, body].clamp_min(0).sqrt())),
+        effective_share=effective_share(lags),
+        coefficients=it.coefficients,
+        expected=expected,
+        p_value=p,
+        unexplained=left,
+    )
+    return replace(
+        result,
+        posterior=Posterior(at.state, covariance[:body, :body]),
+        appearance=appearance,
+        share=share,
+        objective=at.objective,
+        diagnosis=replace(told, problems=problems, warnings=warnings),
+        steps={**result.steps, "formation": steps},
+        blur=found.blur,
+        formation=found,
+    )
+
+
+def _not_narrower(found: Tensor, white: Tensor) -> Tensor:
+    """A covariance whose variances are no smaller than white noise's: negative correlations are not banked on."""
+    more = (white.diagonal() / found.diagonal().clamp_min(1e-300)).clamp_min(1.0).sqrt()
+    return found * more * more[:, None]
+
+
+def _gaussian(mean: float, variance: float, like: Tensor) -> Mixture:
+    one = [torch.tensor([x], dtype=torch.float64, device=like.device) for x in (1.0, mean, variance)]
+    return Mixture(one[0], one[1], one[2])
