@@ -41,7 +41,7 @@ def predictive_p(residual: Tensor, near: Tensor, unknowns: int, lags: dict[Lag, 
 
 
 def _neighbours(residual: Tensor, near: Tensor, widening: float) -> float:
-    """How many standard deviations neighbours at the surface are more alike than elsewhere."""
+    """Excess correlation of neighbours at the surface over elsewhere, in its standard deviations."""
     beside, away = [], []
     for lag in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
         one, other = shifted(residual, lag)
