@@ -10,6 +10,7 @@ from sdm.cli.common.subcommands import union_of
 PARTS = {
     "build": "sdm.cli.commands.families.build_shape_model:build",
     "show": "sdm.cli.commands.families.show_model:show",
+    "import": "sdm.cli.commands.families.import_model:import_model",
 }
 
 if TYPE_CHECKING:
@@ -19,9 +20,11 @@ else:
 
 
 def shape_model(what: Part) -> int | None:
-    """Build a statistical shape model from meshes, or draw it. A model of points is a family, as cochlea is.
+    """Build a statistical shape model from meshes, draw it, or take over another tool's.
+
+    A model of points is a family, as cochlea is.
 
     Args:
-        what: build or show; `sdm shape-model build --help` lists its options.
+        what: build, show or import; `sdm shape-model build --help` lists its options.
     """
     return what()
