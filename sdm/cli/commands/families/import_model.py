@@ -32,7 +32,7 @@ def import_model(
     save_model(model, out)
     shares = (model.deviations**2 / (model.deviations**2).sum())[:3].tolist()
     print(
-        f"{out}: {len(model.mean):,} vertices, {len(model.triangles):,} faces, {len(model.modes)} modes, the first with "
+        f"{out}: {len(model.mean):,} vertices, {len(model.triangles):,} faces, {len(model.modes)} modes with "
         f"{', '.join(f'{100 * share:.3g} %' for share in shares)} of the variance"
     )
 
