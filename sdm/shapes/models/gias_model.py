@@ -12,9 +12,7 @@ from sdm.errors import FormatError
 from sdm.shapes.models.statistical_shape import LIMIT, MOST_MODES, StatisticalShape
 
 ARRAYS = ("mean", "weights", "modes")
-NO_MODEL = (
-    "is not a GIAS shape model: give a .pc.npz file with the arrays mean (3V), weights (M), modes (3V, M)"
-)
+NO_MODEL = "is not a GIAS shape model: give a .pc.npz file with the arrays mean (3V), weights (M), modes (3V, M)"
 # Parts of the largest deviation, below which a mode of a part is rounding.
 LEAST = 1e-6
 
