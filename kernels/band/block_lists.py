@@ -48,6 +48,54 @@ def list_regions_of(table: BlockTable, bits: int, regions: wp.array, counts: wp.
 
 
 @wp.kernel
+def _pack(begin: int, places: wp.array(dtype=wp.int32), stride: int, along: wp.vec3i, keys: wp.array(dtype=wp.int64)):
+    at = begin + wp.tid()
+    row = wp.int64(places[stride * at]) * wp.int64(along[1]) + wp.int64(places[stride * at + 1])
+    keys[at] = row * wp.int64(along[2]) + wp.int64(places[stride * at + 2])
+
+
+def pack_keys(places: wp.array, stride: int, along: tuple[int, int, int], keys: wp.array) -> None:
+    """Numbers of blocks, as `sdm.core.block_lookup.keys_of` has them, by one launch.
+
+    Args:
+        places: (N * stride,) int32, of which the first three of each `stride` are a block.
+        stride: See above.
+        along: Blocks along each axis.
+        keys: (N,) int64, filled.
+    """
+    launch(_pack, keys.size, [places, stride, wp.vec3i(*along), keys], keys.device)
+
+
+@wp.kernel
+def _unpack(
+    begin: int,
+    keys: wp.array(dtype=wp.int64),
+    along: wp.vec3i,
+    blocks: wp.array(dtype=wp.vec3i),
+    lines: wp.array(dtype=wp.int64),
+):
+    at = begin + wp.tid()
+    row = keys[at] / wp.int64(along[2])
+    x = row / wp.int64(along[1])
+    y = row % wp.int64(along[1])
+    z = keys[at] % wp.int64(along[2])
+    blocks[at] = wp.vec3i(wp.int32(x), wp.int32(y), wp.int32(z))
+    lines[at] = (y * wp.int64(along[2]) + z) * wp.int64(along[0]) + x
+
+
+def unpack_keys(keys: wp.array, along: tuple[int, int, int], blocks: wp.array, lines: wp.array) -> None:
+    """Blocks of keys, and numbers by which they are sorted by y, then z, then x, by one launch.
+
+    Args:
+        keys: (N,) int64.
+        along: Blocks along each axis.
+        blocks: (N,) vec3i, filled.
+        lines: (N,) int64, filled.
+    """
+    launch(_unpack, keys.size, [keys, wp.vec3i(*along), blocks, lines], keys.device)
+
+
+@wp.kernel
 def _gather(
     begin: int,
     table: BlockTable,

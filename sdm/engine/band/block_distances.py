@@ -10,7 +10,7 @@ import warp as wp
 from jaxtyping import Int32, Int64
 from torch import Tensor
 
-from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of
+from sdm.core.block_lookup import BLOCK, blocks_along
 from sdm.core.device import free_memory
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, MeshKind
@@ -20,7 +20,7 @@ from sdm.engine.ops import slab_view
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, scales_of
 from sdm.errors import GridError
-from sdm.kernels.band.block_lists import gather_blocks, list_regions_of
+from sdm.kernels.band.block_lists import gather_blocks, list_regions_of, unpack_keys
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
 from sdm.kernels.band.query import query_blocks
@@ -68,18 +68,21 @@ def slab_blocks(
     slab = slab_view(whole.origin, whole.spacing, shape, layers[0], direction)
     with on_current_stream(structure.memory[0], structure.memory[0]) as warp_device:
         tree, winding, frames, features, cones = structure.view
-        blocks = blocks_of(keys, blocks_along(shape))
+        along = blocks_along(shape)
+        blocks = torch.empty((len(keys), 3), dtype=torch.int32, device=device)
         values = torch.empty((len(keys), BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
         if not len(keys):
             return blocks, values, 0
-        near = torch.zeros(len(keys), dtype=torch.int32, device=device)
-        ambiguous = torch.zeros(1, dtype=torch.int32, device=device)
-        table, rows = block_table(blocks, blocks_along(shape))
+        lines = torch.empty_like(keys)
+        unpack_keys(as_warp(keys, wp.int64), along, as_warp(blocks, wp.vec3i), as_warp(lines, wp.int64))
+        table, rows = block_table(blocks, along, keys)
+        # Few launches: the host takes most of a small band's time.
+        beside = shape[1] * shape[2] if signed and beyond else 0
+        zeros = torch.zeros(len(keys) + 3 + beside, dtype=torch.int32, device=device)
+        near, ambiguous, lost, listed, layer = zeros.split([len(keys), 1, 1, 1, beside])
         flat, empty = values.view(-1), workspace(device)
         if signed:
-            order = _by_lines(blocks, blocks_along(shape))
-            layer = torch.zeros(shape[1] * shape[2] if beyond else 0, dtype=torch.int32, device=device)
-            lost = torch.zeros(1, dtype=torch.int32, device=device)
+            order = lines.argsort().int()
             whole_windings(
                 tree,
                 winding,
@@ -101,7 +104,7 @@ def slab_blocks(
         shifts = (times[0].bit_length() - 1, times[1].bit_length() - 1, times[2].bit_length() - 1)
         count = tuple(-(-n // plan.cell) for n in fine.shape)
         if times == AS_IT_IS:
-            regions = _regions_of(table, len(blocks), plan.cell, device)
+            regions = _regions_of(table, len(blocks), plan.cell, listed)
         else:
             regions = regions_with(blocks, plan.cell, shifts, (count[0], count[1], count[2]))
         to: Any = BlockOutput()
@@ -152,35 +155,32 @@ def refuse_too_many(blocks: int, device: torch.device) -> None:
         )
 
 
-def _regions_of(table: Any, blocks: int, cell: int, device: torch.device) -> Int32[Tensor, "r 4"]:
-    """`regions_with` where the grid that is measured is that of the blocks."""
-    regions = torch.empty((blocks, 4), dtype=torch.int32, device=device)
-    count = torch.zeros(1, dtype=torch.int32, device=device)
+def _regions_of(table: Any, blocks: int, cell: int, count: Int32[Tensor, " 1"]) -> Int32[Tensor, "r 4"]:
+    """`regions_with` where the grid that is measured is that of the blocks; `count` is zero."""
+    regions = torch.empty((blocks, 4), dtype=torch.int32, device=count.device)
     list_regions_of(table, (cell // BLOCK) - 1, as_warp(regions, wp.vec4i), as_warp(count, wp.int32))
     return regions[: int(count)]
 
 
-def block_table(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> tuple[Any, tuple[Tensor, ...]]:
-    """The kernels' table of blocks that are sorted, and the memory that it is in."""
+def block_table(
+    blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int], keys: Int64[Tensor, " n"]
+) -> tuple[Any, tuple[Tensor, ...]]:
+    """The kernels' table of blocks that are sorted, of which these are the keys, and the memory that it is in."""
     low, size = [0, 0], list(count[:2])
-    if count[0] * count[1] > MOST_ROWS:
+    if count[0] * count[1] <= MOST_ROWS:
+        begins = torch.arange(0, (size[0] * size[1] + 1) * count[2], count[2], device=blocks.device)
+        rows = torch.searchsorted(keys, begins, out_int32=True)
+    else:
         # Of those that there are alone; to know them is to wait for the device.
         low = blocks[:, :2].amin(0).tolist()
         size = [high + 1 - least for high, least in zip(blocks[:, :2].amax(0).tolist(), low, strict=True)]
-    row = (blocks[:, 0].long() - low[0]) * size[1] + blocks[:, 1] - low[1]
-    rows = torch.searchsorted(row, torch.arange(size[0] * size[1] + 1, device=blocks.device)).int()
+        row = (blocks[:, 0].long() - low[0]) * size[1] + blocks[:, 1] - low[1]
+        rows = torch.searchsorted(row, torch.arange(size[0] * size[1] + 1, device=blocks.device), out_int32=True)
     table: Any = BlockTable()
     set_array(table, "blocks", as_warp(blocks, wp.vec3i))
     set_array(table, "rows", as_warp(rows, wp.int32))
     table.low, table.size = wp.vec2i(*low), wp.vec2i(*size)
     return table, (blocks, rows)
-
-
-def _by_lines(blocks: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int32[Tensor, " n"]:
-    """Places of blocks, sorted by y, then z, then x."""
-    x, y, z = blocks.long().unbind(1)
-    keys: Int64[Tensor, " n"] = (y * count[2] + z) * count[0] + x
-    return keys.argsort().int()
 
 
 def _times(structure: AccelerationStructure, slices: Slices) -> Triple:

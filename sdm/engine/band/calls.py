@@ -11,7 +11,6 @@ import numpy as np
 import torch
 
 from sdm.core.as_mesh import MeshLike, as_mesh
-from sdm.core.block_lookup import blocks_along, keys_of
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
@@ -131,7 +130,7 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod)
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
     if sign == "none":
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
-    inside = inside_runs(index, grid, keys_of(blocks, blocks_along(grid.shape)), values, beyond=beyond)
+    inside = inside_runs(index, grid, blocks, values, beyond=beyond)
     return _looked_at(SparseSDM(blocks, values, inside, grid, width, ambiguous, sign), index)
 
 

@@ -59,7 +59,8 @@ class Flooded:
 
     def negate(self, blocks: Int32[Tensor, "k 3"], values: Tensor, grid: Grid) -> None:
         """Negate, in place, the values (K,8,8,8) of voxels inside, of blocks of the band's grid."""
-        table, kept = block_table(blocks, blocks_along(grid.shape))
+        count = blocks_along(grid.shape)
+        table, kept = block_table(blocks, count, keys_of(blocks, count))
         with on_current_stream(values, values, *kept, *self.memory):
             flat = as_warp(values.view(-1), wp.float32)
             negate_in_blocks(self.nodes, as_warp(self.links, wp.int32), table, grid.shape, self.frame.skipped, flat)
@@ -133,7 +134,7 @@ def _flooded(
     gaps = runs_between(*all_gaps(keys, count), count)
     row = gaps[:, 0].long() * count[1] + gaps[:, 1]
     rows = torch.searchsorted(row, torch.arange(count[0] * count[1] + 1, device=device)).int()
-    table, kept = block_table(blocks, count)
+    table, kept = block_table(blocks, count, keys)
     distances = _of_nodes(wide, len(gaps), reach)
     near = torch.minimum(distances, _of_nodes(to_caps, len(gaps), reach)) if caps.shape[0] else distances
     links = torch.empty(len(distances), dtype=torch.int32, device=device)

@@ -15,7 +15,7 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, gaps_of, keys_of
 from sdm.core.grid import Grid
 from sdm.core.voxel_points import voxel_points
-from sdm.kernels.band.block_lists import list_inside_gaps
+from sdm.kernels.band.block_lists import list_inside_gaps, pack_keys
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def inside_runs(
-    index: MeshIndex, grid: Grid, keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"], *, beyond: bool
+    index: MeshIndex, grid: Grid, blocks: Int32[Tensor, "n 3"], values: Float[Tensor, "n 8 8 8"], *, beyond: bool
 ) -> Int32[Tensor, "r 4"]:
     """Runs (R,4) along z of blocks that are not stored and lie inside, sorted: x and y, first z, one after the last.
 
@@ -34,8 +34,13 @@ def inside_runs(
     """
     count = blocks_along(grid.shape)
     if index.closed:
-        begin, end = _gaps_inside(keys, values, count)
+        runs = _gaps_inside(blocks, values, count)
+        if not beyond:
+            return runs
+        keys, begin = keys_of(blocks, count), keys_of(runs[:, :3], count)
+        end = begin + (runs[:, 3] - runs[:, 2])
     else:
+        keys = keys_of(blocks, count)
         begin, end = inner_parts(partial(_are_inside, index, grid), *gaps_of(keys, count))
     if beyond:
         empty = _empty_rows(keys, count)
@@ -48,12 +53,11 @@ def inside_runs(
 
 
 def _gaps_inside(
-    keys: Int64[Tensor, " n"], values: Float[Tensor, "n 8 8 8"], count: tuple[int, int, int]
-) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """The first keys of runs between blocks of a closed mesh that lie inside, and the keys after their last."""
-    runs = torch.empty((2 * len(keys), 4), dtype=torch.int32, device=keys.device)
-    found = torch.zeros(1, dtype=torch.int32, device=keys.device)
-    blocks = blocks_of(keys, count)
+    blocks: Int32[Tensor, "n 3"], values: Float[Tensor, "n 8 8 8"], count: tuple[int, int, int]
+) -> Int32[Tensor, "r 4"]:
+    """Runs (R,4) between blocks of a closed mesh that lie inside, sorted."""
+    runs = torch.empty((2 * len(blocks), 4), dtype=torch.int32, device=blocks.device)
+    found = torch.zeros(1, dtype=torch.int32, device=blocks.device)
     with on_current_stream(values, values, blocks):
         list_inside_gaps(
             as_warp(blocks, wp.vec3i),
@@ -62,10 +66,10 @@ def _gaps_inside(
             as_warp(runs, wp.vec4i),
             as_warp(found, wp.int32),
         )
-    runs = runs[: int(found)]
-    begin = keys_of(runs[:, :3], count)
-    order = begin.argsort()
-    return begin[order], (begin + (runs[:, 3] - runs[:, 2]))[order]
+        runs = runs[: int(found)]
+        begin = torch.empty(len(runs), dtype=torch.int64, device=runs.device)
+        pack_keys(as_warp(runs.view(-1), wp.int32), 4, count, as_warp(begin, wp.int64))
+    return runs[begin.argsort()]
 
 
 def inner_parts(

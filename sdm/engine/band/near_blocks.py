@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Int32, Int64
@@ -11,6 +13,7 @@ from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, keys_of
 from sdm.core.grid import Grid
+from sdm.kernels.band.block_lists import pack_keys
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes
 from sdm.kernels.geometry.block_table import BITS
 from sdm.runtime.torch_warp import as_warp
@@ -28,14 +31,15 @@ def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.devi
     To be called on the current stream. Waits for a GPU once, unless there are very many blocks.
     """
     top = BITS
-    while _boxes_of(grid, top + 1).prod() > MOST_FIRST:
+    while math.prod(_boxes_of(grid, top + 1)) > MOST_FIRST:
         top += 1
-    first = torch.cartesian_prod(
-        *(torch.arange(int(n), dtype=torch.int32, device=device) for n in _boxes_of(grid, top + 1))
-    )
     levels = range(top, BITS - 1, -1)
-    counts = torch.zeros((len(levels) + 1, STRIDE), dtype=torch.int32, device=device)
-    counts[0, LENGTH] = len(first)
+    # Counts and the first boxes, by one copy.
+    begun = np.zeros((len(levels) + 1, STRIDE), np.int32)
+    begun[0, LENGTH] = math.prod(_boxes_of(grid, top + 1))
+    boxes_there = np.indices(_boxes_of(grid, top + 1), np.int32).reshape(3, -1).T
+    both = torch.from_numpy(np.concatenate([begun.ravel(), boxes_there.ravel()])).to(device, non_blocking=True)
+    counts, first = both[: begun.size].view(begun.shape), both[begun.size :].view(-1, 3)
 
     def look(level: int, bits: int, parents: Tensor, room: int) -> Tensor:
         boxes = torch.empty((room, 3), dtype=torch.int32, device=device)
@@ -47,20 +51,28 @@ def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.devi
         boxes, rooms = first, [len(first)]
         for level, bits in enumerate(levels):
             most = MOST_BOXES if bits > BITS else MOST_BLOCKS
-            rooms.append(min(int(_boxes_of(grid, bits).prod()), most))
+            rooms.append(min(math.prod(_boxes_of(grid, bits)), most))
             boxes = look(level, bits, boxes, rooms[-1])
         lengths = counts[:, LENGTH].tolist()
         if all(length <= room for length, room in zip(lengths, rooms, strict=True)):
-            return keys_of(boxes[: lengths[-1]], blocks_along(grid.shape)).sort().values
+            return sorted_keys(boxes[: lengths[-1]], blocks_along(grid.shape))
         counts[1:].zero_()
     boxes = first
     for level, bits in enumerate(levels):
         boxes = look(level, bits, boxes, 8 * len(boxes))[: int(counts[level + 1, LENGTH])]
-    return keys_of(boxes, blocks_along(grid.shape)).sort().values
+    return sorted_keys(boxes, blocks_along(grid.shape))
 
 
-def _boxes_of(grid: Grid, bits: int) -> Int64[Tensor, " 3"]:
-    return torch.tensor([-(-n >> bits) for n in grid.shape], dtype=torch.int64, device="cpu")
+def sorted_keys(boxes: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int64[Tensor, " n"]:
+    """Keys of blocks in any order, ascending. To be called on the current stream."""
+    keys = torch.empty(len(boxes), dtype=torch.int64, device=boxes.device)
+    pack_keys(as_warp(boxes.view(-1), wp.int32), 3, count, as_warp(keys, wp.int64))
+    return keys.sort().values
+
+
+def _boxes_of(grid: Grid, bits: int) -> tuple[int, int, int]:
+    nx, ny, nz = grid.shape
+    return -(-nx >> bits), -(-ny >> bits), -(-nz >> bits)
 
 
 def regions_with(
