@@ -17,7 +17,7 @@ from typing import Any
 from sdm.bench.common.checkout import checkout, results_folder
 from sdm.bench.suite.page_tables import TABLES
 
-README, PAPERS = "README.md", "docs/papers.md"
+README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
 DEEPSDF, SHAPES = "sdm/deepsdf/README.md", "sdm/shapes/README.md"
 
@@ -208,34 +208,46 @@ def _share(record: Any) -> list[float]:
     return [100 * published["share"], published["ms"], 100 * local["share"]]
 
 
+def _zoo(record: Any, resolution: str) -> list[float]:
+    found = record["summary"][resolution]
+    return [found["stock_over_first"], found["slower_than_stock"]]
+
+
 FIGURES = (
-    Figure(README, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
-    Figure(README, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-h200", lambda r: _times(r, "first")),
-    Figure(README, "it takes {:.1f} to {:.0f} ms, 104 times", "dense-h200", lambda r: _times(r, "new_mesh")),
-    Figure(README, "{:.0f}, {:.0f}, {:.0f} times as fast as stock Warp (LBVH", "dense-h200", _means),
-    Figure(README, "at 256^3, 512^3 | one H200 | {:.0f}, {:.0f} times", "dense-h200", _first),
-    Figure(README, "one H100 | {:.0f}, {:.0f}, {:.0f} times;", "dense-cuda", _means),
-    Figure(README, "times; {:.0f}, {:.0f} | [dense-cuda", "dense-cuda", _first),
-    Figure(README, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-h200", _five_million),
-    Figure(README, "near the surface, repeated, tree built | one H200 | {:.0f}, {:.0f} times", "dense-h200", _points),
-    Figure(README, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
-    Figure(README, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
-    Figure(README, "{:,.0f} to {:,.0f} maps a second", "stream-h200", _maps),
-    Figure(README, "maps at {:.1f} % of the speed of training", "stream-h200", lambda r: _speeds(r)[:1]),
-    Figure(README, "a small decoder at {:.1f} %", "stream-h200", lambda r: _speeds(r)[1:]),
-    Figure(
-        README, "{:.3f} mm off on average; on two CPU cores {:.0f} ms", "surrogate-cpu", lambda r: _surrogate(r)[:2]
-    ),
-    Figure(README, "{:.0f} times as fast as libigl, and {:.0f} ms with", "surrogate-cpu", lambda r: _surrogate(r)[2:4]),
-    Figure(README, "(extra `onnx`), {:.0f} times", "surrogate-cpu", lambda r: _surrogate(r)[4:]),
-    Figure(README, "{:.0f} % of the 90 % intervals hold the truth", "fit-coverage", _coverage),
-    Figure(README, "{:.0f} to {:.0f} % did, in {} to {} shapes", "fit-mismatch", _worst_coverage),
-    Figure(README, "{0} real and nasty meshes", "accuracy-cpu", _accuracy),
-    Figure(README, "on a GPU {0}, all", "accuracy-cuda", _accuracy),
-    Figure(README, "largest on a GPU {1:.1f}, {2} million points", "accuracy-cuda", _accuracy),
-    Figure(README, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
-    Figure(README, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
-    Figure(README, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
+    Figure(README, "{:.1f} ms at 64^3, {:.1f} ms at 256^3, {:.1f} ms at 512^3 |", "first-cuda", _first_calls),
+    Figure(README, "| H100 | {:.0f}, {:.0f} times as fast as stock", "dense-cuda", _first),
+    Figure(README, "not counted); {:.0f}, {:.0f} times |", "dense-cuda", lambda r: _means(r)[1:]),
+    Figure(README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
+    Figure(README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
+    Figure(README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
+    Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(README, "| two CPU cores | {:.0f} times as fast as the faster", "dense-cpu", _means_on_a_cpu),
+    Figure(README, "| at {:.1f} % of the speed of a batch that stays", "stream-h200", lambda r: _speeds(r)[:1]),
+    Figure(SPEED, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
+    Figure(SPEED, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-h200", lambda r: _times(r, "first")),
+    Figure(SPEED, "it takes {:.1f} to {:.0f} ms, 104 times", "dense-h200", lambda r: _times(r, "new_mesh")),
+    Figure(SPEED, "{:.0f}, {:.0f}, {:.0f} times as fast as stock Warp (LBVH", "dense-h200", _means),
+    Figure(SPEED, "at 256^3, 512^3 | one H200 | {:.0f}, {:.0f} times", "dense-h200", _first),
+    Figure(SPEED, "one H100 | {:.0f}, {:.0f}, {:.0f} times;", "dense-cuda", _means),
+    Figure(SPEED, "times; {:.0f}, {:.0f} | [dense-cuda", "dense-cuda", _first),
+    Figure(SPEED, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-h200", _five_million),
+    Figure(SPEED, "near the surface, repeated, tree built | one H200 | {:.0f}, {:.0f} times", "dense-h200", _points),
+    Figure(SPEED, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
+    Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream-h200", _maps),
+    Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream-h200", lambda r: _speeds(r)[:1]),
+    Figure(GUIDE, "a small decoder at {:.1f} %", "stream-h200", lambda r: _speeds(r)[1:]),
+    Figure(GUIDE, "{:.3f} mm off on average; on two CPU cores {:.0f} ms", "surrogate-cpu", lambda r: _surrogate(r)[:2]),
+    Figure(GUIDE, "{:.0f} times as fast as libigl, and {:.0f} ms with", "surrogate-cpu", lambda r: _surrogate(r)[2:4]),
+    Figure(GUIDE, "(extra `onnx`), {:.0f} times", "surrogate-cpu", lambda r: _surrogate(r)[4:]),
+    Figure(GUIDE, "{:.0f} % of the 90 % intervals hold the truth", "fit-coverage", _coverage),
+    Figure(GUIDE, "{:.0f} to {:.0f} % did, in {} to {} shapes", "fit-mismatch", _worst_coverage),
+    Figure(SPEED, "{0} real and nasty meshes", "accuracy-cpu", _accuracy),
+    Figure(SPEED, "on a GPU {0}, all", "accuracy-cuda", _accuracy),
+    Figure(SPEED, "largest on a GPU {1:.1f}, {2} million points", "accuracy-cuda", _accuracy),
+    Figure(SPEED, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
+    Figure(GUIDE, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
+    Figure(GUIDE, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
     Figure(
         STREAM, "takes {:.1f} ms, on a batch that stays {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "u-net")
     ),

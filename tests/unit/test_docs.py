@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/other-tools.md")
+GUIDES = ("docs/guide.md", "docs/install.md", "docs/speed.md", "docs/from-disk-to-disk.md")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -30,11 +31,11 @@ def place_with_demo_mesh(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("name", [*PAGES, "docs/from-disk-to-disk.md"])
+@pytest.mark.parametrize("name", [*PAGES, *GUIDES])
 def test_python_samples_run(name, root, place_with_demo_mesh):
     """The samples of a page run one after the other, as a reader would type them."""
     code = samples(root / name, "python")
-    assert code or name != "README.md"
+    assert code or name not in ("README.md", "docs/guide.md")
     namespace: dict[str, object] = {}
     for number, text in enumerate(code):
         exec(compile(text, f"{name}, sample {number + 1}", "exec"), namespace)
@@ -45,10 +46,11 @@ def commands(page: Path) -> list[str]:
     return [line.split(" #")[0].strip() for line in lines if line.startswith("sdm ")]
 
 
-def test_commands_of_the_readme_run(root, place_with_demo_mesh, capsys):
+@pytest.mark.parametrize("name", ["README.md", "docs/guide.md"])
+def test_commands_run(name, root, place_with_demo_mesh, capsys):
     from sdm.cli import main
 
-    lines = commands(root / "README.md")
+    lines = commands(root / name)
     assert len(lines) >= 3
     for line in lines:
         code = main(shlex.split(line)[1:])
@@ -60,7 +62,7 @@ def make_targets(root: Path) -> set[str]:
     return set(re.findall(r"^([a-z-]+):", (root / "Makefile").read_text(), re.MULTILINE))
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", [*PAGES, *GUIDES])
 def test_make_targets_exist(name, root):
     text = (root / name).read_text()
     named = set(re.findall(r"`make ([a-z-]+)", text))
@@ -77,16 +79,16 @@ def test_links_and_named_files_exist(name, root):
         assert (root / target).exists(), target
 
 
-def test_readme_names_every_extra(root):
+def test_every_extra_is_named(root):
     import tomllib
 
     extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    text = (root / "README.md").read_text().split("## Extras")[1].split("\n## ")[0]
+    text = (root / "docs/install.md").read_text().split("## Extras")[1].split("\n## ")[0]
     assert set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE)) == set(extras)
 
 
 def test_pages_name_no_place_of_one_machine(root):
-    files = [root / name for name in (*PAGES, "Makefile", "constraints.txt", "pyproject.toml", ".ci/run")]
+    files = [root / name for name in (*PAGES, *GUIDES, "Makefile", "constraints.txt", "pyproject.toml", ".ci/run")]
     for path in files:
         assert not re.search(r"/(?:home|root|work|Users|opt)/", path.read_text()), path.name
 
