@@ -3,6 +3,8 @@
     python -m sdm.bench.fit cases [--quick]         nine cases, as in Table 2 of Wang et al., MIDL 2020
     python -m sdm.bench.fit coverage --count 200    do 90 % intervals hold the truth in 90 % of cases? Resumable
     python -m sdm.bench.fit mismatch --count 24     the same in images that do not fit the model. Resumable
+    python -m sdm.bench.fit formation --count 40    the same with the image's formation estimated. Resumable
+    python -m sdm.bench.fit refusals --count 500    how many images with an answer are refused? Resumable
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
 
@@ -21,11 +23,21 @@ from pathlib import Path
 from sdm.bench.common.checkout import docs_folder, results_folder
 from sdm.bench.fit.cases import cases
 from sdm.bench.fit.coverage import coverage
+from sdm.bench.fit.formation import formation
 from sdm.bench.fit.mismatch import mismatch
 from sdm.bench.fit.pictures import pictures
 from sdm.bench.fit.real import real
+from sdm.bench.fit.refusals import refusals
 
-STUDIES = {"cases": cases, "coverage": coverage, "mismatch": mismatch, "real": real, "pictures": pictures}
+STUDIES = {
+    "cases": cases,
+    "coverage": coverage,
+    "mismatch": mismatch,
+    "formation": formation,
+    "refusals": refusals,
+    "real": real,
+    "pictures": pictures,
+}
 
 
 def main() -> None:
@@ -48,11 +60,14 @@ def main() -> None:
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
-    for name in ("coverage", "mismatch"):
+    for name in ("coverage", "mismatch", "formation", "refusals"):
         each[name].add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
         each[name].add_argument("--workers", type=int, default=1, help="processes, one thread each")
     each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")
     each["mismatch"].add_argument("--folder", type=Path, default=Path("build/fit-mismatch"), help="one file a fit")
+    for name, count in (("formation", 40), ("refusals", 500)):
+        each[name].add_argument("--count", type=int, default=count, help="cases (under each condition)")
+        each[name].add_argument("--folder", type=Path, default=Path(f"build/fit-{name}"), help="one file a case")
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
     each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["pictures"].add_argument("--docs", type=Path, default=docs_folder())

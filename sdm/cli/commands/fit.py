@@ -37,6 +37,7 @@ def fit(
         tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: 0.15; of other sizes in proportion)"),
     ] = None,
     turn: float = 0.5,
+    mirror: bool = False,
     backend: Literal["exact", "surrogate", "hybrid"] = "exact",
     triangles: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 20000; with --family its own)")
@@ -69,6 +70,8 @@ def fit(
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
         turn: How far the cochlea may be turned from the family's own frame, standard deviation about each axis, rad.
+            From 1 on the search begins at rotations all around.
+        mirror: Fit mirror images of the shapes: ears of the other side.
         backend: exact distances; the surrogate's, anchored near the end by two exact evaluations; or hybrid, the
             surrogate first and exact to finish.
         triangles: Triangles of the exact backend's meshes.
@@ -96,7 +99,7 @@ def fit(
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
         if points is not None:
-            _refuse_with_points(picture, residuals, estimate_formation)
+            _refuse_with_points(picture, residuals, estimate_formation, mirror)
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
         given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
@@ -104,12 +107,12 @@ def fit(
             raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
         return fit_any_family(
             Path(str(image)), str(family), out, mesh, picture, given, triangles, device,
-            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals,
+            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals, mirror=mirror,
         )  # fmt: skip
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
     scan = sdm.load(image)
-    first, finish = make_backends(backend, triangles=triangles or 20_000, weights=weights, device=device)
+    first, finish = make_backends(backend, triangles=triangles or 20_000, weights=weights, device=device, mirror=mirror)
     lengths: dict[str, Any] = {n: x for n, x in (("blur", blur), ("fine", fine)) if x is not None}
     options = FitOptions(model=model, components=components, turn=turn, **lengths)
     with StageProgress() as progress:
@@ -152,13 +155,15 @@ def _check_formation(wanted: bool, model: str, components: tuple[int, int]) -> N
         raise SDMError("--estimate-formation is for --model partial-volume and --components 1 1")
 
 
-def _refuse_with_points(picture: Path | None, residuals: Path | None, formation: bool) -> None:
+def _refuse_with_points(picture: Path | None, residuals: Path | None, formation: bool, mirror: bool) -> None:
     from sdm.errors import SDMError
 
     if picture is not None:
         raise SDMError("--picture is of an image's fit: leave it out with --points")
-    if residuals is not None or formation:
-        raise SDMError("--residuals and --estimate-formation are of an image's fit: leave them out with --points")
+    if residuals is not None or formation or mirror:
+        raise SDMError(
+            "--residuals, --estimate-formation and --mirror are of an image's fit: leave them out with --points"
+        )
 
 
 def save_residuals(scan: Any, result: FitResult, path: Path | None) -> None:

@@ -10,6 +10,7 @@ from sdm.core.device import choose_device
 from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.exact import TRIANGLES, ExactBackend
+from sdm.fit.model.scaled_family import MirroredFamily
 from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import make_family
 from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_surrogate
@@ -23,6 +24,7 @@ def make_backends(
     triangles: int = TRIANGLES,
     weights: Path | str | None = None,
     device: str | torch.device | None = None,
+    mirror: bool = False,
 ) -> tuple[Backend, Backend | None]:
     """The backend to begin with, and the one to finish with if that is another.
 
@@ -32,15 +34,19 @@ def make_backends(
         triangles: Triangles of the exact backend's meshes.
         weights: A surrogate's weights; by default those that come with the package.
         device: Where to compute; by default a GPU if there is one.
+        mirror: Mirror images of the cochleae, ears of the other side; exact alone.
 
     Raises:
-        SDMError: No such backend.
+        SDMError: No such backend, or a surrogate of mirror images.
         FormatError: No surrogate comes with this installation.
     """
     if name not in NAMES:
         raise SDMError(f"there is no backend called {name!r}; use {', '.join(NAMES)}")
+    if mirror and name != "exact":
+        raise SDMError(f"mirrored cochleae are fitted by the exact backend, and {name} was asked for")
     where = choose_device(device)
-    exact = ExactBackend(make_family("cochlea", triangles), where)
+    family = make_family("cochlea", triangles)
+    exact = ExactBackend(MirroredFamily(family) if mirror else family, where)
     if name == "exact":
         return exact, None
     model = load_surrogate(weights, device=where).eval()

@@ -1,4 +1,4 @@
-"""Families of another size: fits know lengths of a cochlea, about 10 mm, to which other shapes are scaled."""
+"""Families of another size, or mirrored: fits know lengths of a cochlea, about 10 mm, and its right ear."""
 
 from __future__ import annotations
 
@@ -37,6 +37,30 @@ class ScaledFamily(Family):
         """The same from meshes of about so many triangles; None where that is no matter of choice."""
         other = self.family.with_triangles(triangles)
         return None if other is None else ScaledFamily(other, self.factor)
+
+
+class MirroredFamily(Family):
+    """The mirror images of a family's shapes: x changes its sign, faces still look outward."""
+
+    def __init__(self, family: Family) -> None:
+        self.family = family
+        self.parameters, self.triangles = family.parameters, family.triangles.flip(1)
+        vars(self)["name"] = family.name
+
+    def vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) for theta (B,P)."""
+        found = self.family.vertices(theta)
+        return found * found.new_tensor([-1.0, 1.0, 1.0])
+
+    def reference_vertices(self, theta: Tensor) -> Tensor:
+        """Vertices (B,V,3) in theta's own type."""
+        found = self.family.reference_vertices(theta)
+        return found * found.new_tensor([-1.0, 1.0, 1.0])
+
+    def with_triangles(self, triangles: int) -> Family | None:
+        """The same from meshes of about so many triangles; None where that is no matter of choice."""
+        other = self.family.with_triangles(triangles)
+        return None if other is None else MirroredFamily(other)
 
 
 def factor_of(family: Family) -> float:

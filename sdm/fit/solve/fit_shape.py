@@ -24,7 +24,7 @@ from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State, rotation_from_vector
 from sdm.fit.model.prior import Prior
 from sdm.fit.solve.diagnosis import diagnose
-from sdm.fit.solve.initial import candidates, coarser, middle_of
+from sdm.fit.solve.initial import all_turns, candidates, coarser, middle_of, of_other_rotations
 from sdm.fit.solve.posterior import Posterior
 from sdm.fit.solve.result import FitResult
 from sdm.fit.solve.solver import Outcome, Point, Render, minimise
@@ -38,6 +38,8 @@ SMALLEST_AXIS = 8
 COARSE_LENGTH, COARSE_TOLERANCE = 0.1, 1.0
 # Where another backend takes over, or a surrogate is anchored, in the same measure: a surrogate is off by as much.
 HANDOVER = 0.3
+# From this turn on [rad], the search begins at rotations all over SO(3), twice as many are followed.
+FAR_TURN = 1.0
 # Where it is anchored again.
 CLOSE = 0.1
 
@@ -55,7 +57,8 @@ class FitOptions:
         fine: Largest distance between the sample points of a voxel [mm]; "labels" has one point for each voxel.
         pose: The expected pose (rotation matrix, translation of the shape's centre [mm]); by default unturned, in the
             middle of the image.
-        turn: How much the rotation may differ from that, standard deviation about each axis [rad].
+        turn: How much the rotation may differ from that, standard deviation about each axis [rad]. From 1 on the
+            search begins at rotations all over SO(3).
         shift: How much the translation may differ, standard deviation along each axis [mm].
         starts: Best of the plain shapes to start from.
         most_steps: Most steps of a stage.
@@ -207,11 +210,15 @@ def _fit(
 
 def _begin(small: Tensor, wide: Grid, backend: Backend, prior: Prior, options: FitOptions) -> Outcome:
     """The best of a few fits to a coarse image."""
-    found = candidates(backend, small, wide, prior.pose, _turns(options.turn, small.device))
+    far = options.turn >= FAR_TURN
+    turns = all_turns(options.turn, small.device) if far else _turns(options.turn, small.device)
+    found = candidates(backend, small, wide, prior.pose, turns)
+    if far:
+        found = of_other_rotations(found)
     # The voxel's own box does most of the blurring.
     renderer = Renderer(wide, backend, blur=options.blur, length=COARSE_LENGTH, fine=max(wide.spacing) / 2)
     best: Outcome | None = None
-    for candidate in found[: max(1, options.starts)]:
+    for candidate in found[: max(1, options.starts * (2 if far else 1))]:
         share = renderer(candidate.state, derivatives=False).share
         appearance = MODELS[options.model].start(small.flatten(), share.flatten(), options.components)
         outcome = minimise(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,29 @@ def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotatio
         for turn in rotations
     ]
     return sorted(found + turned, key=lambda c: -c.explained)
+
+
+def all_turns(turn: float, device: torch.device) -> list[Tensor]:
+    """Rotation matrices (3,3) of the icosahedral group, no further than two deviations `turn` [rad] from none.
+
+    No rotation is further than 45 degrees from the nearest of all 60, which is as far as steps find their way back.
+    """
+    from scipy.spatial.transform import Rotation
+
+    group = Rotation.create_group("I")
+    # Corners may be turned together about all three axes.
+    reach = 2 * math.sqrt(3) * turn
+    near = [r for r in group if 1e-6 < r.magnitude() <= reach]
+    return [torch.from_numpy(r.as_matrix()).to(device) for r in near]
+
+
+def of_other_rotations(found: list[Candidate]) -> list[Candidate]:
+    """The best candidate of each rotation, best first: others of the same rotation end where it does."""
+    kept: list[Candidate] = []
+    for candidate in found:
+        if not any(torch.allclose(candidate.state.rotation, k.state.rotation, atol=1e-6) for k in kept):
+            kept.append(candidate)
+    return kept
 
 
 def _units(count: int) -> list[tuple[float, ...]]:

@@ -19,6 +19,7 @@ def fit_any_family(
     with_blur: bool = False,
     with_formation: bool = False,
     residuals: Path | None = None,
+    mirror: bool = False,
 ) -> None:
     """Fit a family to an image, and write report, surface and picture.
 
@@ -34,16 +35,18 @@ def fit_any_family(
         with_blur: Estimate the blur with the shape.
         with_formation: Estimate the image's formation with the shape.
         residuals: Residual map, or None.
+        mirror: Fit mirror images of the family's shapes.
     """
     import sdm
     from sdm.cli.commands.fit import print_fit, save_residuals
     from sdm.cli.common.progress import StageProgress
     from sdm.fit import ExactBackend, FitOptions
-    from sdm.fit.model.scaled_family import factor_of
+    from sdm.fit.model.scaled_family import MirroredFamily, factor_of
     from sdm.fit.solve.fit_family import BLUR, fit_family
     from sdm.shapes import load_family
 
     family = load_family(name, triangles=triangles)
+    family = MirroredFamily(family) if mirror else family
     scan = sdm.load(image)
     factor = factor_of(family)
     usual = {
