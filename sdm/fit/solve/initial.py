@@ -22,7 +22,7 @@ MOST_CORNERS, MOST_ALONE = 5, 8
 COARSE = 0.6
 LENGTH = 0.15
 # How many of the best are turned too.
-TURNED = 3
+TURNED, FEW = 3, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,12 @@ def candidates(backend: Backend, image: Tensor, grid: Grid, pose: State, rotatio
     search = _Search(backend, image, grid)
     plain = [(low + (high - low) * torch.tensor(unit)).to(image.device) for unit in units]
     found = [search(State(theta, pose.rotation, search.middle, backend.centre)) for theta in plain]
+    # Where all rotations are searched, what explains most unturned says nothing: the middle shape is turned.
+    middle = found[-1:]
     found.sort(key=lambda c: -c.explained)
     turned = [
         search(State(c.state.theta, pose.rotation @ turn, search.middle, backend.centre))
-        for c in found[:TURNED]
+        for c in (middle if len(rotations) > FEW else found[:TURNED])
         for turn in rotations
     ]
     return sorted(found + turned, key=lambda c: -c.explained)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -32,6 +32,9 @@ MOST_STEPS, STILL, HALVINGS = 15, 0.02, 5
 ROUGHNESS = 0.01
 # Prior of the logarithm of the blur about the one that is named, and relative change for its derivative.
 BLUR_SPREAD, BLUR_STEP = 0.7, 0.02
+# Surface that the meshes' facets and the sample points leave uncertain, along its normal [mm], and the step for its
+# derivative.
+SURFACE_ERROR, LEVEL_STEP = 0.001, 0.01
 # The model does not describe the image where the check's p is below the one, and the residuals at the surface that
 # noise does not explain are beyond the other, as a share of the contrast: facets alone leave less.
 LEAST_P, MATERIAL = 1e-3, 0.05
@@ -125,7 +128,8 @@ def estimate_formation(
         if tried is None:
             break
         at, steps = tried, steps + 1
-    return _finished(values, grid, result, prior, backend, at, rows, full, length, converged, steps)
+    moved = renderer_of(grid, cast("Backend", _Moved(backend)), replace(options, blur=math.exp(at.log_blur)))
+    return _finished(values, grid, result, prior, backend, at, rows, full, length, converged, steps, moved)
 
 
 def _down(at: _At, step: Tensor, prior: Prior, evaluate: Callable[..., _At]) -> _At | None:
@@ -138,6 +142,24 @@ def _down(at: _At, step: Tensor, prior: Prior, evaluate: Callable[..., _At]) -> 
         if found.objective < at.objective + ROUGHNESS:
             return evaluate(state, blur, found.intensities)
     return None
+
+
+class _Moved:
+    """A backend whose surface lies further out by `LEVEL_STEP`."""
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend, self.device, self.slack = backend, backend.device, backend.slack + LEVEL_STEP
+
+    def distances(self, theta: Tensor, points: Tensor) -> Tensor:
+        return self.backend.distances(theta, points) - LEVEL_STEP
+
+
+def _systematic(at: _At, every: Tensor, inverse: Tensor, moved: Renderer) -> Tensor:
+    """(K,K) covariance of the unknowns by `SURFACE_ERROR` all over the surface, which no number of voxels averages."""
+    outward = (moved(at.state, derivatives=False).share.flatten() - at.share) / LEVEL_STEP
+    own = outward * at.intensities.contrast() / at.intensities.variance(at.share)
+    shift = SURFACE_ERROR * (inverse @ (every @ own))
+    return shift[:, None] * shift
 
 
 def _rows(at: _At, make: Callable[[float], Renderer]) -> Tensor:
@@ -183,7 +205,7 @@ def _step(full: Tensor, gradient: Tensor, state: State, prior: Prior) -> Tensor:
 
 def _finished(
     values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At, rows: Tensor,
-    full: Tensor, length: float, converged: bool, steps: int,
+    full: Tensor, length: float, converged: bool, steps: int, moved: Renderer,
 ) -> FitResult:  # fmt: skip
     shape, count = values.shape, rows.shape[0]
     it = at.intensities
@@ -199,8 +221,8 @@ def _finished(
     white = full - (torch.cat([rows, design.T]) / deviation**2) @ torch.cat([rows, design.T]).T
     inverse = torch.linalg.inv(full)
     covariance = inverse @ (correlated_information(scaled, lags) + white) @ inverse
-    covariance = _not_narrower(covariance[:count, :count], inverse[:count, :count]) if lags else covariance
-    covariance = covariance[:count, :count]
+    covariance = _not_narrower(covariance, inverse) if lags else covariance
+    covariance = (covariance + _systematic(at, torch.cat([rows, design.T]), inverse, moved))[:count, :count]
 
     # The image as it were with even intensities, for the checks that know of no others.
     inside, outside = (float((w * (it.basis @ c)).sum() / w.sum().clamp_min(1e-12)) for w, c in zip(
