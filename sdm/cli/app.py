@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from sdm.cli.commands.bench import program
+from sdm.cli.common import examples
+from sdm.cli.common.argument_types import NUMBERS
 from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
@@ -42,6 +44,7 @@ COMMANDS = (
     "view",
     "demo",
     "doctor",
+    "completion",
     "bench",
 )
 
@@ -173,7 +176,7 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
         commands[name] = _later(getattr(module, name.replace("-", "_")), brief)
     said = io.StringIO()
     try:
-        with redirect_stderr(said):
+        with redirect_stderr(said), NUMBERS:
             return subcommand_cli_from_dict(
                 commands,
                 prog="sdm",
@@ -183,6 +186,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
             )
     except SystemExit as stop:
         if stop.code in (None, 0):
+            if {"-h", "--help"} & set(words):
+                print(examples.of_help(words), end="")
             return _nothing
         command = "sdm" if brief else f"sdm {words[0]}"
         raise UsageError(f"{sentence(said.getvalue())}; see {command} --help") from None

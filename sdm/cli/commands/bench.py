@@ -10,6 +10,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 # Benchmarks with words of their own, each a module with a `main` that takes these.
 PROGRAMS = {"zoo": "sdm.bench.zoo.__main__", "zoo-speed": "sdm.bench.zoo.speed"}
 
@@ -26,11 +28,13 @@ def bench(
     resolutions: tuple[int, ...] = (),
     points: int = 0,
     peers: tuple[str, ...] = (),
-    device: str = "auto",
+    device: Device = "auto",
     runs: int = 5,
     budget_s: float = 30.0,
     quick: bool = False,
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    out: Annotated[
+        Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="(default: none)")
+    ] = None,
     add: tuple[Path, ...] = (),
 ) -> int:
     """Time sdm and every other library that is installed, each checked against a float64 brute force first.
@@ -46,7 +50,7 @@ def bench(
         resolutions: Voxels along each axis of the grids; 16 to 256 if not given, as the device and --quick suggest.
         points: Also query this many scattered points, half of them near the surface.
         peers: Only peers whose name holds one of these words, for example sdm warp libigl.
-        device: cpu, cuda or cuda:N; by default a GPU if there is one.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
         runs: Timed calls for each figure; the median counts.
         budget_s: About how many seconds one peer may take for one mesh and grid; slower ones answer fewer points.
         quick: Small choices: under a minute on two cores.

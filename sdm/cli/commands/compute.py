@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
 from sdm.cli.common.numbers import numbers
 
 REPORT = "report.json"
@@ -35,7 +36,7 @@ def compute(
         Path | None, tyro.conf.arg(metavar="IMAGE", help_behavior_hint="(in place of --resolution)")
     ] = None,
     margin: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.05,
-    device: str = "auto",
+    device: Device = "auto",
     format: Annotated[  # noqa: A002
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
     ] = None,

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def decode(
     code: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CODE")],
@@ -17,7 +19,7 @@ def decode(
     to: Annotated[Path | None, tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: none)")] = None,
     count: int = 7,
     resolution: int = 256,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Turn a code of sdm encode into a mesh, a map or a picture, by how the output's name ends.
 
@@ -31,7 +33,7 @@ def decode(
         out: File to write.
         to: Another code: a strip of pictures from the first to this one.
         count: Pictures of the strip.
-        resolution: Points along each axis, or pixels of a picture.
+        resolution: Voxels along each axis, or pixels of a picture.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs

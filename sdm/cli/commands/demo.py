@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 if TYPE_CHECKING:
     import torch
 
@@ -24,7 +26,7 @@ SURROGATE_RUNS = 9
 def demo(
     resolution: int = 128,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"),
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Compute the signed distance map of the built-in mesh, a cochlea in millimetres.
 
@@ -34,7 +36,7 @@ def demo(
     Args:
         resolution: Voxels along each axis.
         out: Folder to write to; made if it is not there.
-        device: cpu, cuda or cuda:N; by default a GPU if there is one.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import torch
 

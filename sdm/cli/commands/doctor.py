@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 def doctor(
     *,
     compile_kernels: Annotated[bool, tyro.conf.arg(name="compile")] = False,
-    device: str = "all",
+    device: Device = "all",
     json: bool = False,
 ) -> None:
     """Say what sdm finds on this machine: GPUs, driver, compiled kernels, extras, memory, and what stands in the way.

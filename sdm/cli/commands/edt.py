@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
 from sdm.cli.common.numbers import numbers
 
 
@@ -23,7 +24,7 @@ def edt(
     smooth: Annotated[
         float | None, tyro.conf.arg(metavar="LENGTH", help_behavior_hint="(default: voxels as they are)")
     ] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Compute the exact signed distance map of each class of a label volume: negative inside, in the image's unit.
 

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def encode(
     shapes: Annotated[
@@ -24,7 +26,7 @@ def encode(
     ] = None,
     steps: int = 800,
     seed: int = 0,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Find the code of a shape that a DeepSDF was not trained on: the most probable one, given samples of the shape.
 
@@ -38,7 +40,7 @@ def encode(
         scan: The shapes are points of surfaces, perhaps of a part: find whole shapes that go through them.
         sphere: Centre and radius of the sphere around the whole shape. A scan of a part needs it.
         steps: Optimisation steps.
-        seed: Random seed.
+        seed: Whole number that everything random depends on.
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def evaluate(
     predictions: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PREDICTIONS")],
@@ -14,7 +16,7 @@ def evaluate(
     /,
     *,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Score predicted labels against true ones: overlap in percent, distances between the surfaces in mm.
 

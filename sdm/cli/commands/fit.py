@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 if TYPE_CHECKING:
     from sdm.fit import FitResult
 
@@ -45,7 +47,7 @@ def fit(
     weights: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the package's)")
     ] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Fit a family of shapes to an image: shape parameters and pose with 90 % intervals. By default the cochlea to CT.
 

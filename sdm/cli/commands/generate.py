@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 if TYPE_CHECKING:
     from sdm.shapes import Family
 
@@ -41,7 +43,7 @@ def generate(
     compression: Annotated[
         Literal["zstd", "none"] | None, tyro.conf.arg(metavar="{zstd,none}", help_behavior_hint="(default: zstd)")
     ] = None,
-    device: str = "auto",
+    device: Device = "auto",
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
     resume: bool = False,
     verify: bool = False,

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def sample(
     meshes: Annotated[
@@ -40,7 +42,7 @@ def sample(
     ] = None,
     open_meshes: Literal["reject", "keep"] = "reject",
     seed: int = 0,
-    device: str = "auto",
+    device: Device = "auto",
     resume: bool = False,
     skip_bad: bool = False,
 ) -> int | None:

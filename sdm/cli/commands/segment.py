@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def segment(
     images: Annotated[
@@ -17,7 +19,7 @@ def segment(
     *,
     model: Annotated[
         tyro.conf.UseAppendAction[list[Path]],
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(required; may be repeated)"),
+        tyro.conf.arg(aliases=["-m"], metavar="FILE", help_behavior_hint="(required; may be repeated)"),
     ],
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     stride: Annotated[
@@ -25,7 +27,7 @@ def segment(
     ] = None,
     all_parts: bool = False,
     mirrors: bool = False,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Segment images by one or several networks of `sdm train segmentation`.
 

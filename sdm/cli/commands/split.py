@@ -8,6 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def split(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")],
@@ -21,7 +23,7 @@ def split(
     seed: int = 0,
     twins: float = 0.01,
     group: Annotated[str | None, tyro.conf.arg(metavar="REGEX", help_behavior_hint="(default: none)")] = None,
-    device: str = "auto",
+    device: Device = "auto",
     skip_bad: bool = False,
 ) -> None:
     """Deal the meshes of a folder to training, validation and test, so that no near twins are on two sides.

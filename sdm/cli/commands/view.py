@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def view(
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP_OR_MESH")],
@@ -16,7 +18,7 @@ def view(
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.png", help_behavior_hint="(default: a window)")
     ] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Look at a signed distance map: its surface, and a cut through it that the mouse moves.
 

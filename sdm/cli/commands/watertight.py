@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def watertight(
     meshes: Annotated[
@@ -34,7 +36,7 @@ def watertight(
     ] = None,
     skip_bad: bool = False,
     resume: bool = False,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Make one closed surface of each mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
 

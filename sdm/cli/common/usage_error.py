@@ -17,8 +17,8 @@ PROPOSAL = "Perhaps you meant"
 VALUES = (
     (re.compile(r"invalid literal for int\(\) with base 10: (.*)"), r"takes a whole number, not \1"),
     (re.compile(r"could not convert string to float: (.*)"), r"takes a number, not \1"),
-    (re.compile(r"no type matching INT could be instantiated from \[(.*)\]"), r"takes a whole number, not \1"),
-    (re.compile(r"no type matching FLOAT could be instantiated from \[(.*)\]"), r"takes a number, not \1"),
+    (re.compile(r"no type matching N could be instantiated from \[(.*)\]"), r"takes a whole number, not \1"),
+    (re.compile(r"no type matching X could be instantiated from \[(.*)\]"), r"takes a number, not \1"),
     (re.compile(r"no type matching (\S+) could be instantiated from \[(.*)\]"), r"takes \1, not \2"),
 )
 PARSING = re.compile(r"Error parsing (\S+): (.*)")

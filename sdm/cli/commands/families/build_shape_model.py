@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def build(
     meshes: Annotated[tyro.conf.Positional[list[Path]], tyro.conf.arg(metavar="MESH|FOLDER ...")],
@@ -23,7 +25,7 @@ def build(
     lay: bool = False,
     limit: float = 3.0,
     resolution: int = 64,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Build a statistical shape model: a mean, modes of variation and their standard deviations.
 
@@ -43,7 +45,7 @@ def build(
         lay: Lay a template even onto meshes with the same faces.
         limit: How many standard deviations the model's box of parameters reaches to each side.
         resolution: Voxels along the longest edge of the maps of --method sdm.
-        device: auto, cpu, cuda or cuda:N.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.output_files import inputs_of

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def check(
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FAMILY")],
@@ -20,7 +22,7 @@ def check(
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: none)")
     ] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Check that a family's shapes are closed, face outward and do not cut themselves, and that derivatives are right.
 
@@ -34,7 +36,7 @@ def check(
         triangles: About how many triangles a shape has.
         seed: Whole number that the samples depend on.
         out: Write all figures to this JSON file too.
-        device: auto, cpu, cuda or cuda:N.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import json
 

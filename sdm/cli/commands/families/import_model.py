@@ -14,7 +14,7 @@ def import_model(
     *,
     mean: Path,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    vertices: str | None = None,
+    vertices: Annotated[str | None, tyro.conf.arg(metavar="FIRST:END", help_behavior_hint="(default: all)")] = None,
 ) -> None:
     """Take over a model of principal components from GIAS, as articulated-ssm has them of bones (.pc.npz).
 
@@ -22,7 +22,7 @@ def import_model(
         source: The model, .pc.npz: mean, weights and modes. Nothing in it is unpickled.
         mean: Mesh of the mean shape with the model's vertices: its faces are taken.
         out: Model to write, .npz.
-        vertices: The part to take, as FIRST:END: one bone of several. By default all.
+        vertices: The vertices to take, those of one bone of several.
     """
     from sdm.io import load_mesh
     from sdm.shapes.models.gias_model import read_gias_model

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 if TYPE_CHECKING:
     from sdm.core.mesh import TriangleMesh
 
@@ -25,7 +27,7 @@ def deepsdf(
     points: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
     width: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
     seed: int = 0,
-    device: str = "auto",
+    device: Device = "auto",
     resume: bool = False,
     skip_bad: bool = False,
     split: Annotated[str | None, tyro.conf.arg(metavar="PART", help_behavior_hint="(default: all)")] = None,

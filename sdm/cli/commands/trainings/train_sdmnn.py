@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def sdmnn(
     *,
@@ -32,7 +34,7 @@ def sdmnn(
     start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     seed: int = 0,
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: in OUT)")] = None,
-    device: str = "auto",
+    device: Device = "auto",
 ) -> int | None:
     """Train a surrogate: from the parameters of a family of shapes to a signed distance map.
 
@@ -47,7 +49,7 @@ def sdmnn(
     Args:
         out: Folder to write to; made if it is not there.
         family: cochlea, FILE.py:NAME of yours (the file is run), a shape model's MODEL.npz, ...
-        resolution: With --family, voxels along each axis.
+        resolution: Voxels along each axis, with --family.
         model: sdmnn is the network of Wang et al., MIDL 2020; sdmnn-plus is quicker and more accurate, with
             a file seven times as large.
         modes: Modes of sdmnn-plus; fewer than there are maps in the store when training begins.
@@ -70,7 +72,7 @@ def sdmnn(
         start: Weights to go on from, for example the shipped ones; their sizes replace --modes and --channels.
         seed: Whole number that the training depends on.
         checkpoint: File of the checkpoint, up to 100 MB.
-        device: auto, cpu, cuda or cuda:N.
+        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.core.device import choose_device

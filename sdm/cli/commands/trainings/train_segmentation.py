@@ -7,12 +7,14 @@ from typing import Annotated, Literal
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def segmentation(
     *,
     data: Path,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    method: str = "baseline",
+    method: Annotated[str, tyro.conf.arg(metavar="METHOD")] = "baseline",
     network: Literal["vnet", "unet"] = "vnet",
     patch: tuple[int, int, int] = (112, 112, 80),
     coarsen: int = 1,
@@ -23,7 +25,7 @@ def segmentation(
     schedule: Literal["cosine", "constant"] = "cosine",
     average: float = 0.0,
     augment: Literal["none", "published", "affine", "strong", "scanner"] = "affine",
-    mirrors: str = "xyz",
+    mirrors: Annotated[str, tyro.conf.arg(metavar="AXES")] = "xyz",
     targets: Literal["case", "patch"] = "case",
     filters: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(as published)")] = None,
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
@@ -34,7 +36,7 @@ def segmentation(
     ] = None,
     seed: int = 0,
     budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
-    device: str = "auto",
+    device: Device = "auto",
     compile: bool = False,  # noqa: A002
     bfloat16: bool = False,
     resume: bool = False,

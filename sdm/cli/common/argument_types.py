@@ -1,0 +1,26 @@
+"""Types of arguments by the words that stand for them in help: N for whole numbers, X for others, DEVICE."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import tyro
+
+Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
+
+NUMBERS = tyro.constructors.ConstructorRegistry()
+
+
+@NUMBERS.primitive_rule
+def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+    """`N` and `X` in place of Python's names of types."""
+    if info.type not in (int, float):
+        return None
+    kind = info.type
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="N" if kind is int else "X",
+        instance_from_str=lambda words: kind(words[0]),
+        is_instance=lambda value: isinstance(value, kind) and not isinstance(value, bool),
+        str_from_instance=lambda value: [str(value)],
+    )
