@@ -49,7 +49,12 @@ COMMANDS = (
 )
 
 # Of commands whose module is not called like them.
-MODULES = {"family": "families.family_commands", "shape-model": "families.model_commands"}
+MODULES = {
+    "family": "families.family_commands",
+    "shape-model": "families.model_commands",
+    "doctor": "setup.doctor",
+    "completion": "setup.completion",
+}
 
 DESCRIPTION = """Exact signed distance maps of triangle meshes, negative inside. Lengths are in the mesh's own unit."""
 

@@ -1,4 +1,4 @@
-"""Notice that kernels compile, which takes long and happens once on a machine."""
+"""Notice that kernels compile, which takes long and happens once for each group of kernels on a machine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-NOTICE = "sdm: compiling kernels: 10 s to a minute, once on this machine"
+NOTICE = "sdm: compiling kernels that this command is the first to need: 10 s to a minute, and kept"
 # Warp's own builders: what they made is kept in a cache, and they are called for what is not in it.
 BUILDERS = ("build_cpu", "build_cuda")
 
