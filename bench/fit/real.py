@@ -103,4 +103,14 @@ def residual(mesh: TriangleMesh, result: FitResult, backend: Any) -> dict[str, f
         "mean_mm": round(float((there.mean() + back.mean()) / 2), 4),
         "95_percent_mm": round(float(both.quantile(0.95)), 4),
         "largest_mm": round(float(both.max()), 4),
+        "dice": round(dice(mesh, own), 4),
     }
+
+
+def dice(mesh: TriangleMesh, other: TriangleMesh, spacing: float = 0.1) -> float:
+    """Overlap of two shapes, on voxels of `spacing` [mm]."""
+    low = torch.minimum(mesh.vertices.amin(0), other.vertices.amin(0)) - spacing
+    high = torch.maximum(mesh.vertices.amax(0), other.vertices.amax(0)) + spacing
+    grid = Grid(low.tolist(), (spacing,) * 3, ((high - low) / spacing).ceil().int().tolist())
+    one, two = (MeshIndex(m, "cpu").signed_distance_map(grid).values < 0 for m in (mesh, other))
+    return 2 * float((one & two).sum()) / float(one.sum() + two.sum())
