@@ -14,6 +14,8 @@ WORKERS ?= 2
 # ever: it hands out files again that have nothing left to run.
 PARALLEL = -n $(WORKERS) --dist loadfile --max-worker-restart=0
 RECORDS ?= bench/results
+# Where `make figures` draws.
+FIGURES ?= docs
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
 CODE = $(wildcard sdm kernels tests bench)
 
@@ -22,7 +24,7 @@ INTEGRATIONS = dev,bench,formats,integrations,jax,monai,nnunet,pyvista,torchio
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
 	tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
 
-.PHONY: demo test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
+.PHONY: demo figures test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -69,6 +71,19 @@ records: $(VENV)/.installed-bench ## On a GPU, about ten minutes: its tests, the
 	$(BIN)/python -m sdm.bench.stream --parts rates training loader --out $(RECORDS)/stream.json
 	$(BIN)/python -m sdm.bench.edt --device cuda --out $(RECORDS)/edt-cuda.json
 	$(BIN)/python -m sdm.bench.dense.accuracy --device cuda --out $(RECORDS)/accuracy-cuda.json
+
+figures: $(VENV)/.installed-bench ## Draw the pictures of README and docs again, from records or in seconds, in FIGURES
+	$(BIN)/sdm demo --out $(FIGURES)/new-demo --device cpu
+	mv $(FIGURES)/new-demo/demo.png $(FIGURES)/new-demo/surrogate.png $(FIGURES)
+	rm -r $(FIGURES)/new-demo
+	$(BIN)/python -m sdm.bench.dense.stages_figure --out $(FIGURES)/stages.png
+	$(BIN)/python -m sdm.bench.dense.plot_results bench/results/dense-h200.json --out $(FIGURES)/new-dense
+	mv $(FIGURES)/new-dense/dense-h200-ratios.png $(FIGURES)/new-dense/dense-h200-triangles.png $(FIGURES)
+	rm -r $(FIGURES)/new-dense
+	$(BIN)/python -m sdm.bench.surrogate.plots --out $(FIGURES)
+	$(BIN)/python -m sdm.bench.segmentation.plots --out $(FIGURES)
+	$(BIN)/python -m sdm.bench.deepsdf.study plot --out $(FIGURES)/deepsdf-study.png
+	$(BIN)/python -m sdm.bench.fit pictures --docs $(FIGURES)
 
 release: $(VENV)/.installed-release ## Build dist/, check it in a fresh environment, and stop before the upload
 	rm -rf dist build

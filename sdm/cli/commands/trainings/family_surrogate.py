@@ -55,8 +55,9 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
         card_sheet(
             exact, guess, card, out / "card.png", title=f"{family.name}: {resolution}^3 voxels of {card['voxel']:.3g}"
         )
+    unit = f" {card['unit']}" if card["unit"] else ""
     print(
-        f"{out}: mean error {card['mean']:.3g}, near the surface {card['near']:.3g}, Dice {card['dice']:.4f}, "
+        f"{out}: mean error {card['mean']:.3g}{unit}, near the surface {card['near']:.3g}{unit}, Dice {card['dice']:.4f}, "
         f"the least found {card['worst']['dice']['dice']:.4f}; see card.md"
     )
 
