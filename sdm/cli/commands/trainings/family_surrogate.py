@@ -57,8 +57,8 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
         )
     unit = f" {card['unit']}" if card["unit"] else ""
     print(
-        f"{out}: mean error {card['mean']:.3g}{unit}, near the surface {card['near']:.3g}{unit}, Dice {card['dice']:.4f}, "
-        f"the least found {card['worst']['dice']['dice']:.4f}; see card.md"
+        f"{out}: mean error {card['mean']:.3g}{unit}, near the surface {card['near']:.3g}{unit}, "
+        f"Dice {card['dice']:.4f}, the least found {card['worst']['dice']['dice']:.4f}; see card.md"
     )
 
 
