@@ -21,6 +21,9 @@ from sdm.core.tricubic import tricubic
 from sdm.core.trilinear import trilinear
 from sdm.errors import GridError, SDMError
 
+# Voxels whose signs are held at a time, a byte each.
+COUNTED_AT_ONCE = 1 << 22
+
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class SDM:
@@ -132,8 +135,11 @@ class SDM:
     def _count_inside(self) -> int:
         if self.values.device.type != "cpu":
             return int((self.values < 0).sum())
-        # Layer by layer, as a small map takes torch's threads longer to share than one to count.
-        return sum(int(np.count_nonzero(layer < 0)) for layer in self.values.detach().numpy())
+        # By NumPy, as a small map takes torch's threads longer to share than one to count; in large pieces, since each
+        # operation hands Python's lock to another thread, and 128 layers would wait for it 256 times.
+        values = self.values.detach().numpy()
+        layers = max(1, COUNTED_AT_ONCE * len(values) // max(1, values.size))
+        return sum(int(np.count_nonzero(values[at : at + layers] < 0)) for at in range(0, len(values), layers))
 
     def checked_by(self, check: Callable[[Grid, int], None]) -> SDM:
         """This map, with a check that is called once, with its grid and the number of its inside voxels.

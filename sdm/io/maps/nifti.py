@@ -32,6 +32,8 @@ BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
 # Of 0 to 3. Distances hardly shrink by more work.
 LEVEL = 1
+# Bytes that are packed before they go to the disk: of many threads each waits for Python's lock after every write.
+BUFFER = 1 << 22
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
@@ -45,7 +47,10 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
     `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
     """
-    with path.open("wb") as file, igzip.IGzipFile("", "wb", compresslevel=LEVEL, fileobj=file, mtime=0) as packed:
+    with (
+        path.open("wb", buffering=BUFFER) as file,
+        igzip.IGzipFile("", "wb", compresslevel=LEVEL, fileobj=file, mtime=0) as packed,
+    ):
         _image(field, made_from, space).to_stream(packed)
 
 

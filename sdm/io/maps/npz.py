@@ -11,6 +11,7 @@ import torch
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
+from sdm.io.files.npz_archive import write_archive
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.record import (
     DISAGREEMENTS,
@@ -42,7 +43,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         kept["ambiguous_voxels"] = UNCOUNTED
     arrays: dict[str, Any] = {name: np.asarray(kept[name]) for name in (*FIELDS, *KNOWN) if name in kept}
     with path.open("wb") as file:
-        np.savez(file, values=stored_values(field), **arrays)
+        write_archive(file, {"values": stored_values(field), **arrays})
 
 
 def read(path: Path) -> SDM:
