@@ -29,7 +29,7 @@ def write_archive(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
                 if array.flags.c_contiguous and array.nbytes >= LARGE and not array.dtype.hasobject:
                     head = np.lib.format.header_data_from_array_1_0(array)
                     np.lib.format.write_array_header_1_0(member, head)
-                    member.write(memoryview(array).cast("B"))
+                    member.write(array.reshape(-1).view(np.uint8).data)
                 else:
                     np.lib.format.write_array(member, array, allow_pickle=False)
     for piece in pieces.held:
