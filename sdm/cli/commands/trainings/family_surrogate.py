@@ -39,6 +39,7 @@ def train_of_family(name: str, out: Path, *, budget_s: float | None, resolution:
         )
         training = {"budget_s": budget_s, "seed": seed, "device": where.type}
         save_family_surrogate(model, grid, family_record(family), out, training=training)
+        print("measuring it: fresh shapes, and a search for the worst ones", flush=True)
         card = measure_card(model, family, grid, seed=seed, device=where)
         units = {p.unit for p in family.parameters} & {"mm", "m", "cm"}
         card = {"family": family.name, "training": training, "unit": units.pop() if len(units) == 1 else None, **card}
