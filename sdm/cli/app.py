@@ -42,6 +42,7 @@ COMMANDS = (
     "segment",
     "evaluate",
     "view",
+    "explore",
     "demo",
     "doctor",
     "completion",
@@ -82,6 +83,7 @@ WITH_KERNELS = (
     "encode",
     "decode",
     "view",
+    "explore",
     "demo",
 )
 

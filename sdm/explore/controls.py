@@ -1,0 +1,91 @@
+"""Controls of a page, and what a scene shows for their values, without a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+
+from sdm.core.signed_distance_map import SDM
+
+# Of each control by its label: a slider's number, a choice's option, a switch's True or False.
+Values = Mapping[str, float | str | bool]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number from `low` to `high`, in steps of `step`; `start` is where it stands at first."""
+
+    label: str
+    low: float
+    high: float
+    step: float
+    start: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of several options, the first at first."""
+
+    label: str
+    options: tuple[str, ...]
+
+    @property
+    def start(self) -> str:
+        """The option at first."""
+        return self.options[0]
+
+
+@dataclass(frozen=True)
+class Switch:
+    """On or off."""
+
+    label: str
+    start: bool = False
+
+
+Control = Slider | Choice | Switch
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A surface and a map to look at.
+
+    Args:
+        vertices: (V,3) float32, in the mesh's unit.
+        faces: (F,3) int32, counter-clockwise from outside; none where there is no surface.
+        field: The map that the plane cuts.
+        note: Lines of Markdown beside the controls.
+        colours: (V,3) uint8, one for each vertex; None for the usual one.
+        quantity: Name of the values that the plane cuts.
+        scale_end: Value at the ends of the colour scale; None to choose it by the values.
+        centre: Value in the middle of the colours, where the thick line is: 0 for distances, 0.5 for winding numbers.
+    """
+
+    vertices: Float32[np.ndarray, "v 3"]
+    faces: Int32[np.ndarray, "f 3"]
+    field: SDM
+    note: str
+    colours: UInt8[np.ndarray, "v 3"] | None = None
+    quantity: str = "signed distance"
+    scale_end: float | None = None
+    centre: float = 0.0
+
+
+class Scene(Protocol):
+    """A thing to explore: its controls, and what it shows for their values."""
+
+    title: str
+    controls: Sequence[Control]
+
+    def show(self, values: Values) -> Shown:
+        """The surface and map for the values of all controls."""
+        ...
+
+
+def start_values(scene: Scene) -> dict[str, float | str | bool]:
+    """The values that the controls have at first."""
+    return {control.label: control.start for control in scene.controls}

@@ -1,0 +1,87 @@
+"""Shapes of a family, by sliders of its parameters: exact, or by a surrogate and coloured by its error."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from sdm.core.grid import Grid
+from sdm.core.signed_distance_map import SDM
+from sdm.engine.api import signed_distance_map
+from sdm.errors import MeshError
+from sdm.explore.controls import Choice, Control, Shown, Slider, Switch, Values
+from sdm.explore.cutting_plane import coloured
+from sdm.shapes import Family
+
+SURROGATE, EXACT = "surrogate", "exact engine"
+METHOD, ERROR = "map by", "error of the surrogate"
+# A network's errors beyond this many voxels have the colour of this many.
+ERROR_END_VOXELS = 0.5
+
+
+class FamilyScene:
+    """A family's shapes.
+
+    Args:
+        family: Any family.
+        resolution: Voxels along each axis of the exact engine's map; the surrogate has a grid of its own.
+        device: Where the exact engine computes.
+        predictor: A surrogate of the family, with `predict(theta) -> SDM`; None if there is none.
+    """
+
+    def __init__(self, family: Family, resolution: int, device: torch.device, predictor: Any = None) -> None:
+        if not family.parameters:
+            raise MeshError(f"{family.name} has no parameters to explore; give one of its meshes")
+        self.family, self.device, self.predictor = family, device, predictor
+        self.title = family.name
+        self.grid: Grid = family.grid(resolution)
+        self.labels = [p.name if p.unit == "1" else f"{p.name} [{p.unit}]" for p in family.parameters]
+        controls: list[Control] = [
+            Slider(label, p.low, p.high, (p.high - p.low) / 200, (p.low + p.high) / 2)
+            for label, p in zip(self.labels, family.parameters, strict=True)
+            if p.low < p.high
+        ]
+        if predictor is not None:
+            controls += [Choice(METHOD, (SURROGATE, EXACT)), Switch(ERROR)]
+        self.controls = controls
+
+    def theta(self, values: Values) -> torch.Tensor:
+        """Parameters (P,) float32 that sliders say, within the family's box."""
+        numbers = [
+            min(max(float(values.get(label, p.low)), p.low), p.high)
+            for label, p in zip(self.labels, self.family.parameters, strict=True)
+        ]
+        return torch.tensor(numbers, dtype=torch.float32, device="cpu")
+
+    def show(self, values: Values) -> Shown:
+        """The shape of these parameters."""
+        theta = self.theta(values)
+        if self.predictor is not None and values.get(ERROR):
+            return self._with_error(theta)
+        quick = self.predictor is not None and values.get(METHOD, SURROGATE) == SURROGATE
+        field = self.predictor.predict(theta) if quick else self._exact(theta)
+        surface = field.to_mesh()
+        count = len(surface.faces)
+        note = f"{SURROGATE if quick else EXACT}, {'×'.join(map(str, field.grid.shape))} voxels, {count:,} triangles"
+        return Shown(surface.vertices.cpu().numpy(), surface.faces.cpu().numpy(), field.cpu(), note)
+
+    def _exact(self, theta: torch.Tensor) -> SDM:
+        with torch.no_grad():
+            return signed_distance_map(self.family.mesh(theta.to(self.device)), self.grid, device=self.device)
+
+    def _with_error(self, theta: torch.Tensor) -> Shown:
+        """The exact surface, coloured by the surrogate's distance there, which should be 0."""
+        mesh = self.family.mesh(theta)
+        field = self.predictor.predict(theta)
+        error = field.sample(mesh.vertices).numpy()
+        end = ERROR_END_VOXELS * max(field.grid.spacing)
+        unit = self.family.parameters[0].unit if self.family.parameters else "1"
+        unit = "" if unit in ("1", "rad") else f" {unit}"
+        note = (
+            f"error of the surrogate on the exact surface: {np.abs(error).mean():.3f}{unit} on average, "
+            f"{np.abs(error).max():.3f}{unit} at most; blue: its surface lies inside the exact one, red: outside; "
+            f"full colour at {end:.2g}{unit}"
+        )
+        return Shown(mesh.vertices.numpy(), mesh.faces.numpy(), field, note, colours=coloured(error / end))

@@ -1,0 +1,176 @@
+"""A page that viser shows: a scene's controls, its surface, and the plane that cuts it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sdm.explore.colour_bar import colour_bar
+from sdm.explore.controls import Choice, Control, Scene, Shown, Slider, start_values
+from sdm.explore.cutting_plane import AXES, Cut, cut, cut_away, scale_of
+from sdm.explore.newest_values import NewestValues
+
+PLANE, PLACE, ACROSS, OPEN = "show the plane", "place", "across", "cut the surface open"
+SURFACE_COLOUR = (222, 203, 176)
+LINE_COLOUR, MIDDLE_COLOUR = (70, 70, 70), (0, 0, 0)
+# Pixels.
+LINE, MIDDLE_LINE = 1.0, 3.0
+# The camera looks from this direction, and from so many radii of the scene.
+EYE, RADII = np.array([0.75, -0.95, 0.55]), 2.3
+
+
+class Page:
+    """One scene on a server of viser's.
+
+    Args:
+        server: A `viser.ViserServer`.
+        scene: What to show.
+        newest: Where the values of controls are put; `draw` takes them.
+        unit: Of lengths, for the colour bar; "" if not known.
+    """
+
+    def __init__(self, server: Any, scene: Scene, newest: NewestValues, unit: str = "") -> None:
+        self.server, self.scene, self.newest, self.unit = server, scene, newest, unit
+        self.values: dict[str, Any] = start_values(scene)
+        self.plane: dict[str, Any] = {PLANE: True, ACROSS: "y", PLACE: 0.5, OPEN: True}
+        self.drawn = 0
+        self._handles: dict[str, Any] = {}
+        self._shown: Shown | None = None
+        self._scale: tuple[str, float] | None = None
+        server.gui.configure_theme(control_layout="fixed", show_logo=False, show_share_button=False)
+        server.gui.add_markdown(f"### {scene.title}")
+        for control in scene.controls:
+            self._add(control)
+        with server.gui.add_folder("plane"):
+            self._listen(PLANE, server.gui.add_checkbox(PLANE, True))
+            self._listen(ACROSS, server.gui.add_dropdown(ACROSS, AXES, initial_value="y"))
+            self._listen(PLACE, server.gui.add_slider(PLACE, 0.0, 1.0, 0.005, 0.5))
+            self._listen(OPEN, server.gui.add_checkbox(OPEN, True))
+            self._bar = server.gui.add_image(np.full((2, 2, 3), 255, np.uint8), format="png")
+        self._note = server.gui.add_markdown("")
+        self.draw(self.values)
+        self._look()
+
+    def draw(self, changed: dict[str, Any]) -> None:
+        """Draw what the newest values say."""
+        for name, value in changed.items():
+            (self.plane if name in self.plane else self.values)[name] = value
+        if self._shown is None or any(name in self.values for name in changed):
+            self._shown = self.scene.show(self.values)
+        shown = self._shown
+        limit = self._limit(shown)
+        plane = cut(shown.field, self.plane[ACROSS], self.plane[PLACE], limit, shown.centre)
+        with self.server.atomic():
+            self._draw_surface(shown, plane)
+            self._draw_plane(plane)
+            self._note.content = shown.note
+        self._bar.image = colour_bar(limit, shown.centre, plane.step, shown.quantity, self._unit_of(shown))
+        self.drawn += 1
+
+    def _add(self, control: Control) -> None:
+        gui = self.server.gui
+        if isinstance(control, Slider):
+            handle = gui.add_slider(control.label, control.low, control.high, control.step, control.start)
+        elif isinstance(control, Choice):
+            handle = gui.add_dropdown(control.label, control.options, initial_value=control.start)
+        else:
+            handle = gui.add_checkbox(control.label, control.start)
+        self._listen(control.label, handle)
+
+    def _listen(self, name: str, handle: Any) -> None:
+        # A coroutine runs on the server's own thread; a plain function would run on one of a pool.
+        async def put(event: Any) -> None:
+            self.newest.put(name, event.target.value)
+
+        handle.on_update(put)
+
+    def _limit(self, shown: Shown) -> float:
+        """The end of the colour scale, which stays while values of one kind change, so that colours can be compared."""
+        if shown.scale_end is not None:
+            return shown.scale_end
+        if self._scale is None or self._scale[0] != shown.quantity:
+            self._scale = (shown.quantity, scale_of(shown.field))
+        return self._scale[1]
+
+    def _unit_of(self, shown: Shown) -> str:
+        return self.unit if shown.scale_end is None else ""
+
+    def _draw_surface(self, shown: Shown, plane: Cut) -> None:
+        faces = shown.faces
+        if self.plane[PLANE] and self.plane[OPEN]:
+            faces = cut_away(shown.vertices, faces, plane)
+        handle = self._handles.get("surface")
+        if shown.colours is None and handle is not None and len(faces) and hasattr(handle, "vertices"):
+            # Indices must never point beyond the vertices that are there, between the two.
+            handle.vertices, handle.faces = shown.vertices, faces.astype(np.uint32)
+            return
+        if handle is not None:
+            handle.remove()
+            self._handles.pop("surface")
+        if not len(faces):
+            return
+        if shown.colours is None:
+            self._handles["surface"] = self.server.scene.add_mesh_simple(
+                "/surface", shown.vertices, faces.astype(np.uint32), color=SURFACE_COLOUR, side="double"
+            )
+            return
+        import trimesh
+
+        mesh = trimesh.Trimesh(shown.vertices, faces, vertex_colors=shown.colours, process=False)
+        self._handles["surface"] = self.server.scene.add_mesh_trimesh("/surface", mesh)
+
+    def _draw_plane(self, plane: Cut) -> None:
+        scene = self.server.scene
+        visible = bool(self.plane[PLANE])
+        for name in ("plane", "lines", "middle"):
+            handle = self._handles.pop(name, None)
+            if handle is not None:
+                handle.remove()
+        if not visible:
+            return
+        self._handles["plane"] = scene.add_image(
+            "/plane",
+            plane.image,
+            *plane.size,
+            format="jpeg",
+            jpeg_quality=90,
+            wxyz=_quaternion(plane.rotation),
+            position=plane.position,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        # A hair before the plane, on the side that is looked at.
+        lift = (1e-3 * max(plane.size) * plane.rotation[:, 2]).astype(np.float32)
+        for name, lines, colour, thickness in (
+            ("lines", plane.lines, LINE_COLOUR, LINE),
+            ("middle", plane.middle, MIDDLE_COLOUR, MIDDLE_LINE),
+        ):
+            if len(lines):
+                self._handles[name] = scene.add_line_segments(
+                    f"/{name}", lines + lift, np.array(colour, np.uint8), thickness=thickness, thickness_units="screen"
+                )
+
+    def _look(self) -> None:
+        """Place the camera so that the surface, or else the map, fills the page."""
+        assert self._shown is not None  # noqa: S101  drawn in the constructor
+        points = self._shown.vertices
+        if not len(points):
+            grid = self._shown.field.grid
+            points = (grid.affine[:3, :3] @ np.diag(np.subtract(grid.shape, 1))).T + grid.affine[:3, 3]
+        low, high = points.min(0), points.max(0)
+        middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        camera = self.server.initial_camera
+        camera.look_at = tuple(map(float, middle))
+        # The plane's normal side is cut away: that is where to look from.
+        eye = np.abs(EYE) if self.plane[ACROSS] != "y" else EYE * [1, -1, 1]
+        camera.position = tuple(map(float, middle + RADII * radius * eye / np.linalg.norm(eye)))
+        camera.up = (0.0, 0.0, 1.0)
+        camera.near, camera.far = radius / 100, radius * 100
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """(w,x,y,z) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
