@@ -79,7 +79,11 @@ class Scene(Protocol):
     """A thing to explore: its controls, and what it shows for their values."""
 
     title: str
-    controls: Sequence[Control]
+
+    @property
+    def controls(self) -> Sequence[Control]:
+        """In the order in which a page has them."""
+        ...
 
     def show(self, values: Values) -> Shown:
         """The surface and map for the values of all controls."""

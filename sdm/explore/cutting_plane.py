@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, UInt8
+from jaxtyping import Float32, Int32, UInt8
 
 from sdm.core.signed_distance_map import SDM
 from sdm.viz.figure import colour_limit, colour_map, line_step
@@ -34,8 +35,8 @@ class Cut:
 
     image: UInt8[np.ndarray, "h w 3"]
     size: tuple[float, float]
-    position: Float64[np.ndarray, 3]
-    rotation: Float64[np.ndarray, "3 3"]
+    position: np.ndarray
+    rotation: np.ndarray
     lines: Float32[np.ndarray, "n 2 3"]
     middle: Float32[np.ndarray, "m 2 3"]
     step: float
@@ -97,7 +98,7 @@ def scale_of(field: SDM) -> float:
 
 
 @lru_cache(maxsize=1)
-def _table() -> UInt8[np.ndarray, "256 3"]:
+def _table() -> UInt8[np.ndarray, "n 3"]:
     colours = np.asarray(colour_map()(np.linspace(0, 1, 256)))[:, :3]
     return (255 * colours + 0.5).astype(np.uint8)
 
@@ -114,7 +115,7 @@ def _picture(share: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     times = max(1, math.ceil(PIXELS / max(share.shape)))
     if times > 1 and np.isfinite(share).all():
         # Voxels are areas of the picture, whose middles the values belong to.
-        share = zoom(share, times, order=1, grid_mode=True, mode="nearest")
+        share = np.asarray(zoom(share, times, order=1, grid_mode=True, mode="nearest"))
     return coloured(share)
 
 
@@ -124,7 +125,7 @@ def _contours(values: np.ndarray, step: float) -> tuple[list[np.ndarray], list[n
 
     if min(values.shape) < 2 or not np.isfinite(values).all():
         return [], []
-    make = contour_generator(z=values)
+    make: Any = contour_generator(z=values)
     low, high = math.ceil(float(values.min()) / step), math.floor(float(values.max()) / step)
     numbers = [n for n in range(low, high + 1) if n != 0]
     if len(numbers) > MOST_LINES:

@@ -34,12 +34,13 @@ class FamilyScene:
     def __init__(self, family: Family, resolution: int, device: torch.device, predictor: Any = None) -> None:
         if not family.parameters:
             raise MeshError(f"{family.name} has no parameters to explore; give one of its meshes")
-        self.family, self.device, self.predictor = family, device, predictor
+        self.family, self.device = family, device
+        self.predictor: Any = predictor
         self.title = family.name
         self.grid: Grid = family.grid(resolution)
         self.labels = [p.name if p.unit == "1" else f"{p.name} [{p.unit}]" for p in family.parameters]
         controls: list[Control] = [
-            Slider(label, p.low, p.high, (p.high - p.low) / 200, (p.low + p.high) / 2)
+            Slider(label, _brief(p.low), _brief(p.high), _brief((p.high - p.low) / 200), _brief((p.low + p.high) / 2))
             for label, p in zip(self.labels, family.parameters, strict=True)
             if p.low < p.high
         ]
@@ -61,7 +62,7 @@ class FamilyScene:
         if self.predictor is not None and values.get(ERROR):
             return self._with_error(theta)
         quick = self.predictor is not None and values.get(METHOD, SURROGATE) == SURROGATE
-        field = self.predictor.predict(theta) if quick else self._exact(theta)
+        field = self.predictor.predict(theta) if self.predictor is not None and quick else self._exact(theta)
         surface = field.to_mesh()
         count = len(surface.faces)
         note = f"{SURROGATE if quick else EXACT}, {'×'.join(map(str, field.grid.shape))} voxels, {count:,} triangles"
@@ -85,3 +86,8 @@ class FamilyScene:
             f"full colour at {end:.2g}{unit}"
         )
         return Shown(mesh.vertices.numpy(), mesh.faces.numpy(), field, note, colours=coloured(error / end))
+
+
+def _brief(number: float) -> float:
+    """Three digits, for the ends of a slider; `theta` keeps within the box."""
+    return float(f"{number:.3g}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from typing import Any
 
 import numpy as np
@@ -10,14 +12,15 @@ from sdm.explore.colour_bar import colour_bar
 from sdm.explore.controls import Choice, Control, Scene, Shown, Slider, start_values
 from sdm.explore.cutting_plane import AXES, Cut, cut, cut_away, scale_of
 from sdm.explore.newest_values import NewestValues
+from sdm.viz.figure import line_step
 
-PLANE, PLACE, ACROSS, OPEN = "show the plane", "place", "across", "cut the surface open"
+PLANE, PLACE, ACROSS, OPEN = "show the plane", "place", "across", "hide what is before it"
 SURFACE_COLOUR = (222, 203, 176)
 LINE_COLOUR, MIDDLE_COLOUR = (70, 70, 70), (0, 0, 0)
 # Pixels.
 LINE, MIDDLE_LINE = 1.0, 3.0
 # The camera looks from this direction, and from so many radii of the scene.
-EYE, RADII = np.array([0.75, -0.95, 0.55]), 2.3
+EYE, RADII = np.array([0.5, -0.95, 0.5]), 2.6
 
 
 class Page:
@@ -33,12 +36,13 @@ class Page:
     def __init__(self, server: Any, scene: Scene, newest: NewestValues, unit: str = "") -> None:
         self.server, self.scene, self.newest, self.unit = server, scene, newest, unit
         self.values: dict[str, Any] = start_values(scene)
-        self.plane: dict[str, Any] = {PLANE: True, ACROSS: "y", PLACE: 0.5, OPEN: True}
+        self.plane: dict[str, Any] = {PLANE: True, ACROSS: "y", PLACE: 0.5, OPEN: False}
         self.drawn = 0
         self._handles: dict[str, Any] = {}
         self._shown: Shown | None = None
         self._scale: tuple[str, float] | None = None
-        server.gui.configure_theme(control_layout="fixed", show_logo=False, show_share_button=False)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
         server.gui.add_markdown(f"### {scene.title}")
         for control in scene.controls:
             self._add(control)
@@ -46,10 +50,12 @@ class Page:
             self._listen(PLANE, server.gui.add_checkbox(PLANE, True))
             self._listen(ACROSS, server.gui.add_dropdown(ACROSS, AXES, initial_value="y"))
             self._listen(PLACE, server.gui.add_slider(PLACE, 0.0, 1.0, 0.005, 0.5))
-            self._listen(OPEN, server.gui.add_checkbox(OPEN, True))
-            self._bar = server.gui.add_image(np.full((2, 2, 3), 255, np.uint8), format="png")
+            self._listen(OPEN, server.gui.add_checkbox(OPEN, False))
+            self._shown = scene.show(self.values)
+            self._bar_picture = self._colour_bar(self._shown)
+            self._bar = server.gui.add_html(_as_html(self._bar_picture))
         self._note = server.gui.add_markdown("")
-        self.draw(self.values)
+        self.draw({})
         self._look()
 
     def draw(self, changed: dict[str, Any]) -> None:
@@ -65,7 +71,10 @@ class Page:
             self._draw_surface(shown, plane)
             self._draw_plane(plane)
             self._note.content = shown.note
-        self._bar.image = colour_bar(limit, shown.centre, plane.step, shown.quantity, self._unit_of(shown))
+        picture = self._colour_bar(shown)
+        if picture is not self._bar_picture:
+            self._bar_picture = picture
+            self._bar.content = _as_html(picture)
         self.drawn += 1
 
     def _add(self, control: Control) -> None:
@@ -93,8 +102,10 @@ class Page:
             self._scale = (shown.quantity, scale_of(shown.field))
         return self._scale[1]
 
-    def _unit_of(self, shown: Shown) -> str:
-        return self.unit if shown.scale_end is None else ""
+    def _colour_bar(self, shown: Shown) -> np.ndarray:
+        limit = self._limit(shown)
+        unit = self.unit if shown.scale_end is None else ""
+        return colour_bar(limit, shown.centre, line_step(limit), shown.quantity, unit)
 
     def _draw_surface(self, shown: Shown, plane: Cut) -> None:
         faces = shown.faces
@@ -174,3 +185,13 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
+
+
+def _as_html(picture: np.ndarray) -> str:
+    """An element that holds a picture itself: of viser's own image elements browsers may lose the blob as they load."""
+    from PIL import Image
+
+    with io.BytesIO() as file:
+        Image.fromarray(picture).save(file, "png")
+        content = base64.b64encode(file.getvalue()).decode()
+    return f'<img alt="colour bar" style="width: 100%" src="data:image/png;base64,{content}">'

@@ -17,8 +17,9 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 # WebGL without a GPU.
 OPTIONS = (
-    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-    "--hide-scrollbars", "--no-first-run", "--disable-background-networking", "--remote-debugging-port=0",
+    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage", "--hide-scrollbars", "--no-first-run", "--disable-background-networking",
+    "--remote-debugging-port=0",
 )  # fmt: skip
 PATIENCE = 60.0
 
