@@ -69,7 +69,7 @@ def explore(
 
 
 def address(host: str, port: int) -> str:
-    """What to open in a browser, and how from another machine."""
+    """Address to open in a browser, and the way to it from another machine, in words."""
     if host == THIS_MACHINE:
         return (
             f"sdm explore: http://localhost:{port} (Ctrl-C ends it)\n"
