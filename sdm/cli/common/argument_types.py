@@ -8,18 +8,19 @@ import tyro
 
 Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
 
+WORDS: dict[Any, str] = {int: "N", float: "X", str: "TEXT"}
 NUMBERS = tyro.constructors.ConstructorRegistry()
 
 
 @NUMBERS.primitive_rule
 def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
-    """`N` and `X` in place of Python's names of types."""
-    if info.type not in (int, float):
+    """Words of help in place of Python's names of types."""
+    if info.type not in WORDS:
         return None
     kind = info.type
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
-        metavar="N" if kind is int else "X",
+        metavar=WORDS[kind],
         instance_from_str=lambda words: kind(words[0]),
         is_instance=lambda value: isinstance(value, kind) and not isinstance(value, bool),
         str_from_instance=lambda value: [str(value)],

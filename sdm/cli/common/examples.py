@@ -55,6 +55,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sdm evaluate labels truths --json scores.json",
     ),
     "view": ("sdm view bunny.nii.gz", "sdm view bunny.ply --out bunny.png"),
+    "explore": ("sdm explore", "sdm explore bunny.ply --port 8090"),
     "demo": ("sdm demo", "sdm demo --resolution 64 --out demo"),
     "doctor": ("sdm doctor", "sdm doctor --compile --device cpu"),
     "completion": (
