@@ -17,14 +17,14 @@ RECORDS ?= bench/results
 # Where `make figures` draws.
 FIGURES ?= docs
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) -c constraints.txt
-CODE = $(wildcard sdm kernels tests bench)
+CODE = $(wildcard sdm kernels tests bench docs/site)
 
 # Adapters of other libraries, which need these.
 INTEGRATIONS = dev,bench,formats,integrations,jax,monai,nnunet,pyvista,torchio
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
 	tests/unit/explore tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
 
-.PHONY: demo figures test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
+.PHONY: demo docs figures test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -77,6 +77,7 @@ figures: $(VENV)/.installed-bench ## Draw the pictures of README and docs again,
 	mv $(FIGURES)/new-demo/demo.png $(FIGURES)/new-demo/surrogate.png $(FIGURES)
 	rm -r $(FIGURES)/new-demo
 	$(BIN)/python -m sdm.bench.dense.stages_figure --out $(FIGURES)/stages.png
+	$(BIN)/python -m sdm.bench.drawings --out $(FIGURES)
 	$(BIN)/python -m sdm.bench.dense.plot_results bench/results/dense-h200.json --out $(FIGURES)/new-dense
 	mv $(FIGURES)/new-dense/dense-h200-ratios.png $(FIGURES)/new-dense/dense-h200-triangles.png $(FIGURES)
 	rm -r $(FIGURES)/new-dense
@@ -92,6 +93,10 @@ release: $(VENV)/.installed-release ## Build dist/, check it in a fresh environm
 	$(BIN)/python -m sdm.bench.suite.release_check dist -- $(PIP_ARGS)
 
 install: $(VENV)/.installed ## Make the environment alone
+
+docs: $(VENV)/.installed-docs ## Build the documentation's site in build/site, where every warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -j auto -c docs/site -d build/doctrees . build/site
+	@echo "Open build/site/index.html"
 
 clean: ## Remove what the targets made
 	rm -rf $(VENV) $(VENV)-integrations demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
@@ -125,6 +130,10 @@ $(VENV)/.installed-bench: $(VENV)/.installed-dev
 
 $(VENV)/.installed-release: $(VENV)/.installed
 	$(INSTALL) -e ".[release]"
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(INSTALL) -e ".[docs]"
 	@touch $@
 
 $(VENV)/.installed-integrations: $(VENV)/.made pyproject.toml constraints.txt

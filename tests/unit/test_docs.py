@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.pages import put_demo_mesh
+
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/other-tools.md")
 GUIDES = ("docs/guide.md", "docs/install.md", "docs/speed.md", "docs/from-disk-to-disk.md")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -19,14 +21,7 @@ def samples(page: Path, language: str) -> list[str]:
 
 @pytest.fixture
 def place_with_demo_mesh(tmp_path, monkeypatch) -> Path:
-    """A folder as `sdm demo` leaves it."""
-    import trimesh
-
-    from sdm.core.demo_mesh import demo_mesh
-
-    (tmp_path / "demo").mkdir()
-    vertices, faces = demo_mesh(rings=41, segments=16, cap_rings=3).numpy()
-    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "demo" / "demo.ply")
+    put_demo_mesh(tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

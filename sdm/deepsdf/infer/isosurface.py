@@ -23,7 +23,7 @@ SLOPE = 1.5
 def decode_mesh(
     model: DeepSDF, code: Any, *, sphere: UnitSphere | None = None, resolution: int = 256, chunk: int = CHUNK
 ) -> TriangleMesh:
-    """The surface that a code says, by marching cubes on `resolution`^3 points of the sphere's box.
+    """The surface that a code says, by marching cubes on a cube of points around the sphere.
 
     Args:
         model: The decoder.

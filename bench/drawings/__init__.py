@@ -1,0 +1,1 @@
+"""Drawings of the documentation's explanations: `python -m sdm.bench.drawings`."""
