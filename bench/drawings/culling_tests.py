@@ -48,8 +48,9 @@ def _wave(count: int = 46) -> np.ndarray:
 
 def _witness(axes: Axes) -> None:
     line, centre, half = _wave(), np.array([0.15, 1.5]), np.array([0.42, 0.42])
-    witness = line[((line - centre) ** 2).sum(-1).argmin()]
-    kept = least_lead(centre, half, witness, line) <= 0
+    nearest = line[((line - centre) ** 2).sum(-1).argmin()]
+    kept = least_lead(centre, half, nearest, line) <= 0
+    witness = (float(nearest[0]), float(nearest[1]))
     axes.plot(*line.T, color=DROPPED, linewidth=2.2)
     run = np.where(kept)[0]
     axes.plot(*line[run[0] : run[-1] + 1].T, color=KEPT, linewidth=4.0)
@@ -58,7 +59,12 @@ def _witness(axes: Axes) -> None:
     axes.annotate("witness", witness, (1.0, 0.75), color=INK, arrowprops={"arrowstyle": "-", "color": GREY})
     axes.text(-1.9, -1.35, "dropped: further from\nevery voxel than the witness", ha="left", color="0.45", fontsize=10)
     axes.text(-2.3, 0.75, "kept", color=KEPT, fontsize=11, weight="bold")
-    axes.annotate("", line[run[1]], (-1.75, 0.8), arrowprops={"arrowstyle": "-", "color": KEPT})
+    axes.annotate(
+        "",
+        (float(line[run[1], 0]), float(line[run[1], 1])),
+        (-1.75, 0.8),
+        arrowprops={"arrowstyle": "-", "color": KEPT},
+    )
     axes.set_title("1  Witness bound", loc="left")
     axes.set_xlim(-2.7, 2.7)
     axes.set_ylim(-2.3, 2.3)
@@ -108,13 +114,13 @@ def _voronoi(axes: Axes) -> None:
         last = math.degrees(math.atan2(-along[0], along[1]))
         axes.add_patch(Wedge(tuple(a), reach, first, last, facecolor=DOUBT, alpha=0.3, linewidth=0))
         middle = (a + b) / 2 + out * 0.6
-        axes.text(*middle, "edge", ha="center", va="center", color=BOX, fontsize=10)
+        axes.text(middle[0], middle[1], "edge", ha="center", va="center", color=BOX, fontsize=10)
         turn = math.radians((first + (last if last > first else last + 360)) / 2)
-        axes.text(
-            *(a + 0.85 * np.array([math.cos(turn), math.sin(turn)])), "corner", ha="center", va="center", fontsize=10
-        )
+        corner = a + 0.85 * np.array([math.cos(turn), math.sin(turn)])
+        axes.text(corner[0], corner[1], "corner", ha="center", va="center", fontsize=10)
     axes.add_patch(Polygon(list(corners), facecolor=KEPT, alpha=0.35, edgecolor=INK, linewidth=1.8))
-    axes.text(*corners.mean(0), "face", ha="center", va="center", color=INK, fontsize=11, weight="bold")
+    middle = corners.mean(0)
+    axes.text(middle[0], middle[1], "face", ha="center", va="center", color=INK, fontsize=11, weight="bold")
     axes.set_title("3  Voronoi regions of a triangle", loc="left")
     axes.set_xlim(-2.7, 2.7)
     axes.set_ylim(-2.3, 2.3)

@@ -75,8 +75,9 @@ def draw_signs(path: Path) -> None:
             index = sdm.MeshIndex(mesh, device="cpu", warn=False)
             winding = index.winding_number(places).reshape(SIDE, SIDE).numpy()
             drawn = row[0].imshow(winding.T, cmap="PuOr_r", vmin=-1, vmax=1, **look)
-            for ax, sign, hole in ((row[1], "winding", None), (row[2], "flood", HOLE)):
-                values = index.signed_distance_map(grid, sign=sign, hole_size=hole).values[:, :, layers // 2]
+            by_winding = index.signed_distance_map(grid).values[:, :, layers // 2]
+            by_flood = index.signed_distance_map(grid, sign="flood", hole_size=HOLE).values[:, :, layers // 2]
+            for ax, values in ((row[1], by_winding), (row[2], by_flood)):
                 ax.imshow((values < 0).numpy().T, cmap=sides, vmin=0, vmax=1, **look)
             for ax in row:
                 ax.add_collection(LineCollection(list(cut(mesh, middle[2] + 1e-4)), colors=INK, linewidths=1.0))
