@@ -20,7 +20,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP
 CODE = $(wildcard sdm kernels tests bench docs/site)
 
 # Adapters of other libraries, which need these.
-INTEGRATIONS = dev,bench,formats,integrations,jax,monai,nnunet,pyvista,torchio
+INTEGRATIONS = dev,bench,explore,formats,integrations,jax,monai,nnunet,pyvista,torchio
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
 	tests/unit/explore tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
 

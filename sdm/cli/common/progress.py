@@ -37,9 +37,15 @@ class _Bar:
         if self._drawn is not None:
             self._drawn[0].stop()
 
+    @property
+    def on_terminal(self) -> bool:
+        """Whether the bar is drawn."""
+        # Once it is, stderr is a proxy of rich's, which before rich 15 says that it is no terminal.
+        return self._drawn is not None or sys.stderr.isatty()
+
     def draw(self, text: str, done: float, total: float | None) -> None:
         """Show `done` of `total`; a total that is None draws a bar that only moves."""
-        if not sys.stderr.isatty():
+        if not self.on_terminal:
             return
         if self._drawn is None:
             self._drawn = self._start()
@@ -133,7 +139,7 @@ class CountProgress(_Bar):
         line = (
             f"{done:,} of {total:,} {self._unit}{_pace(done - first, total - done, now - start)}{_limit(self._times)}"
         )
-        if sys.stderr.isatty():
+        if self.on_terminal:
             self.draw(line, done, max(total, 1))
         elif now - self._logged >= LOG_INTERVAL:
             print(f"sdm: {line}", file=sys.stderr, flush=True)
