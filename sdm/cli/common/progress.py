@@ -39,7 +39,7 @@ class _Bar:
 
     @property
     def on_terminal(self) -> bool:
-        """Whether the bar is drawn."""
+        """True where a bar is drawn."""
         # Once it is, stderr is a proxy of rich's, which before rich 15 says that it is no terminal.
         return self._drawn is not None or sys.stderr.isatty()
 
