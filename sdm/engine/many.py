@@ -27,7 +27,7 @@ from sdm.engine.maps import batch_maps
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import check_sign_at_points
 from sdm.engine.ragged.calls import Found, Wanted, maps_of
-from sdm.engine.ragged.lists import are_meshes, as_sequence
+from sdm.engine.ragged.mesh_lists import are_meshes, as_sequence
 from sdm.engine.ragged.point_calls import distances_of
 from sdm.errors import MeshError, SDMError
 from sdm.runtime.torch_warp import refuse_forward_mode

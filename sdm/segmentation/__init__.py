@@ -6,8 +6,8 @@ Images and labels are (x,y,z), batches (B,1,x,y,z); distances are in mm and nega
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.checks import check_cases
 from sdm.segmentation.data.folder import has_part, read_cases
+from sdm.segmentation.data.method_target import distance_map
 from sdm.segmentation.data.patches import Patches
-from sdm.segmentation.data.targets import distance_map
 from sdm.segmentation.data.write_prediction import write_prediction
 from sdm.segmentation.infer.ensemble import check_ensemble, predict_ensemble
 from sdm.segmentation.infer.predict import Prediction, label_distance_map, largest_component, predict

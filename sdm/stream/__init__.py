@@ -4,7 +4,7 @@ from sdm.stream.batch import Batch
 from sdm.stream.sample_maker import Maker
 from sdm.stream.samplers import Chebyshev, Mixture, Sampler, Sobol, Table, TensorGrid, Uniform, as_sampler
 from sdm.stream.stream import SDMStream
-from sdm.stream.validation import ValidationSet
+from sdm.stream.validation_set import ValidationSet
 
 __all__ = [
     "Batch",

@@ -20,7 +20,7 @@ from sdm.stream.batch import Batch
 from sdm.stream.ranks import in_process_group, rank_and_size
 from sdm.stream.sample_maker import FIRST_DRAWS, FIRST_SIGN, Maker, refuse_fork
 from sdm.stream.samplers import Sampler
-from sdm.stream.validation import ValidationSet
+from sdm.stream.validation_set import ValidationSet
 
 VERSION = 2
 

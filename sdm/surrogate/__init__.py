@@ -4,7 +4,7 @@ from sdm.surrogate.infer.exact_map import exact_map
 from sdm.surrogate.infer.onnx import export_onnx
 from sdm.surrogate.infer.predict import Predictor, load_surrogate, predict, shipped_weights
 from sdm.surrogate.infer.weights_file import load_weights, save_weights
-from sdm.surrogate.networks.grid import COARSE_GRID, GRID
+from sdm.surrogate.networks.cochlea_grid import COARSE_GRID, GRID
 from sdm.surrogate.networks.models import MODELS, build
 from sdm.surrogate.networks.pod_chebyshev import PODChebyshev
 from sdm.surrogate.networks.sdmnn import SDMNN

@@ -19,7 +19,7 @@ from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.ragged.lists import are_meshes
+from sdm.engine.ragged.mesh_lists import are_meshes
 from sdm.errors import GridError
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.

@@ -25,7 +25,7 @@ from sdm.engine.plan_override import OPTIONS
 from sdm.engine.ragged.boxes import with_known_boxes
 from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_maps import JointMaps, MapJob, ragged_maps
-from sdm.engine.ragged.lists import each_grid, in_pairs, is_crowded, numbered
+from sdm.engine.ragged.mesh_lists import each_grid, in_pairs, is_crowded, numbered
 from sdm.kernels.dense.cost_model import search_is_faster
 from sdm.runtime.operators import are_eager
 from sdm.runtime.torch_warp import has_forward_mode, refuse_forward_mode

@@ -18,7 +18,7 @@ from sdm.engine.map_check import look_at_points, named
 from sdm.engine.points import as_points, at_points
 from sdm.engine.ragged.chunks import bytes_for, in_chunks
 from sdm.engine.ragged.joint_points import ragged_points
-from sdm.engine.ragged.lists import each_points, in_pairs, is_crowded, is_plain, numbered
+from sdm.engine.ragged.mesh_lists import each_points, in_pairs, is_crowded, is_plain, numbered
 from sdm.engine.ragged.structure import RaggedBuild
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.runtime.operators import is_eager

@@ -15,8 +15,8 @@ from sdm.runtime.torch_warp import to_device
 from sdm.segmentation.data.augment import RANGES, Augment, Draw, draw
 from sdm.segmentation.data.case import Case, standardized
 from sdm.segmentation.data.downsample import coarse_image, coarse_map, whole_cubes
+from sdm.segmentation.data.method_target import CLIP_VOXELS, distance_map
 from sdm.segmentation.data.position_channels import position_frame, positions
-from sdm.segmentation.data.targets import CLIP_VOXELS, distance_map
 from sdm.segmentation.train.methods import METHODS, Map
 from sdm.segmentation.train.settings import Settings
 

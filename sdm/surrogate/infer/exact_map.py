@@ -14,7 +14,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.errors import MeshError
 from sdm.shapes import make_family
-from sdm.surrogate.networks.grid import GRID, SPACING_MM
+from sdm.surrogate.networks.cochlea_grid import GRID, SPACING_MM
 
 # Larger than any cochlea: a typing error, which would ask for more memory than there is.
 LARGEST_MM = 20.0

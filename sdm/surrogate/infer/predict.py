@@ -14,7 +14,7 @@ from sdm.errors import FormatError, MeshError
 from sdm.shapes import make_family
 from sdm.surrogate.infer.runtime import Run, runner
 from sdm.surrogate.infer.weights_file import load_weights
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
 

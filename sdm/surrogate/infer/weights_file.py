@@ -14,7 +14,7 @@ from sdm.io.files.atomic import replacing
 from sdm.io.files.typed_record import check_record
 from sdm.shapes import families, make_family
 from sdm.stream.sample_maker import grid_record
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.models import build, name_of
 from sdm.training.checkpoints import fitting_states
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from sdm.errors import SDMError
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures, chebyshev
 
 # Samples whose voxels are multiplied at a time.

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from sdm.errors import SDMError
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
 from sdm.training.precision import full_precision
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.theta_features import ThetaFeatures
 from sdm.surrogate.networks.voxel_shuffle import merge, split
 from sdm.training.precision import full_precision

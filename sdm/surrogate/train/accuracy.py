@@ -11,7 +11,7 @@ from torch import Tensor
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import signed_distance
 from sdm.shapes import make_family
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.train.losses import slopes
 from sdm.surrogate.train.validation import validation_batches
 

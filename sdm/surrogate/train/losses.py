@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from sdm.engine.many import signed_distance_maps
 from sdm.shapes import Family
-from sdm.surrogate.networks.grid import GRID, SPACING_MM
+from sdm.surrogate.networks.cochlea_grid import GRID, SPACING_MM
 
 # Half-width [mm] of the shell around the surface that counts more, and how far the eikonal term reaches.
 SHELL_MM, EIKONAL_MM = 0.4, 1.0

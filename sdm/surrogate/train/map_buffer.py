@@ -12,7 +12,7 @@ from sdm.core.random import generator
 from sdm.errors import SDMError
 from sdm.runtime.torch_warp import to_device
 from sdm.stream import SDMStream
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 
 
 class Replay:

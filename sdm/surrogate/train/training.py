@@ -17,7 +17,7 @@ from sdm.io.files.atomic import try_to_write
 from sdm.io.files.torch_file import load_torch, save_torch
 from sdm.shapes import make_family
 from sdm.stream import SDMStream
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
 from sdm.surrogate.train.losses import eikonal, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay

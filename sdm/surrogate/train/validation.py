@@ -16,7 +16,7 @@ from sdm.stream import Batch, Maker
 from sdm.stream.held_out import held_out_samples
 from sdm.stream.sample_maker import grid_record
 from sdm.stream.samplers import Table
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 
 COUNT = 1000
 SEED = derive_seed(0, "surrogate validation set")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from sdm.shapes import Cochlea
-from sdm.surrogate.networks.grid import GRID
+from sdm.surrogate.networks.cochlea_grid import GRID
 
 ROOM_MM = 0.8
 
