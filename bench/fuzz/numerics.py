@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import sdm
-from sdm.bench.common.correctness import compare, voxel_centres
+from sdm.bench.common.correctness import compare, firm_winding, voxel_centres
 from sdm.bench.common.mesh_formulas import Arrays, cube, joined, sphere, torus
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
@@ -102,6 +102,9 @@ def trial(rng: np.random.Generator, folder: Path, device: str = "cpu") -> Outcom
         at["map"] = voxel_centres(grid, np.arange(grid.size)), values
         for what, (places, found) in at.items():
             tally = compare(case, places, found, brute.distance(places)[0], brute.winding_number(places))
+            if tally.wrong_signs:
+                winding = firm_winding(case, places, brute.winding_number)
+                tally = compare(case, places, found, brute.distance(places)[0], winding)
             if not tally.fine:
                 raise Finding(f"{label}, {what}: {tally}")
     return Outcome(label, refused=False)

@@ -135,6 +135,9 @@ def _counted(values: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Cells whose corners follow their number."""
     if not count:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    # Before a count that is damaged becomes an array of that size.
+    if not 0 < count <= len(values):
+        raise ValueError("its polygons do not use up their corners")
     if len(values) % count == 0 and (values[:: len(values) // count] == len(values) // count - 1).all():
         rows = values.reshape(count, -1)
         return rows[:, 0], rows[:, 1:].ravel()

@@ -91,6 +91,8 @@ def test_unstructured_grids(tmp_path):
         ("vtk", SQUARE + "TRIANGLE_STRIPS 1 5\n4 0 1 2 3\n", "triangle strips"),
         ("vtk", SQUARE + "POLYGONS 1 5\n4 0 1 2\n", "cut off"),
         ("vtk", SQUARE + "POLYGONS 1 4\n4 0 1 2\n", "do not use up their corners"),
+        ("vtk", SQUARE + "POLYGONS 9999999999999 5\n4 0 1 2 3\n", "do not use up their corners"),
+        ("vtk", SQUARE + "POLYGONS -1 5\n4 0 1 2 3\n", "do not use up their corners"),
         ("vtk", SQUARE + "POLYGONS 1 4\n3 0 1 9\n", "vertex 9|9"),
         ("vtk", SQUARE, "no triangles"),
         ("vtp", "hello", "it is no XML"),
