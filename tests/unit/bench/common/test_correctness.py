@@ -1,4 +1,4 @@
-"""Which signs are compared: those that a fraction of a rounding does not turn."""
+"""Signs that are compared: those that a fraction of a rounding does not turn."""
 
 from __future__ import annotations
 
