@@ -12,6 +12,7 @@ USES = {
     "formats": "meshes in .dae, .zae, .3mf, .3dxml and .xaml",
     "onnx": "surrogates by ONNX Runtime or OpenVINO, quicker than torch on a CPU",
     "viewer": "sdm view: a map in a window",
+    "explore": "sdm explore: shapes, maps and fits in a browser",
     "ray": "sdm generate --ray: datasets by several machines",
     "jax": "sdm.jax: distances and maps inside jax.jit",
     "monai": "sdm.monai: distance maps of labels in MONAI's pipelines",
@@ -22,7 +23,7 @@ USES = {
     "nuts": "posterior of a fit by the No-U-Turn sampler",
     "tensorboard": "curves of trainings",
 }
-DEVELOPMENT = frozenset(("dev", "bench", "gpu-bench", "integrations", "release"))
+DEVELOPMENT = frozenset(("dev", "docs", "bench", "gpu-bench", "integrations", "release"))
 
 
 class Extra(NamedTuple):
