@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -19,6 +22,27 @@ SMALLEST_SHARE = 256
 SHARES_PER_THREAD = 8
 # Modules that a CPU has run.
 _loaded: set[wp.Module] = set()
+
+
+class _Sharing(threading.local):
+    is_off: bool = False
+
+
+_sharing = _Sharing()
+
+
+@contextmanager
+def by_this_thread() -> Iterator[None]:
+    """CPU launches of the block are run by the thread that asks for them, and by no other.
+
+    For threads that work beside each other, each on something of its own: shares of all of them in one queue would be
+    hundreds for a mesh, and each hands Python's lock on twice.
+    """
+    before, _sharing.is_off = _sharing.is_off, True
+    try:
+        yield
+    finally:
+        _sharing.is_off = before
 
 
 def threads() -> int:
@@ -57,7 +81,7 @@ def launch(
     if device.is_cuda:
         run(kernel, count, [0, *inputs], device, block_dim)
         return
-    workers = threads()
+    workers = 1 if _sharing.is_off else threads()
     share = max(smallest, -(-count // (workers * SHARES_PER_THREAD)))
     if workers == 1 or count <= share:
         run(kernel, count, [0, *inputs], device, 1)

@@ -48,11 +48,12 @@ class Sizes:
 def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str, Any]], StageTimes]:
     """`sdm compute` of many binary PLY files, and the clock of the first run."""
     files = write_meshes(folder / "meshes", sizes.meshes, sizes.triangles, "ply")
-    settings = _settings(sizes.resolution, device)
+    settings = settings_for(sizes.resolution, device)
     meshes = [sdm.load_mesh(file) for file in files]
     # Before anything is timed: kernels are compiled, and recordings made.
     for mesh in meshes[:4]:
         sdm.signed_distance_map(mesh, resolution=sizes.resolution, device=device)
+    _maps(meshes[:TOGETHER] if device != "cpu" else meshes[:1], sizes.resolution, device)
     alone = _seconds(device, lambda: _maps(meshes, sizes.resolution, device))
     rows, first = [], None
     for ending in ("npz", "nii.gz"):
@@ -73,7 +74,7 @@ def small_run(folder: Path, files: int, resolution: int, device: str) -> tuple[f
     jobs = [(file, out / file.parent.name / f"{file.stem}.npz") for file in sources]
     for place in {target.parent for _, target in jobs}:
         place.mkdir(parents=True)
-    settings = _settings(resolution, device)
+    settings = settings_for(resolution, device)
     # Kernels are compiled, and recordings made.
     _quietly(lambda: compute([(file, target.with_suffix(".first.npz")) for file, target in jobs[:TOGETHER]], settings))
     times = StageTimes(keep_spans=True)
@@ -85,7 +86,8 @@ def together_on(device: torch.device) -> int:
     return TOGETHER if device.type == "cuda" else 1
 
 
-def _settings(resolution: int, device: str) -> Settings:
+def settings_for(resolution: int, device: str) -> Settings:
+    """Settings of `sdm compute` at a resolution on a device, all others as they are by default."""
     return Settings(
         resolution=resolution,
         spacing=None,

@@ -75,8 +75,11 @@ class TriangleMesh:
         """Lowest and highest x, y, z over the vertices that faces use, float64 (3,) each."""
         places, numbers = plain_array(self.vertices), plain_array(self.faces)
         if places is not None and numbers is not None:
-            placed = places[numbers.ravel()]
-            return placed.min(0).astype(np.float64), placed.max(0).astype(np.float64)
+            # Vertices once, and axis by axis: NumPy takes ten times as long along the short axis of all corners.
+            used = np.zeros(len(places), bool)
+            used[numbers.ravel()] = True
+            placed = np.ascontiguousarray(places.T if used.all() else places[used].T)
+            return placed.min(1).astype(np.float64), placed.max(1).astype(np.float64)
         used = self.vertices.detach()[self.faces.reshape(-1).long()]
         low, high = used.amin(0), used.amax(0)
         return low.cpu().double().numpy(), high.cpu().double().numpy()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import nibabel as nib
 import numpy as np
@@ -34,12 +35,14 @@ SCANNER = 1
 LEVEL = 1
 # Bytes that are packed before they go to the disk: of many threads each waits for Python's lock after every write.
 BUFFER = 1 << 22
+# Bytes of values that are turned at once: they lie with x fastest in a file.
+TURNED = 1 << 24
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        _image(field, made_from).to_stream(file)
+        _put(_image(field, made_from), file)
 
 
 def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
@@ -51,7 +54,7 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
         path.open("wb", buffering=BUFFER) as file,
         igzip.IGzipFile("", "wb", compresslevel=LEVEL, fileobj=file, mtime=0) as packed,
     ):
-        _image(field, made_from, space).to_stream(packed)
+        _put(_image(field, made_from, space), packed)
 
 
 def read(path: Path) -> SDM:
@@ -95,6 +98,23 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     text = to_line({KEY: kept})
     image.header.extensions.append(Nifti1Extension(COMMENT, text.encode()))
     return image
+
+
+def _put(image: Any, file: IO[bytes]) -> None:
+    """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its 128 copies of a map's layers."""
+    image.update_header()
+    header, values = image.header, image.dataobj
+    header.set_slope_inter(1.0, 0.0)
+    head = io.BytesIO()
+    header.write_to(head)
+    file.write(head.getvalue().ljust(header.get_data_offset(), b"\0"))
+    nx, ny, nz = values.shape
+    layers = max(1, TURNED // (4 * nx * ny))
+    for begin in range(0, nz, layers):
+        part = values[:, :, begin : begin + layers]
+        # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
+        turned = np.ascontiguousarray(part.reshape(nx, -1).T).reshape(ny, -1, nx)
+        file.write(np.ascontiguousarray(turned.transpose(1, 0, 2)).reshape(-1).view(np.uint8).data)
 
 
 def opened(path: Path, holder: FileHolder | None = None) -> Any:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zlib
 from typing import Any
 
 import numpy as np
 import torch
+from isal import isal_zlib
 
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
@@ -144,8 +144,9 @@ def _verify_record(kept: dict[str, Any], name: str) -> None:
 
 
 def _checksum(kept: dict[str, Any], values: np.ndarray) -> str:
-    begin = zlib.crc32(to_line(dict(sorted(kept.items()))).encode())
-    return f"{zlib.crc32(np.ascontiguousarray(values, '<f4').data, begin):08x}"
+    begin = isal_zlib.crc32(to_line(dict(sorted(kept.items()))).encode())
+    # That of zlib, in a fifth of the time.
+    return f"{isal_zlib.crc32(np.ascontiguousarray(values, '<f4').data, begin):08x}"
 
 
 def to_line(kept: dict[str, Any]) -> str:

@@ -12,8 +12,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from typing import TypeVar
 
+from sdm.kernels.launch import by_this_thread
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 
@@ -75,7 +77,7 @@ def _in_threads(
     used, source, more = 0, iter(outcomes), True
 
     def timed(number: int, value: A) -> B:
-        with times.busy(name, number):
+        with times.busy(name, number), by_this_thread() if workers > 1 else nullcontext():
             return work(value)
 
     pool = ThreadPoolExecutor(workers, thread_name_prefix=f"sdm-{name}")

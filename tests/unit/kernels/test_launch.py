@@ -34,6 +34,20 @@ def test_every_index_once(monkeypatch, threads, count):
     assert hits.numpy()[count:].sum() == 0
 
 
+def test_a_thread_that_works_beside_others_asks_no_pool(monkeypatch):
+    monkeypatch.setenv("SDM_NUM_THREADS", "3")
+    launch._pool.cache_clear()
+    hits = wp.zeros(100_003, dtype=wp.int32, device="cpu")
+    with launch.by_this_thread():
+        launch.launch(_count, 100_003, [hits], "cpu")
+        assert launch._pool.cache_info().currsize == 0
+    assert (hits.numpy() == 1).all()
+    launch.launch(_count, 100_003, [hits], "cpu")
+    assert launch._pool.cache_info().currsize == 1
+    launch._pool.cache_clear()
+    assert (hits.numpy() == 2).all()
+
+
 def test_threads(monkeypatch):
     import os
 

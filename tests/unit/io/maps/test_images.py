@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, GridError
 from sdm.io import grid_like, load, save
+from sdm.io.maps import nifti
 
 TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
 GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), (6, 7, 10), TURN)
@@ -146,3 +148,13 @@ def test_a_sheared_image_is_refused(tmp_path):
     nib.save(nib.Nifti1Image(np.zeros((2, 3, 4), np.float32), affine), tmp_path / "a.nii")
     with pytest.raises(GridError, match=r"a\.nii: .* shear"):
         grid_like(tmp_path / "a.nii")
+
+
+@pytest.mark.parametrize("turned_at_once", [1, 400, 1 << 24])
+def test_nifti_has_the_bytes_of_nibabel(field, turned_at_once, monkeypatch):
+    monkeypatch.setattr(nifti, "TURNED", turned_at_once)
+    image = nifti._image(field, "a" * 32)
+    expected = image.to_bytes()
+    found = io.BytesIO()
+    nifti._put(nifti._image(field, "a" * 32), found)
+    assert found.getvalue() == expected
