@@ -1,0 +1,73 @@
+"""The host's share of `sdm compute`: what `python -m sdm.bench.disk.host_stages` claims, in counts."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import torch
+import trimesh
+
+import sdm.cli.maps.map_stages as stages
+from sdm.bench.common.checkout import results_folder
+from sdm.bench.disk.host_stages import Options, rows
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.run import run
+from sdm.io import load
+from sdm.kernels import launch
+
+
+@pytest.fixture(autouse=True)
+def _pool_of_its_own(monkeypatch):
+    # Which the bench sets.
+    monkeypatch.setenv("SDM_NUM_THREADS", "2")
+    yield
+    launch._pool.cache_clear()
+
+
+def test_threads_of_their_own_ask_the_pool_for_nothing(tmp_path):
+    options = Options(meshes=2, triangles=5000, resolution=8, threads=(2,), rounds=1, pool=4, folder=tmp_path)
+    found = {(row["stage"], row["format"], row["pool"]): row for row in rows(options)}
+    assert len(found) == 8
+    for ending in ("npz", "nii.gz"):
+        assert found["write", ending, "shared"]["pool_tasks"] > 0
+        assert found["write", ending, "own"]["pool_tasks"] == 0
+
+
+def test_the_record_says_what_the_pages_say():
+    record = json.loads((results_folder() / "disk-host-cpu.json").read_text())
+    found = {(row["stage"], row["format"], row["threads"], row["pool"]): row for row in record["rows"]}
+    before, after = (found["write", "npz", 15, pool] for pool in ("shared", "own"))
+    assert (before["pool_tasks"], after["pool_tasks"]) == (645, 0)
+    assert before["waits"] > 5 * after["waits"]
+    assert before["cpu_ms"] > 1.5 * after["cpu_ms"]
+
+
+def test_compute_with_several_threads_uses_no_pool_beside_the_device(tmp_path, monkeypatch, capsys):
+    jobs = []
+    for number in range(3):
+        trimesh.creation.icosphere(4, radius=1 + number).export(tmp_path / f"{number}.ply")
+        jobs.append((tmp_path / f"{number}.ply", tmp_path / f"{number}.npz"))
+    settings = Settings(
+        resolution=8,
+        spacing=None,
+        like=None,
+        like_image=None,
+        margin=0.05,
+        device=torch.device("cpu"),
+        orient="keep",
+        resume=False,
+    )
+    seen: dict[str, set[bool]] = {"read": set(), "measure": set(), "write": set()}
+    for name in seen:
+
+        def noted(self, given, name=name, plain=getattr(stages.MapStages, name)):
+            seen[name].add(launch._sharing.is_off)
+            return plain(self, given)
+
+        monkeypatch.setattr(stages.MapStages, name, noted)
+    assert run(jobs, settings, workers=2) is None
+    assert seen == {"read": {True}, "measure": {False}, "write": {True}}
+    many = [load(target).values for _, target in jobs]
+    assert run(jobs, settings, workers=1) is None
+    assert all(torch.equal(a, load(target).values) for a, (_, target) in zip(many, jobs, strict=True))
