@@ -2,12 +2,12 @@
 
     python -m sdm.bench.disk.host_stages --out results/disk-host-cpu.json
 
-What a GPU leaves to the host: a mesh is read, its grid and digest are found, its map is written, and the mesh is looked
-at. The map is one that is there already, so no device is needed. `shared` has the kernels of all threads in one pool, as
-they were, and `own` has each thread run its own, as `sdm compute` does; by turns. Tasks that go to the pool, and waits
-of threads, are counts, which what else the machine does changes little; a thread that gives up Python's lock has to wait
-for the others to have it back. Milliseconds and counts are those of one mesh, medians of the rounds; `per_second` is the
-rate of the whole stage.
+What a GPU leaves to the host: a mesh is read, its grid and digest are found, its map is written, and the mesh is
+looked at. The map is one that is there already, so no device is needed. `shared` has the kernels of all threads in one
+pool, as they were, and `own` has each thread run its own, as `sdm compute` does; by turns. Tasks that go to the pool,
+and waits of threads, are counts, which what else the machine does changes little; a thread that gives up Python's lock
+has to wait for the others to have it back. Milliseconds and counts are those of one mesh, medians of the rounds;
+`per_second` is the rate of the whole stage.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
 
 
 def _put(image: Any, file: IO[bytes]) -> None:
-    """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its 128 copies of a map's layers."""
+    """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers."""
     image.update_header()
     header, values = image.header, image.dataobj
     header.set_slope_inter(1.0, 0.0)
