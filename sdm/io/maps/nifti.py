@@ -100,7 +100,7 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     return image
 
 
-def _put(image: Any, file: IO[bytes]) -> None:
+def _put(image: Any, file: IO[bytes] | igzip.IGzipFile) -> None:
     """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers."""
     image.update_header()
     header, values = image.header, image.dataobj
