@@ -1,16 +1,18 @@
 """Drop-in replacements beside the originals: time, wrong signs, errors.
 
-    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--out bench/results/dropins-cpu.json]
+    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--runs 7] [--out bench/results/dropins-cpu.json]
 
 Half of the points are anywhere in a box around the mesh, half near its surface. True distances and signs are those of a
 float64 brute force; a sign is wrong where the winding number is further than 0.05 from a half and says otherwise. Each
-call starts from arrays, so that what is built for a mesh counts, and each is made twice, of which the second is timed:
-kernels are compiled by then. CPU seconds are those of all threads; the machine may have been busy.
+call starts from arrays, so that what is built for a mesh counts. Each is made once before it is timed, so that kernels
+are compiled by then, and afterwards theirs and ours take turns: medians, and how far the slowest is from the fastest in
+percent. Calls of seconds take fewer turns. CPU seconds are those of all threads; the machine may have been busy.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
 import warnings
 from pathlib import Path
@@ -37,6 +39,8 @@ MESHES = (
     "stanford-bunny",
     "beast",
 )
+# Seconds after which no further turn begins.
+MOST_SECONDS = 5.0
 # Winding numbers this near to a half say nothing.
 UNSURE = 0.05
 LIBRARIES = ("trimesh", "open3d", "libigl", "mesh-to-sdf", "rtree", "embreex", "warp-lang", "torch", "numpy")
@@ -46,6 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=4000)
     parser.add_argument("--meshes", nargs="+", default=list(MESHES))
+    parser.add_argument("--runs", type=int, default=7)
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
     calls, left = pairs()
@@ -62,28 +67,45 @@ def main() -> None:
         truth, winding = brute.distance(points)[0], brute.winding_number(points)
         for library, both in calls.items():
             row: dict[str, Any] = {"mesh": name, "triangles": len(case), "library": library}
-            for whose, call in zip(("theirs", "ours"), both, strict=True):
-                row[whose] = measured(call, case, points, truth, winding)
+            row |= measured(
+                dict(zip(("theirs", "ours"), both, strict=True)), case, points, truth, winding, options.runs
+            )
             result["cases"].append(row)
             print(f"{name:20} {library:42}", *(text(whose, row[whose]) for whose in ("theirs", "ours")), flush=True)
             if options.out is not None:
                 write(options.out, result)
 
 
-def measured(call: Call, case: Case, points: np.ndarray, truth: np.ndarray, winding: np.ndarray) -> dict[str, Any]:
-    """Seconds, wrong signs, and the largest error in the mesh's unit, of one call; or the sentence of its failure."""
+def measured(
+    calls: dict[str, Call], case: Case, points: np.ndarray, truth: np.ndarray, winding: np.ndarray, runs: int
+) -> dict[str, dict[str, Any]]:
+    """Of each call seconds, wrong signs, and the largest error in the mesh's unit; or the sentence of its failure."""
     arrays = case.vertices.astype(np.float64), case.faces
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            call(*arrays, points)
-            wall, cpu = time.perf_counter(), time.process_time()
-            found = np.asarray(call(*arrays, points), dtype=np.float64)
-            seconds = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    # A library may fail in any way on a nasty mesh, which is an answer too.
-    except (ArithmeticError, LookupError, MemoryError, RuntimeError, ValueError) as error:
-        return {"failed": f"{type(error).__name__}: {error}"[:200]}
-    return seconds | judged(found, truth, winding)
+    rows: dict[str, dict[str, Any]] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for whose, call in calls.items():
+            try:
+                rows[whose] = judged(np.asarray(call(*arrays, points), dtype=np.float64), truth, winding)
+            # A library may fail in any way on a nasty mesh, which is an answer too.
+            except (ArithmeticError, LookupError, MemoryError, RuntimeError, ValueError) as error:
+                rows[whose] = {"failed": f"{type(error).__name__}: {error}"[:200]}
+        able = {whose: call for whose, call in calls.items() if "failed" not in rows[whose]}
+        times: dict[str, list[tuple[float, float]]] = {whose: [] for whose in able}
+        until = time.perf_counter() + MOST_SECONDS
+        for turn in range(runs):
+            if turn and time.perf_counter() > until:
+                break
+            for whose, call in able.items():
+                wall, cpu = time.perf_counter(), time.process_time()
+                call(*arrays, points)
+                times[whose].append((time.perf_counter() - wall, time.process_time() - cpu))
+    for whose, found in times.items():
+        wall_s, cpu_s = (statistics.median(values) for values in zip(*found, strict=True))
+        least, most = (pick(cpu for _, cpu in found) for pick in (min, max))
+        spread = 100 * (most - least) / cpu_s
+        rows[whose] = {"wall_s": wall_s, "cpu_s": cpu_s, "cpu_spread": spread, "runs": len(found)} | rows[whose]
+    return rows
 
 
 def judged(found: np.ndarray, truth: np.ndarray, winding: np.ndarray) -> dict[str, Any]:

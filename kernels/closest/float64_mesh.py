@@ -136,9 +136,11 @@ def _measure(
     named = int(own)
     if wp.min(known.barycentric[i]) <= ON_AN_EDGE:
         least = wp.float64(squared)
+        others = wp.vec3d(wp.float64(wp.inf), wp.float64(wp.inf), wp.float64(wp.inf))
         for k in range(3):
             if mesh.neighbours[own, k] >= 0:
-                least = wp.min(least, wp.length_sq(p - near_on_face(mesh, mesh.neighbours[own, k] / 3, p)))
+                others[k] = wp.length_sq(p - near_on_face(mesh, mesh.neighbours[own, k] / 3, p))
+                least = wp.min(least, others[k])
         # A point on the surface has no side: the nearest face is its own.
         reach = least
         if least > mesh.rounding:
@@ -147,17 +149,15 @@ def _measure(
         if squared <= reach:
             front = front_of(mesh, own, p - closest)
         for k in range(3):
-            if mesh.neighbours[own, k] >= 0:
+            if others[k] <= reach:
                 face = mesh.neighbours[own, k] / 3
                 at = near_on_face(mesh, face, p)
-                other = wp.length_sq(p - at)
-                if other <= reach:
-                    looks = front_of(mesh, face, p - at)
-                    if looks > front:
-                        front = looks
-                        closest = at
-                        squared = other
-                        named = face
+                looks = front_of(mesh, face, p - at)
+                if looks > front:
+                    front = looks
+                    closest = at
+                    squared = others[k]
+                    named = face
     distance = wp.sqrt(squared)
     answers.distances[i] = wp.where(known.values[i] < 0.0, -distance, distance)
     answers.points[i] = closest

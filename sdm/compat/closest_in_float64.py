@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points_index import PointsIndex
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.kernels.closest.float64_mesh import Answers, ExactMesh, Known, measure_in_float64
@@ -52,7 +52,7 @@ class ClosestInFloat64:
         whole = TriangleMesh(corners, faces, name)
         low, high = whole.bounds
         self.middle = (low + high) / 2
-        self.index = MeshIndex(TriangleMesh(corners - self.middle, whole.faces, name, check=False), device, warn=False)
+        self.index = PointsIndex(TriangleMesh(corners - self.middle, whole.faces, name, check=False), device)
         self._vertices = torch.from_numpy(corners - self.middle).to(self.index.device)
         self._near = _neighbours(np.asarray(vertices, np.float32), self.index.mesh.faces)
         self._mesh = ExactMesh()

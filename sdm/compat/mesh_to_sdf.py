@@ -16,6 +16,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points_index import PointsIndex
 from sdm.errors import MeshError, SDMError
 
 # The standard deviations of points about the surface, and the share of all that are.
@@ -57,7 +58,7 @@ def mesh_to_sdf(
     points = np.asarray(query_points)
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeshError(f"the points have shape {points.shape}; (N, 3) is needed")
-    return MeshIndex(as_mesh(mesh), device, warn=False).signed_distance(points).cpu().numpy()
+    return PointsIndex(as_mesh(mesh), device).signed_distance(points).cpu().numpy()
 
 
 def mesh_to_voxels(
@@ -151,7 +152,7 @@ def sample_sdf_near_surface(
     about = [surface + random.normal(scale=deviation, size=surface.shape) for deviation in DEVIATIONS]
     inner = _in_unit_sphere(number_of_points - 2 * near, random)
     points = np.concatenate([*about, inner]).astype(np.float32)
-    index = MeshIndex(scaled, device, warn=False)
+    index = PointsIndex(scaled, device)
     values, hit = index.signed_distance(points, return_closest=True)
     if min_size > 0 and float((values[2 * near :] < 0).float().mean()) < min_size:
         raise BadMeshException(f"less than {min_size:g} of the unit sphere is inside {scaled.name}: use another mesh")

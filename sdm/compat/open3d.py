@@ -10,7 +10,7 @@ import torch
 
 from sdm.core.as_mesh import as_mesh
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.points_index import PointsIndex
 from sdm.errors import MeshError
 
 
@@ -29,7 +29,7 @@ class RaycastingScene:
     def __init__(self, nthreads: int = 0, device: str | torch.device | None = None) -> None:
         self._device = device
         self._meshes: list[TriangleMesh] = []
-        self._built: MeshIndex | None = None
+        self._built: PointsIndex | None = None
 
     def add_triangles(self, vertices: Any, triangles: Any = None) -> int:
         """Add a mesh, from vertices (V,3) and triangles (F,3) or from any mesh; returns its number in the scene."""
@@ -78,7 +78,7 @@ class RaycastingScene:
         }
         return {name: _as_given(values, query_points) for name, values in found.items()}
 
-    def _index(self) -> MeshIndex:
+    def _index(self) -> PointsIndex:
         if not self._meshes:
             raise MeshError("the scene is empty: add a mesh first (add_triangles)")
         if self._built is None:
@@ -86,7 +86,7 @@ class RaycastingScene:
             vertices, faces = zip(*(mesh.numpy() for mesh in self._meshes), strict=True)
             shifted = [part + begin for part, begin in zip(faces, begins, strict=False)]
             whole = TriangleMesh(np.concatenate(vertices), np.concatenate(shifted), "the scene", check=False)
-            self._built = MeshIndex(whole, self._device, warn=False)
+            self._built = PointsIndex(whole, self._device)
         return self._built
 
 

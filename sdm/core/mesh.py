@@ -121,6 +121,9 @@ class TriangleMesh:
         return self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy()
 
 
+_NUMPY_TYPES = {torch.float32: np.float32, torch.float64: np.float64, torch.int32: np.int32, torch.int64: np.int64}
+
+
 def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | None = None) -> Tensor:
     """`array` as a tensor of `dtype`, sharing memory where dtype, device and layout allow it.
 
@@ -155,6 +158,12 @@ def as_tensor(array: Any, dtype: torch.dtype, what: str, device: torch.device | 
             low, high = torch.stack(tensor.aminmax()).tolist() if host is None else (int(host.min()), int(host.max()))
             if low < -(2**31) or high >= 2**31:
                 raise MeshError(f"{what} hold the index {high if high >= 2**31 else low}, which is out of range")
+    if tensor.dtype != dtype and not tensor.requires_grad and (device is None or device.type == "cpu"):
+        host = plain_array(tensor)
+        if host is not None:
+            with np.errstate(over="ignore"):
+                # As above.
+                return torch.from_numpy(host.astype(_NUMPY_TYPES[dtype], order="C"))
     return tensor.to(device=device, dtype=dtype).contiguous()
 
 

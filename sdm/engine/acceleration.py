@@ -281,19 +281,23 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
     return KernelView(structs["tree"], winding, frames, structs["features"], structs["cones"])
 
 
-def build(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> AccelerationStructure:
+def build(
+    vertices: Tensor, faces: Tensor, edges: Tensor | None = None, *, tree_alone: bool = False
+) -> AccelerationStructure:
     """Build the structure of a batch of meshes on their device.
 
     Args:
         vertices: (B,V,3) float32.
         faces: (F,3) int32, shared.
         edges: (E,2) int32 boundary edges, found here if None.
+        tree_alone: Leave frames, features and cones without content: points are searched without them on a CPU, see
+            `search_needs_tree_alone`.
 
     Raises:
         MeshError: More triangles in all than the kernels can count.
     """
     vertices, faces = vertices.contiguous(), faces.contiguous()
-    return queue_build(vertices, faces, topology_for(vertices, faces, edges))
+    return queue_build(vertices, faces, topology_for(vertices, faces, edges), tree_alone=tree_alone)
 
 
 def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
@@ -320,7 +324,7 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
 
 
 def queue_build(
-    vertices: Tensor, faces: Tensor, topology: MeshTopology, join: Join | None = None
+    vertices: Tensor, faces: Tensor, topology: MeshTopology, join: Join | None = None, *, tree_alone: bool = False
 ) -> AccelerationStructure:
     """Queue the kernels of `build`, and do nothing else: `vertices` and `faces` are contiguous.
 
@@ -331,7 +335,8 @@ def queue_build(
     structure = AccelerationStructure.in_block(sizes, vertices.device)
     with on_current_stream(vertices, vertices, faces, *topology):
         bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
-        fill_surface(structure.view, vertices, faces, topology.neighbours, as_warp(bounds, wp.float32), join)
+        room = as_warp(bounds, wp.float32)
+        fill_surface(structure.view, vertices, faces, topology.neighbours, room, join, tree_alone=tree_alone)
         fill_boundary(structure, vertices, topology, as_warp(bounds, wp.float32))
     return structure
 
@@ -343,6 +348,8 @@ def fill_surface(
     neighbours: Tensor,
     bounds: wp.array,
     join: Join | None = None,
+    *,
+    tree_alone: bool = False,
 ) -> None:
     """Queue the kernels that do not depend on a boundary, and fill each mesh's `bounds`, as `build_tree` does."""
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
@@ -355,6 +362,8 @@ def fill_surface(
     build_tree(view.tree, corners, triples, bounds, keys, slots, normals)
     if join is not None:
         join()
+    if tree_alone:
+        return
     shared = as_warp(neighbours, wp.int32)
     # None of these fills a GPU by itself.
     with kernels_beside(vertices) as join_parts:

@@ -19,7 +19,7 @@ from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, look_at_points
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.points import at_points
+from sdm.engine.points import at_points, search_needs_tree_alone
 from sdm.engine.repeated_faces import may_be_crowded
 from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import refuse_forward_mode
@@ -204,7 +204,8 @@ def signed_distance(
         if may_be_crowded(placed, edges):
             return MeshIndex(placed, where).signed_distance(points, return_closest=return_closest, sign=sign)
         if sign == "winding":
-            structure = build(placed.vertices.detach()[None], placed.faces, edges)
+            alone = search_needs_tree_alone(where)
+            structure = build(placed.vertices.detach()[None], placed.faces, edges, tree_alone=alone)
     found = at_points(placed, points, return_closest, structure, sign=sign)
     look_at_points(placed, points, found, sign)
     return found

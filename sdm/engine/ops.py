@@ -32,8 +32,9 @@ from sdm.runtime.graphs.output_slot import current_slot
 from sdm.runtime.operators import define, differentiate, is_eager
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
-# Fewer points than this are queried in the order they come in.
-SMALLEST_SORT = 1 << 12
+# Fewer points than this are queried in the order they come in, on a CPU far fewer of meshes that are not tiny: each
+# search begins with the answer of the point before.
+SMALLEST_SORT, CPU_SORT, CPU_SORT_TRIANGLES = 1 << 12, 1 << 8, 1 << 8
 # Points of one launch: twice as many are counted with 32 bits.
 MOST_POINTS = 1 << 29
 
@@ -58,6 +59,8 @@ def _query(
     if hits:
         found = [torch.empty_like(at), torch.empty(count, dtype=torch.int32, device=at.device), torch.empty_like(at)]
     sort = count >= SMALLEST_SORT
+    if not at.is_cuda:
+        sort |= count >= CPU_SORT and structure.sizes.faces >= CPU_SORT_TRIANGLES
     keys = torch.empty(2 * count if sort else 0, dtype=torch.int64, device=at.device)
     order = torch.empty(2 * count if sort else 0, dtype=torch.int32, device=at.device)
     with on_current_stream(at, at, structure.memory[0]):

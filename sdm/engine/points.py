@@ -12,8 +12,10 @@ from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.closest_points import Closest
 from sdm.engine.ops import points_closest, points_distance
+from sdm.engine.plan_override import OPTIONS
 from sdm.engine.repeated_faces import RepeatedFaces
 from sdm.errors import MeshError, SDMError
+from sdm.kernels.points.plan import plan_points
 from sdm.runtime.torch_warp import refuse_forward_mode
 
 
@@ -66,9 +68,15 @@ def at_points(
     return _signed(mesh, points, return_closest, structure, repeated, whole)
 
 
+def search_needs_tree_alone(device: torch.device) -> bool:
+    """True if points are searched without lists of triangles, so that a structure for them alone is a tree."""
+    return not plan_points(1, device.type == "cuda", OPTIONS.get()).lists
+
+
 def unbounded(mesh: TriangleMesh) -> AccelerationStructure:
     """The structure of a mesh whose boundary nobody asks for."""
-    return build(mesh.vertices.detach()[None], mesh.faces, mesh.faces.new_empty((0, 2)))
+    alone = search_needs_tree_alone(mesh.device)
+    return build(mesh.vertices.detach()[None], mesh.faces, mesh.faces.new_empty((0, 2)), tree_alone=alone)
 
 
 def _signed(

@@ -1,0 +1,41 @@
+"""The index for points alone: the bits of the whole one, whatever the mesh, the number of points and their order."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from sdm.bench.common.meshes import load_case
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.mesh_index import MeshIndex
+from sdm.engine.ops import CPU_SORT
+from sdm.engine.plan_override import plan_override
+from sdm.engine.points_index import PointsIndex
+
+
+@pytest.mark.parametrize("name", ["torus", "open hemisphere", "repeated faces", "needle box"])
+def test_equals_the_whole_index(name):
+    case = load_case(name)
+    mesh = TriangleMesh(case.vertices, case.faces)
+    low, high = (torch.tensor(corner, dtype=torch.float32) for corner in mesh.bounds)
+    random = torch.Generator().manual_seed(0)
+    points = low + (1.4 * torch.rand(2 * CPU_SORT, 3, generator=random) - 0.2) * (high - low)
+    points[7] = torch.nan
+    points_alone, whole = PointsIndex(mesh, "cpu"), MeshIndex(mesh, "cpu", warn=False)
+    for sign in ("winding", "none"):
+        found, hit = points_alone.signed_distance(points, return_closest=True, sign=sign)
+        wanted, wanted_hit = whole.signed_distance(points, return_closest=True, sign=sign)
+        assert torch.equal(found.view(torch.int32), wanted.view(torch.int32))
+        assert torch.equal(hit.faces, wanted_hit.faces)
+    # Few points are gone through as they come: the same bits.
+    one_by_one = torch.cat([points_alone.signed_distance(part) for part in points.split(CPU_SORT // 4)])
+    assert torch.equal(one_by_one.view(torch.int32), whole.signed_distance(points).view(torch.int32))
+
+
+def test_lists_have_what_they_read():
+    case = load_case("torus")
+    points = torch.rand(100, 3, generator=torch.Generator().manual_seed(1))
+    mesh = TriangleMesh(case.vertices, case.faces)
+    wanted = MeshIndex(mesh, "cpu", warn=False).signed_distance(points)
+    with plan_override(points_method="lists"):
+        assert torch.equal(PointsIndex(mesh, "cpu").signed_distance(points), wanted)
