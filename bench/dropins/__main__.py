@@ -1,6 +1,6 @@
 """Drop-in replacements beside the originals: time, wrong signs, errors.
 
-    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--runs 7] [--out bench/results/dropins-cpu.json]
+    python -m sdm.bench.dropins [--points 4000] [--meshes torus-20000 ...] [--runs 7] [--out FILE.json]
 
 Half of the points are anywhere in a box around the mesh, half near its surface. True distances and signs are those of a
 float64 brute force; a sign is wrong where the winding number is further than 0.05 from a half and says otherwise. Each

@@ -1,8 +1,8 @@
-"""Closest points of a mesh whose vertices are float64: on a face that is known to be nearest in float32, or beside it.
+"""Closest points of a mesh with float64 vertices: on a face that float32 knows to be nearest, or beside it.
 
-Only where an edge or a corner is nearest may a neighbour of that face be as near. Of faces that are equally near the one
-is named whose front looks at the point most: with the largest cos of the angle between its normal and the way to the
-point, the known face first where they are the same.
+Only where an edge or a corner is nearest may a neighbour of that face be as near. Of faces that are equally near the
+one is named whose front looks at the point most: with the largest cos of the angle between its normal and the way to
+the point, the known face first where they are the same.
 """
 
 from __future__ import annotations

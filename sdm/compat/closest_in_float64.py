@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.points_index import PointsIndex
+from sdm.engine.points import PointsIndex
 from sdm.errors import MeshError
 from sdm.inspect.positions import first_at_position
 from sdm.kernels.closest.float64_mesh import Answers, ExactMesh, Known, measure_in_float64

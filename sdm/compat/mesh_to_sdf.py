@@ -16,7 +16,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.engine.mesh_index import MeshIndex
-from sdm.engine.points_index import PointsIndex
+from sdm.engine.points import PointsIndex
 from sdm.errors import MeshError, SDMError
 
 # The standard deviations of points about the surface, and the share of all that are.

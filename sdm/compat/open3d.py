@@ -10,7 +10,7 @@ import torch
 
 from sdm.core.as_mesh import as_mesh
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.points_index import PointsIndex
+from sdm.engine.points import PointsIndex
 from sdm.errors import MeshError
 
 

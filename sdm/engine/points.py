@@ -1,22 +1,25 @@
-"""Signed distances of scattered points."""
+"""Signed distances of scattered points, and an index of a mesh for them alone."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
 
+from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.closest_points import Closest
 from sdm.engine.ops import points_closest, points_distance
 from sdm.engine.plan_override import OPTIONS
-from sdm.engine.repeated_faces import RepeatedFaces
+from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError, SDMError
 from sdm.kernels.points.plan import plan_points
 from sdm.runtime.torch_warp import refuse_forward_mode
+from sdm.topology.boundary_edges import boundary_edges
 
 
 def as_points(points: Any, device: torch.device) -> Tensor:
@@ -100,3 +103,41 @@ def _signed(
         return values
     hit = point.reshape(*shape, 3), face.reshape(shape), barycentric.reshape(*shape, 3)
     return values, Closest(*hit, mesh if whole is None else whole, at.detach())
+
+
+class PointsIndex:
+    """A mesh with what a search at points needs: built once, queried often; on a CPU in less time than a `MeshIndex`.
+
+    Args:
+        mesh: The mesh, or whatever `as_mesh` takes for one; taken as it is, without warnings.
+        device: By default the mesh's own if that is a GPU, else a GPU if there is one, else the CPU.
+
+    Raises:
+        DeviceError: The device is not there.
+    """
+
+    def __init__(self, mesh: MeshLike, device: str | torch.device | None = None) -> None:
+        whole = mesh if isinstance(mesh, TriangleMesh) else as_mesh(mesh)
+        self.device = choose_device(device, whole.vertices)
+        self.mesh = measured = whole.to(self.device)
+        edges = boundary_edges(measured.vertices, measured.faces)
+        self._repeated = repeated_faces(measured) if may_be_crowded(measured, edges) else None
+        if self._repeated is not None:
+            measured, edges = self._repeated.distinct, None
+        self._measured = measured
+        vertices, alone = measured.vertices.detach()[None], search_needs_tree_alone(self.device)
+        self._structure = build(vertices, measured.faces, edges, tree_alone=alone)
+
+    @overload
+    def signed_distance(
+        self, points: Any, *, return_closest: Literal[False] = False, sign: Sign = "winding"
+    ) -> Tensor: ...
+    @overload
+    def signed_distance(
+        self, points: Any, *, return_closest: Literal[True], sign: Sign = "winding"
+    ) -> tuple[Tensor, Closest]: ...
+    def signed_distance(
+        self, points: Any, *, return_closest: bool = False, sign: Sign = "winding"
+    ) -> Tensor | tuple[Tensor, Closest]:
+        """As `sdm.signed_distance`, bit for bit."""
+        return at_points(self._measured, points, return_closest, self._structure, self._repeated, self.mesh, sign)

@@ -10,7 +10,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ops import CPU_SORT
 from sdm.engine.plan_override import plan_override
-from sdm.engine.points_index import PointsIndex
+from sdm.engine.points import PointsIndex
 
 
 @pytest.mark.parametrize("name", ["torus", "open hemisphere", "repeated faces", "needle box"])
