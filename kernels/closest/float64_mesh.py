@@ -33,7 +33,7 @@ class ExactMesh:
 
 @wp.struct
 class Known:
-    """What a query in float32 found of each point."""
+    """Answers of a query in float32 for each point."""
 
     values: wp.array(dtype=wp.float32)
     faces: wp.array(dtype=wp.int32)
