@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from typing import Any
 
 from docutils import nodes
@@ -19,7 +20,15 @@ def help_of(command: str) -> str:
     words = [sys.executable, "-m", "sdm.cli", *command.split(), "--help"]
     environment = {**os.environ, "COLUMNS": str(WIDTH + 4), "NO_COLOR": "1"}
     done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True)  # noqa: S603
-    return "\n".join(plain(line) for line in done.stdout.splitlines()).strip("\n")
+    lines = [short for line in done.stdout.splitlines() for short in wrapped(plain(line))]
+    # One empty line where argparse and our examples leave two.
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip("\n")
+
+
+def wrapped(line: str) -> list[str]:
+    """A line as lines that fit: paragraphs of the description come in one."""
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_on_hyphens=False) or [""]
 
 
 def plain(line: str) -> str:

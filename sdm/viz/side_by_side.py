@@ -46,13 +46,13 @@ def _figure(exact: SDM, predicted: SDM, title: str) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(40 / 3, 7.5), facecolor="white")
+    figure = Figure(figsize=(40 / 3, 7.5), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    figure.text(0.03, 0.955, title, fontsize=18, fontweight="bold", color="0.1", va="center")
+    figure.suptitle(title, x=0.02, ha="left", fontsize=18, fontweight="bold", color="0.1")
     wanted, found = exact.numpy(), predicted.numpy()
     error = found - wanted
     end = max(float(np.quantile(np.abs(error), 0.99)), ERROR_MM)
-    cells = figure.add_gridspec(2, 3, left=0.05, right=0.99, bottom=0.07, top=0.88, wspace=0.22, hspace=0.2)
+    cells = figure.add_gridspec(2, 3)
     columns = (("exact", wanted, MAP_MM), ("surrogate", found, MAP_MM), ("surrogate - exact", error, end))
     for row, plane in enumerate(ROWS):
         normal = 3 - sum(plane)
