@@ -13,12 +13,11 @@ MARKS = ("o", "s", "D", "^", "v", "P")
 
 def draw(report: dict[str, Any], path: Path) -> None:
     """Processor seconds, and bytes of the process, of each mesh and library, against voxels along an axis."""
-    import matplotlib as mpl
     from matplotlib.ticker import LogLocator, NullLocator
 
     rows = report["rows"]
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
-    with mpl.rc_context(STYLE), sheet(path, (13.0, 6.0), dpi=130, layout="constrained") as figure:
+    with sheet(path, (13.0, 6.0), dpi=130, layout="constrained", look=STYLE) as figure:
         left, right = figure.subplots(1, 2)
         for axes, name, unit in ((left, "cpu", 1.0), (right, "peak", 2.0**20)):
             for number, mesh in enumerate(meshes):

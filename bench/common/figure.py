@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sdm.io.files.atomic import replacing
+from sdm.viz import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,39 +18,34 @@ if TYPE_CHECKING:
 OURS = "sdm"
 # sdm stands out; the others are told apart by lightness too, for those who do not see the hues.
 COLOURS = {
-    OURS: "#c2341d",
-    "Warp winding number": "#1f5a96",
+    OURS: style.RED,
+    "Warp winding number": style.BLUE,
     "Warp winding number, SAH": "#3f4f9e",
     "Warp swept volume": "#6fa8d6",
-    "libigl winding number": "#3b7d4f",
+    "libigl winding number": style.GREEN,
     "libigl pseudonormal": "#8cc39a",
-    "Open3D": "#8a5ba6",
-    "point-cloud-utils": "#b8862b",
-    "trimesh + embreex": "#777777",
+    "Open3D": style.VIOLET,
+    "point-cloud-utils": style.OCHRE,
+    "trimesh + embreex": style.GREY,
 }
 SPARE = ("#444444", "#a0a0a0", "#d08a9a", "#5fb3b3")
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
+# Charts of a whole slide: the style of all drawings, in larger letters and without a frame.
 STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
+    **style.STYLE,
     "font.size": 12.0,
     "axes.titlesize": 16.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 14.0,
-    "axes.labelcolor": "0.2",
     "axes.linewidth": 0.8,
     "axes.edgecolor": "0.45",
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "xtick.color": "0.3",
-    "ytick.color": "0.3",
     "grid.color": "0.88",
     "grid.linewidth": 0.8,
     "lines.linewidth": 2.4,
     "lines.markersize": 7.0,
-    "legend.frameon": False,
     "legend.fontsize": 11.0,
 }
 
@@ -63,9 +59,7 @@ def colour_of(name: str, others: list[str]) -> str:
 @contextmanager
 def drawing(path: Path, caption: str, size: tuple[float, float] = (12.0, 6.75)) -> Iterator[tuple[Figure, Axes]]:
     """A figure with one pair of axes, written to `path` at the end; `caption` says below it what was measured on."""
-    import matplotlib as mpl
-
-    with mpl.rc_context(STYLE), sheet(path, size, dpi=150) as figure:
+    with sheet(path, size, dpi=150, look=STYLE) as figure:
         axes = figure.add_axes((0.085, 0.145, 0.885, 0.755))
         yield figure, axes
         # About fifteen letters of this size to an inch.
@@ -75,18 +69,24 @@ def drawing(path: Path, caption: str, size: tuple[float, float] = (12.0, 6.75)) 
 
 @contextmanager
 def sheet(
-    path: Path, size: tuple[float, float], dpi: int, layout: Literal["constrained"] | None = None
+    path: Path,
+    size: tuple[float, float],
+    dpi: int,
+    layout: Literal["constrained"] | None = None,
+    look: dict[Any, Any] = style.STYLE,
 ) -> Iterator[Figure]:
-    """An empty figure, written to `path` at the end, whole or not at all; no display is needed."""
+    """An empty figure in a style, written to `path` at the end, whole or not at all; no display is needed."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
-    yield figure
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as part:
-        figure.savefig(part, format="png", dpi=dpi)
+    with mpl.rc_context(look):
+        figure = Figure(figsize=size, facecolor="white", layout=layout)
+        FigureCanvasAgg(figure)
+        yield figure
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as part:
+            figure.savefig(part, format="png", dpi=dpi)
 
 
 def log_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:

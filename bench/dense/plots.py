@@ -18,7 +18,7 @@ def machine(part: dict[str, Any]) -> str:
     """One line on what it was measured on."""
     about = part["machine"]
     warp = about["versions"].get("warp-lang")
-    return f"{about['device']}, {about['cores']} CPU cores, Warp {warp}, commit {about['commit']}"
+    return f"{about['device']}, {about['cores']} CPU cores, Warp {warp}"
 
 
 def ratios(part: dict[str, Any], path: Path) -> bool:

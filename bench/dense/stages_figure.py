@@ -18,7 +18,7 @@ from sdm.bench.common.checkout import docs_folder
 from sdm.bench.common.figure import STYLE
 from sdm.bench.dense import stages
 from sdm.io.files.atomic import replacing
-from sdm.viz.figure import colour_map
+from sdm.viz.style import colour_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

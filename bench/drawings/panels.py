@@ -21,10 +21,8 @@ def panels(
     path: Path, rows: int, columns: int, size: tuple[float, float], title: str, *, dpi: int = 110
 ) -> Iterator[np.ndarray]:
     """Axes (rows, columns) under a headline, written to `path` at the end."""
-    import matplotlib as mpl
-
-    style = {**STYLE, "font.size": 11.0, "axes.titlesize": 11.5, "axes.titlepad": 7.0}
-    with mpl.rc_context(style), sheet(path, size, dpi=dpi, layout="constrained") as figure:
+    look = {**STYLE, "font.size": 11.0, "axes.titlesize": 11.5, "axes.titlepad": 7.0}
+    with sheet(path, size, dpi=dpi, layout="constrained", look=look) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=16, fontweight="bold")
         grid: Any = figure.subplots(rows, columns, squeeze=False)
         for axes in grid.flat:

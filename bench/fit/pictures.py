@@ -14,6 +14,7 @@ from sdm.bench.fit.real import real_mesh, scan
 from sdm.bench.fit.tools import backends_by_name, case, fit_case, truth_backend
 from sdm.fit import SCANNERS
 from sdm.viz.fit_figure import draw_fit
+from sdm.viz.style import BLUE, RED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,9 +59,9 @@ def _formation(record: dict, path: Path) -> None:
         places = range(len(found))
         after = [row["coverage_90_shape"] for row in found.values()]
         errors = [1.96 * row.get("standard_error_shape", 0) for row in found.values()]
-        panel.errorbar(places, after, yerr=errors, fmt="o", color="#3f86bd", capsize=2, label="formation estimated")
+        panel.errorbar(places, after, yerr=errors, fmt="o", color=BLUE, capsize=2, label="formation estimated")
         before = [row.get("coverage_90_shape_before", float("nan")) for row in found.values()]
-        panel.plot(places, before, "x", color="#c9453f", label="all taken for granted")
+        panel.plot(places, before, "x", color=RED, label="all taken for granted")
         panel.set_xticks(places, [f"{name}\n{row['trusted']} fits" for name, row in found.items()])
         panel.set_ylim(0.0, 1.02)
         panel.set_ylabel("90 % intervals that hold the truth")
@@ -75,9 +76,9 @@ def _refusals(record: dict, path: Path) -> None:
         rows = record["by_noise"]
         places = range(len(rows))
         panel.bar(places, [r["images"] for r in rows], color="0.85", label="images with an answer")
-        panel.bar([i - 0.2 for i in places], [r["refused_plain"] for r in rows], 0.4, color="#c9453f",
+        panel.bar([i - 0.2 for i in places], [r["refused_plain"] for r in rows], 0.4, color=RED,
                   label="refused, all taken for granted")  # fmt: skip
-        panel.bar([i + 0.2 for i in places], [r["refused"] for r in rows], 0.4, color="#3f86bd",
+        panel.bar([i + 0.2 for i in places], [r["refused"] for r in rows], 0.4, color=BLUE,
                   label="refused, formation estimated")  # fmt: skip
         panel.set_xticks(places, [f"{r['noise_HU']:g}" for r in rows])
         panel.set_xlabel("noise [HU] at a contrast of 1600 HU")
@@ -92,7 +93,7 @@ def _coverage(record: dict, path: Path) -> None:
 
 def _draw_coverage(record: dict, panel: Axes) -> None:
     panel.axhline(0.9, color="0.5", linewidth=0.8)
-    for offset, scanner, colour in ((-0.12, "0.3", "#3f86bd"), (0.12, "0.2", "#c9453f")):
+    for offset, scanner, colour in ((-0.12, "0.3", BLUE), (0.12, "0.2", RED)):
         found = record[scanner]
         if not found["trusted"]:
             continue

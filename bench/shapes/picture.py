@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sdm.io.files.atomic import replacing
-from sdm.viz.figure import STYLE
+from sdm.viz.style import STYLE
 
 NAMES = {"points": "points laid by a template", "maps": "signed distance maps"}
 

@@ -12,12 +12,10 @@ MARKS = ("o", "s", "D", "^", "v", "P")
 
 def draw(report: dict[str, Any], path: Path) -> None:
     """Processor seconds of each method against voxels along an axis, a panel for each mesh."""
-    import matplotlib as mpl
-
     rows = report["rows"]
     meshes = list(dict.fromkeys(row["mesh"] for row in rows))
     sizes = sorted({row["resolution"] for row in rows})
-    with mpl.rc_context(STYLE), sheet(path, (4.6 * len(meshes) + 1, 5.0), dpi=110, layout="constrained") as figure:
+    with sheet(path, (4.6 * len(meshes) + 1, 5.0), dpi=110, layout="constrained", look=STYLE) as figure:
         panels = figure.subplots(1, len(meshes), squeeze=False, sharey=True)[0]
         for axes, mesh in zip(panels, meshes, strict=True):
             for number, method in enumerate(dict.fromkeys(row["method"] for row in rows)):

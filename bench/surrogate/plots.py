@@ -75,7 +75,7 @@ def draw_timing(report: dict[str, Any], target: Path) -> None:
 
 
 def _machine(report: dict[str, Any]) -> str:
-    return f"{report['machine']['device']}, commit {report['machine']['commit']}"
+    return str(report["machine"]["device"])
 
 
 if __name__ == "__main__":

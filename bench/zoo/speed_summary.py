@@ -69,7 +69,7 @@ def draw(report: dict[str, Any], path: Path) -> None:
     """Stock's time over ours for all meshes in ascending order, a line for each resolution."""
     machine = report["machine"]
     caption = (
-        f"{machine['device']}, commit {machine['commit']}. First call of each mesh, topology and tree counted; stock "
+        f"{machine['device']}. First call of each mesh, topology and tree counted; stock "
         "Warp's query alone, by the faster of its trees."
     )
     with drawing(path, caption) as (_, axes):

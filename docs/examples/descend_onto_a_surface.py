@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import torch
 
 import sdm
+from sdm.viz import STYLE
 
 family = sdm.shapes.make_family("cuboid")
 mesh = family.mesh([(p.low + p.high) / 2 for p in family.parameters])
@@ -28,9 +29,10 @@ loss = sdm.signed_distance(sdm.TriangleMesh(vertices, mesh.faces), path[0]).squa
 loss.backward()
 print(f"derivative by {len(vertices)} vertices, largest {float(vertices.grad.norm(dim=1).max()):.2e}")
 
+plt.rcParams.update(STYLE)
 figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
 for track in torch.stack(path, 1)[:, :, :2]:
     axes.plot(*track.T.numpy(), lw=0.6, color="0.7")
-axes.scatter(*points.detach()[:, :2].T.numpy(), s=4, color="#8c1d2c")
+axes.scatter(*points.detach()[:, :2].T.numpy(), s=4)
 axes.set(aspect="equal", xlabel="x", ylabel="y", title="400 points descend onto a box")
 figure.savefig("descend_onto_a_surface.png", dpi=100)

@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import torch
 
 import sdm
+from sdm.viz import STYLE, colour_map
 
 # A label image: three balls that touch, in voxels of 1 x 1 x 2 mm.
 spacing, shape = (1.0, 1.0, 2.0), (72, 72, 36)
@@ -17,14 +18,15 @@ maps = sdm.euclidean_distance_transform(labels, classes=[1, 2, 3], signed=True, 
 print(f"labels {tuple(labels.shape)} -> maps {tuple(maps.shape)} in mm, negative inside")
 assert torch.equal(maps < 0, torch.stack([labels == c for c in (1, 2, 3)]))
 
+plt.rcParams.update(STYLE)
 figure, axes = plt.subplots(1, 4, figsize=(10, 2.8), layout="constrained")
 middle = shape[2] // 2
 axes[0].imshow(labels[:, :, middle].T.numpy(), origin="lower", cmap="viridis")
 axes[0].set_title("labels")
 for c, ax in enumerate(axes[1:]):
     values = maps[c, :, :, middle].T.cpu().numpy()
-    drawn = ax.imshow(values, origin="lower", cmap="RdBu", vmin=-20, vmax=20)
-    ax.contour(values, levels=[0], colors="k", linewidths=1)
+    drawn = ax.imshow(values, origin="lower", cmap=colour_map(), vmin=-20, vmax=20)
+    ax.contour(values, levels=[0], colors="k", linewidths=1.5)
     ax.set_title(f"class {c + 1}")
 for ax in axes:
     ax.axis("off")

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sdm.io.files.atomic import replacing
-from sdm.viz.figure import STYLE
+from sdm.viz.style import OCHRE, STYLE, SURFACE_LINE, colour_map
 
 
 def card_sheet(exact: np.ndarray, guess: np.ndarray, card: dict[str, Any], path: Path, *, title: str) -> None:
@@ -32,9 +32,9 @@ def card_sheet(exact: np.ndarray, guess: np.ndarray, card: dict[str, Any], path:
         figure = Figure(figsize=(11.5, 3.4), dpi=100, layout="constrained")
         FigureCanvasAgg(figure)
         left, middle, right = figure.subplots(1, 3)
-        left.imshow(exact[:, :, layer].T, origin="lower", cmap="RdBu", vmin=-limit, vmax=limit)
-        for values, colour, name in ((exact, "black", "exact"), (guess, "tab:orange", "surrogate")):
-            left.contour(values[:, :, layer].T, levels=[0.0], colors=colour, linewidths=1.2)
+        left.imshow(exact[:, :, layer].T, origin="lower", cmap=colour_map(), vmin=-limit, vmax=limit)
+        for values, colour, name in ((exact, "black", "exact"), (guess, OCHRE, "surrogate")):
+            left.contour(values[:, :, layer].T, levels=[0.0], colors=colour, linewidths=SURFACE_LINE)
             left.plot([], [], color=colour, label=name)
         left.legend(fontsize=8)
         left.set_title(f"least Dice found: {card['worst']['dice']['dice']:.4f}")

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
-from sdm.viz.figure import FORMATS, STYLE
+from sdm.viz.figure import FORMATS
+from sdm.viz.style import STYLE
 
 COLUMNS = 6
 # Towards the eye, and the light over its left shoulder.
@@ -65,7 +66,7 @@ def draw_shape(place: Axes, vertices: np.ndarray, faces: np.ndarray, reach: floa
     middle = (xy.max(0) + xy.min(0)) / 2
     place.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - reach, middle[1] + reach))
     place.set_aspect("equal")
-    place.set_title(caption, fontsize=7.5, y=-0.05)
+    place.set_title(caption, fontsize=9, y=-0.05)
 
 
 def check_picture(path: Path) -> None:

@@ -5,41 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
 from sdm.io.files.atomic import replacing
+from sdm.viz.style import LEVEL_LINE, STYLE, SURFACE_LINE, colour_map
 from sdm.viz.surface_drawing import draw_surface
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 FORMATS = ("png", "pdf", "svg", "jpg", "webp")
-# Low values, the inside, are red: the colour of the surface beside the slices.
-COLOURS = ("#8c1d2c", "#c9453f", "#ea8a6c", "#f8c9b0", "#f8f7f5", "#c3dcec", "#80b5d8", "#3f86bd", "#1f5a96")
 # The outside reaches much further than the inside is deep: past this ratio the colours stop, and the bar says so.
 OUTSIDE_TO_INSIDE = 2.0
 # Longer values in the list beside the slices are set smaller.
 LONGEST_VALUE = 20
-STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 10.0,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": "0.35",
-    "xtick.color": "0.35",
-    "ytick.color": "0.35",
-    "axes.labelcolor": "0.2",
-    "grid.color": "0.84",
-    "grid.linewidth": 0.6,
-    "svg.fonttype": "none",
-}
 
 
 def picture(
@@ -103,13 +88,6 @@ def _figure(field: SDM, title: str, unit: str | None, facts: dict[str, str]) -> 
     return figure
 
 
-def colour_map() -> LinearSegmentedColormap:
-    """Red inside, blue outside."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("inside_outside", COLOURS)
-
-
 def colour_limit(values: np.ndarray) -> tuple[float, str]:
     """The symmetric end of the colour scale, and where the map goes past it."""
     finite = values[np.isfinite(values)]
@@ -154,9 +132,9 @@ def draw_slice(
         levels = step * np.arange(np.ceil(cut.min() / step), np.floor(cut.max() / step) + 1)
         thin = levels[(levels != 0) & (levels > cut.min()) & (levels < cut.max())]
         if 0 < thin.size < 100:
-            axes.contour(*ticks, cut, levels=thin, colors="0.15", linewidths=0.35, alpha=0.4, linestyles="solid")
+            axes.contour(*ticks, cut, levels=thin, colors="0.15", linewidths=LEVEL_LINE, alpha=0.4, linestyles="solid")
         if cut.min() < 0 < cut.max():
-            axes.contour(*ticks, cut, levels=[0.0], colors="black", linewidths=1.5)
+            axes.contour(*ticks, cut, levels=[0.0], colors="black", linewidths=SURFACE_LINE)
     axes.set_xlabel(names[right] + _in(unit), labelpad=2)
     axes.set_ylabel(names[up] + _in(unit), labelpad=2)
     axes.tick_params(labelsize=8, length=2.5, width=0.6)

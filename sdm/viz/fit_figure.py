@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,6 +18,10 @@ from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
 from sdm.io.meshes.write import save_mesh
 from sdm.shapes import Family, make_family
+from sdm.viz.style import OCHRE, STYLE, SURFACE_LINE, colour_map
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -51,13 +55,23 @@ def draw_fit(
     kind = target.suffix.lower().lstrip(".")
     if kind not in FORMATS:
         raise FormatError(f"{target} does not end like a picture: use one of .{', .'.join(FORMATS)}")
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        figure = _figure(image, grid, backend, result, title)
+        with replacing(target) as part:
+            figure.savefig(part, format=kind, dpi=110)
+
+
+def _figure(image: Tensor, grid: Grid, backend: Backend, result: FitResult, title: str) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.3, 7.5), facecolor="white")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=18, fontweight="bold", x=0.03, ha="left")
-    axes = figure.subplots(2, 4, gridspec_kw={"left": 0.04, "right": 0.98, "top": 0.88, "bottom": 0.06})
+    places = {"left": 0.03, "right": 0.99, "top": 0.88, "bottom": 0.03, "wspace": 0.06, "hspace": 0.12}
+    axes = figure.subplots(2, 4, gridspec_kw=places)
     values, share = image.double().cpu().numpy(), result.share.cpu().numpy()
     left = values - result.expected.double().cpu().numpy()
     limits, spread = np.percentile(values, [0.5, 99.5]), 3 * float(left.std()) or 1.0
@@ -66,26 +80,24 @@ def draw_fit(
     for column, normal in enumerate((2, 1, 0)):
         up, right = (axis for axis in (2, 1, 0) if axis != normal)
         for row, (shown, colours, low, high) in enumerate(
-            ((values, "gray", *limits), (left, "RdBu_r", -spread, spread))
+            ((values, "gray", *limits), (left, colour_map().reversed(), -spread, spread))
         ):
             panel = axes[row, column]
             cut, outline = (np.take(a, middle[normal], axis=normal).T for a in (shown, share))
             panel.imshow(cut, cmap=colours, vmin=low, vmax=high, origin="lower", interpolation="none",
                          aspect=grid.spacing[up] / grid.spacing[right])  # fmt: skip
             if outline.min() < 0.5 < outline.max():
-                panel.contour(outline, levels=[0.5], colors="#e0a010", linewidths=1.3)
+                panel.contour(outline, levels=[0.5], colors=OCHRE, linewidths=SURFACE_LINE)
             panel.set_title(f"{'image' if row == 0 else 'left over'}, {'xyz'[normal]} slice", fontsize=10)
             panel.set_xticks([])
             panel.set_yticks([])
     _list(axes[0, 3], _estimates(result))
-    axes[1, 3].axis("off")
     deviations = surface_deviations(backend, result)
     _list(axes[1, 3], [f"surface within {float(deviations.mean()):.4f} mm (1 sd)",
                        f"explains {result.diagnosis.explained:.1%} of its neighbourhood",
                        f"contrast {result.diagnosis.contrast:.1f} times the noise",
                        f"{sum(result.evaluations.values())} shape evaluations, {result.seconds:.1f} s"])  # fmt: skip
-    with replacing(target) as part:
-        figure.savefig(part, format=kind, dpi=110)
+    return figure
 
 
 def _estimates(result: FitResult) -> list[str]:

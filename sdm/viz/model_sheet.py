@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from sdm.io.files.atomic import replacing
 from sdm.viz.family_sheet import draw_shape
-from sdm.viz.figure import STYLE
+from sdm.viz.style import STYLE
 
 CURVES = ("compactness", "generalisation", "specificity")
 
@@ -45,12 +45,13 @@ def model_sheet(
         for place, name in zip(places[2], curves, strict=False):
             place.set_axis_on()
             if name == "compactness":
-                place.plot(range(1, len(facts[name]) + 1), [100 * x for x in facts[name]])
+                place.plot(range(1, len(facts[name]) + 1), [100 * x for x in facts[name]], "o-", markersize=3)
                 place.set_ylabel("share of variance [%]")
             else:
-                place.plot(facts[name]["modes"], facts[name]["mean"])
+                place.plot(facts[name]["modes"], facts[name]["mean"], "o-", markersize=3)
                 place.set_ylabel("mean vertex distance")
             place.set(title=name, xlabel="modes", ylim=(0, None))
+            place.xaxis.get_major_locator().set_params(integer=True)
         if title:
             figure.suptitle(title, fontsize=11)
         with replacing(path) as part:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sdm.core.signed_distance_map import SDM
 from sdm.io.files.atomic import replacing
+from sdm.viz.style import STYLE, SURFACE_LINE, colour_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STYLE: dict[Any, Any] = {"font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 10.0}
 # Ends of the colour scales [mm]: of the maps, and least of the difference.
 MAP_MM, ERROR_MM = 1.5, 0.02
 ROWS = ((0, 1), (0, 2))
@@ -64,9 +64,11 @@ def _figure(exact: SDM, predicted: SDM, title: str) -> Figure:
             cut = np.take(values, at, normal).T
             half = exact.grid.spacing[0] / 2
             extent = (sides[0][0] - half, sides[0][-1] + half, sides[1][0] - half, sides[1][-1] + half)
-            shown = axes.imshow(cut, origin="lower", extent=extent, cmap="RdBu", vmin=-limit, vmax=limit)
-            axes.contour(*sides, np.take(wanted, at, normal).T, [0], colors="k", linewidths=1.0)
-            axes.contour(*sides, np.take(found, at, normal).T, [0], colors="k", linewidths=1.0, linestyles="dashed")
+            shown = axes.imshow(cut, origin="lower", extent=extent, cmap=colour_map(), vmin=-limit, vmax=limit)
+            axes.contour(*sides, np.take(wanted, at, normal).T, [0], colors="k", linewidths=SURFACE_LINE)
+            axes.contour(
+                *sides, np.take(found, at, normal).T, [0], colors="k", linewidths=SURFACE_LINE, linestyles="dashed"
+            )
             axes.set_xlabel(f"{NAMES[plane[0]]} [mm]")
             axes.set_ylabel(f"{NAMES[plane[1]]} [mm]")
             where = exact.grid.origin[normal] + exact.grid.spacing[normal] * at

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from sdm.core.facts_table import facts_table
 from sdm.core.signed_distance_map import SDM
-from sdm.viz.figure import STYLE, colour_limit, draw_slice, known_facts
+from sdm.viz.figure import colour_limit, draw_slice, known_facts
+from sdm.viz.style import STYLE
 
 # Of the picture in a notebook, small enough to be kept in it.
 SMALL: dict[str, Any] = {"figsize": (7.2, 2.5), "dpi": 60}

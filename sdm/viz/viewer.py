@@ -16,7 +16,8 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.atomic import replacing
-from sdm.viz.figure import COLOURS, colour_limit, colour_map, line_step
+from sdm.viz.figure import colour_limit, line_step
+from sdm.viz.style import MAP_COLOURS, colour_map
 
 PIXELS = (1600, 1000)
 # Samples of a pixel, along each axis.
@@ -112,7 +113,7 @@ def _show_map(polyscope: Any, field: SDM) -> Any:
 
 def _show_surface(polyscope: Any, surface: TriangleMesh, cut: Any) -> None:
     shown = polyscope.register_surface_mesh("surface", surface.vertices.cpu().numpy(), surface.faces.cpu().numpy())
-    shown.set_color(_rgb(COLOURS[1]))
+    shown.set_color(_rgb(MAP_COLOURS[1]))
     shown.set_smooth_shade(True)
     # The cut goes through the map alone.
     shown.set_ignore_slice_plane(cut, True)
@@ -133,7 +134,7 @@ def _middle(field: SDM) -> np.ndarray:
 
 
 def _palette(polyscope: Any) -> str:
-    """The colours of `sdm.viz.figure`, which Polyscope reads from an image."""
+    """The colours of `sdm.viz.style`, which Polyscope reads from an image."""
     from matplotlib.image import imsave
 
     row = colour_map()(np.linspace(0, 1, 256))

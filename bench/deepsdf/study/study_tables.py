@@ -165,7 +165,7 @@ def picture(logs: LogFile, target: Path) -> None:
     from matplotlib.ticker import LogLocator
 
     found = logs.trainings()
-    about = sorted({f"{log['machine']['device']}, commit {log['machine']['commit']}" for log in found})
+    about = sorted({str(log["machine"]["device"]) for log in found})
     with drawing(target, "; ".join(about), (12.5, 5.6)) as (figure, axes):
         axes.remove()
         tasks = (
