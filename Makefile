@@ -24,7 +24,7 @@ INTEGRATIONS = dev,bench,explore,formats,integrations,jax,monai,nnunet,pyvista,t
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
 	tests/unit/explore tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
 
-.PHONY: demo docs figures test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
+.PHONY: demo docs figures notebooks test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help
 
 help: ## List the targets
@@ -85,6 +85,9 @@ figures: $(VENV)/.installed-bench ## Draw the pictures of README and docs again,
 	$(BIN)/python -m sdm.bench.segmentation.plots --out $(FIGURES)
 	$(BIN)/python -m sdm.bench.deepsdf.study plot --out $(FIGURES)/deepsdf-study.png
 	$(BIN)/python -m sdm.bench.fit pictures --docs $(FIGURES)
+
+notebooks: $(VENV)/.made ## Make the notebooks of docs/examples from their scripts
+	$(BIN)/python docs/site/notebooks.py
 
 release: $(VENV)/.installed-release ## Build dist/, check it in a fresh environment, and stop before the upload
 	rm -rf dist build

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import re
 import shlex
 
@@ -28,7 +29,7 @@ def parse(line: str) -> None:
     """Check a command that is not run: the arguments of sdm, the modules of Python."""
     from sdm.cli.app import _parse
 
-    words = shlex.split(line)
+    words = list(itertools.takewhile(lambda word: word not in (">", "|"), shlex.split(line)))
     if words[0] == "sdm":
         assert callable(_parse(words[1:])), line
     if module := re.search(r"-m (sdm[\w.]*)", line):
@@ -60,6 +61,51 @@ def test_blocks_of_a_page_run(page, tmp_path, monkeypatch, capsys):
                 run(shlex.split(line)[1:], capsys)
             else:
                 parse(line)
+
+
+# Pages beside the code: which test runs their Python. Their commands are parsed.
+RUN_BY = {
+    "README.md": "tests/unit/test_docs.py",
+    "sdm/deepsdf/README.md": "tests/unit/deepsdf/test_readme.py",
+    "sdm/fit/README.md": "tests/unit/fit/test_readme.py",
+    "sdm/segmentation/README.md": "tests/unit/segmentation/test_readme.py",
+    "sdm/shapes/README.md": "tests/unit/shapes/test_family.py",
+    "sdm/stream/README.md": "tests/unit/stream/test_readme.py",
+    "bench/README.md": "tests/unit/bench/common/test_own.py",
+}
+
+
+def pages_elsewhere(root):
+    beside_code = [path for top in ("sdm", "bench") for path in (root / top).rglob("*.md")]
+    return [*root.glob("*.md"), *(root / "docs" / name for name in sorted(ELSEWHERE)), *beside_code]
+
+
+def test_python_of_other_pages_has_its_test(root):
+    found = {
+        name
+        for page in pages_elsewhere(root)
+        if any(block.language == "python" and block.reason is None for block in blocks(page))
+        and (name := str(page.relative_to(root))).split("/")[-1] not in ELSEWHERE
+    }
+    assert found == set(RUN_BY)
+    for page, test in RUN_BY.items():
+        assert "README.md" in (root / test).read_text(), f"{test} runs {page} no more"
+
+
+def test_commands_of_other_pages_parse(root):
+    count = 0
+    for page in pages_elsewhere(root):
+        for block in blocks(page):
+            for line in block.commands() if block.language == "sh" else ():
+                parse(line)
+                count += 1
+    assert count > 40
+
+
+def test_python_that_is_only_compiled_says_why(root):
+    every = [*pages(root), *pages_elsewhere(root)]
+    silent = [str(page) for page in every for block in blocks(page) if block.language == "py" and block.reason == "py"]
+    assert not silent
 
 
 def test_modules_that_pages_name_exist(root):
