@@ -33,7 +33,7 @@ def main() -> None:
 def draw_accuracy(report: dict[str, Any], target: Path) -> None:
     """Mean errors of all models, and what the measure of the surface itself is off by."""
     names = list(report["models"])[::-1]
-    caption = f"Means over the {report['count']} shapes of {report['validation']}; {_machine(report)}."
+    caption = f"Means over {report['count']} shapes that no training has seen; {_machine(report)}."
     with drawing(target, caption, (12.0, 1.9 + 0.95 * len(names))) as (_, axes):
         axes.set_position((0.22, 0.24, 0.75, 0.60))
         for number, (key, label, hue) in enumerate(MEASURES):
