@@ -19,7 +19,7 @@ from sdm.bench.suite.page_tables import TABLES
 
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
-DEEPSDF, SHAPES = "sdm/deepsdf/README.md", "sdm/shapes/README.md"
+DEEPSDF, SHAPES, LARGE = "sdm/deepsdf/README.md", "sdm/shapes/README.md", "docs/howto/large.md"
 
 Numbers = Callable[[Any], Sequence[Any]]
 
@@ -117,6 +117,14 @@ def _bands(record: Any) -> list[float]:
     ours = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "sdm"}
     theirs = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "OpenVDB"}
     return _range([ours[key] / theirs[key] for key in theirs if key in ours])
+
+
+def _bands_on_a_gpu(record: Any) -> list[float]:
+    """Least and most milliseconds of a band, for each resolution of the page."""
+    rows = record["rows"]
+    return [
+        1e3 * ms for n in (512, 1024, 2048, 4096) for ms in _range([r["seconds"] for r in rows if r["resolution"] == n])
+    ]
 
 
 def _maps(record: Any) -> list[float]:
@@ -222,7 +230,7 @@ FIGURES = (
     Figure(README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
     Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
     Figure(README, "| two CPU cores | {:.0f} times as fast as the faster", "dense-cpu", _means_on_a_cpu),
-    Figure(README, "| at {:.1f} % of the speed of a batch that stays", "stream-h200", lambda r: _speeds(r)[:1]),
+    Figure(README, "| at {:.1f} % of the speed of training on a fixed batch", "stream-h200", lambda r: _speeds(r)[:1]),
     Figure(SPEED, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
     Figure(SPEED, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-h200", lambda r: _times(r, "first")),
     Figure(SPEED, "it takes {:.1f} to {:.0f} ms, 104 times", "dense-h200", lambda r: _times(r, "new_mesh")),
@@ -233,7 +241,15 @@ FIGURES = (
     Figure(SPEED, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-h200", _five_million),
     Figure(SPEED, "near the surface, repeated, tree built | one H200 | {:.0f}, {:.0f} times", "dense-h200", _points),
     Figure(SPEED, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
+    Figure(
+        SPEED,
+        "{:.0f} to {:.0f} ms at 512^3, {:.0f} to {:.0f} ms at 1024^3, {:.0f} to {:.0f} ms at 2048^3, "
+        "{:.0f} to {:.0f} ms at 4096^3",
+        "band-cuda",
+        _bands_on_a_gpu,
+    ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream-h200", _maps),
     Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream-h200", lambda r: _speeds(r)[:1]),
     Figure(GUIDE, "a small decoder at {:.1f} %", "stream-h200", lambda r: _speeds(r)[1:]),
@@ -248,9 +264,7 @@ FIGURES = (
     Figure(SPEED, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
     Figure(GUIDE, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
     Figure(GUIDE, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
-    Figure(
-        STREAM, "takes {:.1f} ms, on a batch that stays {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "u-net")
-    ),
+    Figure(STREAM, "takes {:.1f} ms, on a fixed batch {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "u-net")),
     Figure(STREAM, "decoder's {:.1f} and {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "decoder")),
     Figure(
         STREAM,
