@@ -96,7 +96,10 @@ class ShapeSet:
         scene = TriangleMesh(torch.cat(vertices), torch.cat(faces), "the shapes", check=False)
         self._index = MeshIndex(scene, self.device)
         if not self._index.closed:
-            raise MeshError(f"{self._first_open()} is not closed, so its inside is not defined; close its holes first")
+            raise MeshError(
+                f"{self._first_open()} is not closed, so its inside is not defined: close its holes first; "
+                "skip_bad=True (--skip-bad) goes on without it"
+            )
         corners = scene.vertices[scene.faces.long()]
         self._corners = corners.reshape(-1, 3)
         # On the host: a GPU adds up in another order each time.

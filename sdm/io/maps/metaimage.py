@@ -25,6 +25,10 @@ from sdm.io.maps.record import KEY, RECORD_CHECKSUM, record, sign_arguments, sig
 LONGEST_HEADER = 1 << 16
 # The last line of a header.
 END = "ElementDataFile"
+# Names of a field of the geometry, of which the first is ours.
+TURN = ("TransformMatrix", "Rotation", "Orientation")
+SPACING = ("ElementSpacing", "ElementSize")
+ORIGIN = ("Offset", "Position", "Origin")
 TYPES = {
     "MET_CHAR": "i1",
     "MET_UCHAR": "u1",
@@ -119,11 +123,15 @@ def _geometry(fields: dict[str, str], path: Path) -> tuple[Grid, int | None, Any
     shape = tuple(int(n) for n in fields["DimSize"].split())
     if len(shape) != 3:
         raise FormatError(f"{path} has the shape {shape}; an image of three dimensions is needed")
+    kept = _kept(fields)
+    if kept is not None and (lost := [names[0] for names in (TURN, SPACING, ORIGIN) if not fields.keys() & set(names)]):
+        # Programs that move an image write where they moved it to.
+        raise FormatError(f"{path} is damaged: its header has lost its {lost[0]}")
     affine = np.eye(4)
-    turn = _numbers(fields, ("TransformMatrix", "Rotation", "Orientation"), np.eye(3)).reshape(3, 3).T
-    affine[:3, :3] = turn * _numbers(fields, ("ElementSpacing", "ElementSize"), np.ones(3))
-    affine[:3, 3] = _numbers(fields, ("Offset", "Position", "Origin"), np.zeros(3))
-    return geometry_of(_kept(fields), LPS @ affine + 0.0, shape, path)
+    turn = _numbers(fields, TURN, np.eye(3)).reshape(3, 3).T
+    affine[:3, :3] = turn * _numbers(fields, SPACING, np.ones(3))
+    affine[:3, 3] = _numbers(fields, ORIGIN, np.zeros(3))
+    return geometry_of(kept, LPS @ affine + 0.0, shape, path)
 
 
 def _numbers(fields: dict[str, str], names: tuple[str, ...], default: np.ndarray) -> np.ndarray:

@@ -88,6 +88,9 @@ def _geometry(header: Any, path: Path) -> tuple[Grid, int | None, Any]:
     affine = _affine(header, path)
     if KEY not in header and any(RECORD_CHECKSUM in str(value) for value in header.values()):
         raise FormatError(f"{path} is damaged: its record has lost its name, {KEY!r}; compute or copy it again")
+    if KEY in header and not {"space directions", "space origin"} <= set(header):
+        # Programs that move an image write where they moved it to.
+        raise FormatError(f"{path} is damaged: its header has lost its space directions or its space origin")
     return geometry_of(json.loads(header[KEY]) if KEY in header else None, affine, shape, path)
 
 

@@ -23,7 +23,7 @@ def deepsdf(
     count: int = 500,
     budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
     epochs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
-    shapes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
+    batch_size: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
     points: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
     width: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the variant's)")] = None,
     seed: int = 0,
@@ -49,7 +49,7 @@ def deepsdf(
         count: Shapes of a family.
         budget_s: Seconds of training at most, over all restarts; the schedule fits itself to it.
         epochs: How often each shape is seen.
-        shapes: Shapes of a batch, over all processes.
+        batch_size: Shapes of a batch, over all processes.
         points: Samples of each.
         width: Neurons of a hidden layer.
         seed: Whole number that everything random depends on.
@@ -70,7 +70,7 @@ def deepsdf(
     from sdm.training.budget import check_budget
     from sdm.training.checkpoints import training_folder
 
-    given = {"epochs": epochs, "shapes": shapes, "points": points, "width": width, "seed": seed}
+    given = {"epochs": epochs, "shapes": batch_size, "points": points, "width": width, "seed": seed}
     settings = VARIANTS[variant](**{name: value for name, value in given.items() if value is not None})
     if variant == "local" and budget_s is None and epochs is None:
         raise SDMError("say how long to train: --budget-s or --epochs")
@@ -80,7 +80,7 @@ def deepsdf(
     with process_group(device) as where:
         meshes, rejected = _meshes(source, count, split)
         if rejected and not skip_bad:
-            raise MeshError(rejected[0][1])
+            raise MeshError(f"{rejected[0][1]}; --skip-bad goes on without it")
         found = ShapeSet(meshes, where, skip_bad=skip_bad)
         if is_first():
             for name, why in (*rejected, *found.rejected):

@@ -20,14 +20,14 @@ def sdmnn(
     channels: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the model's)")] = None,
     recipe: Literal["mostly-online", "paper", "static", "online"] = "mostly-online",
     loss: Literal["surface", "mse"] = "surface",
-    budget_s: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="(default: none)")] = None,
+    budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
     steps: int = 100_000,
     batch_size: int = 32,
     fresh: int = 4,
     store: int = 16_384,
     fill_share: float = 0.25,
     warm_share: float = 0.2,
-    rate: float = 1e-3,
+    learning_rate: float = 1e-3,
     surface: float = 1.0,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
@@ -65,7 +65,7 @@ def sdmnn(
         store: How many of the latest maps are kept, 0.4 MB each on the device.
         fill_share: Share of the seconds in which the store is filled first.
         warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
-        rate: Largest learning rate.
+        learning_rate: Largest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.
@@ -100,7 +100,7 @@ def sdmnn(
         store=store,
         fill_share=fill_share,
         warm_share=warm_share,
-        rate=rate,
+        rate=learning_rate,
         surface=surface,
         eikonal=0.0 if plain else eikonal,
         sobolev=0.0 if plain else sobolev,

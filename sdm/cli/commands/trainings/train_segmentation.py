@@ -18,7 +18,7 @@ def segmentation(
     network: Literal["vnet", "unet"] = "vnet",
     patch: tuple[int, int, int] = (112, 112, 80),
     coarsen: int = 1,
-    batch: int = 4,
+    batch_size: int = 4,
     steps: int = 2000,
     optimizer: Literal["adam", "sgd"] = "adam",
     learning_rate: float = 1e-3,
@@ -56,7 +56,7 @@ def segmentation(
         patch: Voxels of a patch along each axis, multiples of 16 (vnet) or 8 (unet).
         coarsen: Downsample the input by this factor: a patch of as many voxels holds more of the body, or all of it.
             Labels and distances are still those of the image's voxels.
-        batch: Patches a step.
+        batch_size: Patches a step.
         steps: Steps of the optimiser.
         optimizer: adam or sgd.
         learning_rate: The highest learning rate, to which it rises in a moment.
@@ -103,7 +103,7 @@ def segmentation(
         architecture=network,
         patch=patch,
         coarsen=coarsen,
-        batch=batch,
+        batch=batch_size,
         steps=steps,
         optimizer=optimizer,
         learning_rate=learning_rate,

@@ -64,6 +64,16 @@ def test_help_speaks_one_language(place, capsys, monkeypatch):
     assert text.rstrip().endswith(EXAMPLES[place][-1])
 
 
+@pytest.mark.parametrize("training", TRAININGS)
+def test_trainings_share_their_words(training, capsys, monkeypatch):
+    """Samples of a step, the learning rate and the seconds are called alike, whatever is trained."""
+    _, options = _help(f"train {training}", capsys, monkeypatch)
+    assert options.keys() >= {"--batch-size", "--budget-s"}
+    assert not options.keys() & {"--batch", "--shapes", "--rate", "--lr"}
+    assert training == "deepsdf" or "--learning-rate" in options
+    assert options["--budget-s"].startswith("SECONDS ")
+
+
 @pytest.mark.parametrize("line", [line for place in PLACES for line in EXAMPLES[place]])
 def test_examples_are_commands(line):
     """Parsed, not run: their files are the reader's."""

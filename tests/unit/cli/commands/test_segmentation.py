@@ -12,7 +12,7 @@ import sdm
 from sdm.cli import main
 from tests.helpers.segmentation_cases import AFFINE, SHAPE, volume, write_hdf5, write_nnunet
 
-QUICK = ["--patch", "16", "16", "16", "--filters", "4", "--network", "unet", "--batch", "2", "--device", "cpu"]
+QUICK = ["--patch", "16", "16", "16", "--filters", "4", "--network", "unet", "--batch-size", "2", "--device", "cpu"]
 
 
 @pytest.fixture(scope="module")

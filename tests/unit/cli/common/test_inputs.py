@@ -91,7 +91,7 @@ def test_an_older_output_is_replaced_as_before(place: Path, capsys: pytest.Captu
 
 def test_images_and_true_labels_are_not_replaced_by_labels(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_nnunet(place / "data")
-    quick = "--patch 16 16 16 --filters 2 --network unet --batch 1 --steps 1 --device cpu"
+    quick = "--patch 16 16 16 --filters 2 --network unet --batch-size 1 --steps 1 --device cpu"
     assert run(f"train segmentation --data data --out net {quick}") == 0
     capsys.readouterr()
     (place / "im").mkdir()

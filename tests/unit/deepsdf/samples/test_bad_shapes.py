@@ -34,9 +34,15 @@ def test_a_training_too(tmp_path, capsys):
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export(folder / "open.ply")
     (folder / "bad.off").write_text("OFF\nthree\n")
     words = ["train", "deepsdf", str(folder), "-o", str(tmp_path / "out"), "--epochs", "1", "--points", "16"]
-    words += ["--width", "8", "--shapes", "2", "--device", "cpu"]
+    words += ["--width", "8", "--batch-size", "2", "--device", "cpu"]
     assert main(words) == 2
-    assert "bad.off" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "bad.off" in said
+    assert "--skip-bad goes on without it" in said
+    (folder / "bad.off").unlink()
+    assert main(words) == 2
+    assert "skip_bad=True (--skip-bad) goes on without it" in capsys.readouterr().err
+    (folder / "bad.off").write_text("OFF\nthree\n")
     assert main([*words, "--skip-bad"]) == 0
     said = capsys.readouterr()
     assert "open.ply is not used: it is not closed" in said.err

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-WORDS = ["train", "deepsdf", "cochlea", "--count", "4", "--epochs", "12", "--shapes", "4", "--points", "64"]
+WORDS = ["train", "deepsdf", "cochlea", "--count", "4", "--epochs", "12", "--batch-size", "4", "--points", "64"]
 WORDS += ["--width", "16", "--device", "cpu"]
 
 

@@ -92,6 +92,29 @@ def test_a_damaged_geometry_is_found(ending, read, tmp_path):
         read(path)
 
 
+@pytest.mark.parametrize(
+    ("ending", "name"),
+    [
+        ("nrrd", b"space origin"),
+        ("nrrd", b"space directions"),
+        ("mha", b"Offset"),
+        ("mha", b"ElementSpacing"),
+        ("mha", b"TransformMatrix"),
+    ],
+)
+def test_a_header_that_lost_its_place_is_damaged(ending, name, tmp_path):
+    """A letter of a key is enough, after which the image would lie at the origin, or have voxels of 1."""
+    path = tmp_path / f"map.{ending}"
+    save(FIELD, path)
+    data = path.read_bytes()
+    assert name in data
+    path.write_bytes(data.replace(name, b"x" + name[1:]))
+    with pytest.raises(FormatError, match="is damaged: its header has lost its"):
+        load(path)
+    with pytest.raises(FormatError, match="is damaged: its header has lost its"):
+        grid_like(path)
+
+
 @pytest.mark.parametrize("ending", ["nii", "nrrd"])
 def test_a_record_that_is_no_json_is_found(ending, tmp_path):
     """Its checksum is lost with it, so the values may be anything."""
