@@ -103,7 +103,8 @@ def made_by(training: dict[str, Any]) -> str:
     # What a command would have to say; all else is as it comes.
     usual = asdict(Settings())
     asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
-    options = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
+    names = {"rate": "learning-rate"}
+    options = [f"--{names.get(key, key).replace('_', '-')} {value}" for key, value in asked.items()]
     return (
         f"`sdm train sdmnn {' '.join(options)}`, {training['step']:,} steps of {training['batch_size']} maps in "
         f"{training['seconds']:g} s"
