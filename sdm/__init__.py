@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from sdm import compat as compat
     from sdm import dataset as dataset
     from sdm import deepsdf as deepsdf
+    from sdm import explore as explore
     from sdm import fit as fit
     from sdm import inspect as inspect
     from sdm import io as io
@@ -47,6 +48,7 @@ _PACKAGES = {
     "cuda_graphs": "runtime.graphs",
     "dataset": "dataset",
     "deepsdf": "deepsdf",
+    "explore": "explore",
     "fit": "fit",
     "inspect": "inspect",
     "io": "io",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+
+import sdm
 
 # The libraries below take three seconds to import, so each package is asked for by a copy of a process that has them.
 PROGRAM = """
@@ -27,3 +30,11 @@ assert not missing, missing
 
 def test_packages_are_attributes():
     subprocess.run([sys.executable, "-c", PROGRAM], check=True)
+
+
+def test_packages_of_the_reference_are_attributes(root):
+    """`import sdm` and a package's name are enough, whatever was imported before."""
+    pages = (root / "docs" / "reference").glob("*.md")
+    named = {name for page in pages for name in re.findall(r"public-names:: sdm\.(\w+)$", page.read_text(), re.MULTILINE)}
+    # Adapters need the library that they are for.
+    assert named - {"jax", "monai", "nnunet", "pyvista", "torchio"} <= sdm._PACKAGES.keys()
