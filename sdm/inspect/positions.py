@@ -8,10 +8,38 @@ from jaxtyping import Float32, Int64, Shaped
 
 def first_at_position(vertices: Float32[np.ndarray, "V 3"]) -> Int64[np.ndarray, " V"]:
     """For each vertex (V,3) float32 the index of the first one at exactly its position: (V,) int64. -0 equals +0."""
-    x, y, z = ((vertices + np.float32(0)).astype(np.float32).view(np.uint32).T).astype(np.uint64)
+    bits = _bits(vertices)
+    first, group = first_and_group(_mixed(bits))
+    found = first[group]
+    # Equal positions are mixed to equal keys; that different ones were not is seen here.
+    if all((axis == axis[found]).all() for axis in bits):
+        return found
+    x, y, z = (axis.astype(np.uint64) for axis in bits)
     _, group = first_and_group((x << np.uint64(32)) | y)
     first, group = first_and_group((group.astype(np.uint64) << np.uint64(32)) | z)
     return first[group]
+
+
+def are_distinct(vertices: Float32[np.ndarray, "V 3"]) -> bool:
+    """True if no two vertices (V,3) float32 are at the same position; False may be said where they are distinct, too.
+
+    In a fifth of the time of `first_at_position`: keys alone are sorted.
+    """
+    keys = np.sort(_mixed(_bits(vertices)))
+    return not (keys[1:] == keys[:-1]).any()
+
+
+def _bits(vertices: Float32[np.ndarray, "V 3"]) -> Shaped[np.ndarray, "3 V"]:
+    """Coordinates as whole numbers (3,V) uint32 that are equal where they are."""
+    return np.ascontiguousarray((vertices + np.float32(0)).astype(np.float32, copy=False).T).view(np.uint32)
+
+
+def _mixed(bits: Shaped[np.ndarray, "3 V"]) -> Shaped[np.ndarray, " V"]:
+    """A key (V,) uint64 of each position, which few others have."""
+    x, y, z = (axis.astype(np.uint64) for axis in bits)
+    # Odd numbers with as many ones as zeros: the golden ratio's and one of SplitMix64.
+    key = ((x << np.uint64(32)) | y) * np.uint64(0x9E3779B97F4A7C15)
+    return ((key ^ (key >> np.uint64(32))) + z) * np.uint64(0xBF58476D1CE4E5B9)
 
 
 def first_and_group(keys: Shaped[np.ndarray, " n"]) -> tuple[Int64[np.ndarray, " g"], Int64[np.ndarray, " n"]]:

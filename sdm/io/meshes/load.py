@@ -9,7 +9,7 @@ import numpy as np
 
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError
-from sdm.inspect.positions import first_at_position
+from sdm.inspect.positions import are_distinct, first_at_position
 from sdm.io.files.list_files import visible
 from sdm.io.files.one_line import one_line
 from sdm.io.meshes.archive import unpacked
@@ -40,8 +40,10 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     vertices, faces = _read(source, ending_of(source))
     if len(faces) == 0:
         raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
-    wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > np.finfo(np.float32).max).any(1)
-    if wrong.any():
+    largest = np.finfo(np.float32).max
+    # Of all numbers at once, as rows of three take NumPy ten times as long. NaN is not at most anything.
+    if not (vertices.max() <= largest and vertices.min() >= -largest):
+        wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > largest).any(1)
         index = int(np.flatnonzero(wrong)[0])
         raise MeshError(f"vertex {index} of {source} is {vertices[index].tolist()}; every coordinate must be finite")
     vertices, faces = _merge(vertices.astype(np.float32), faces)
@@ -124,6 +126,9 @@ def _read_archive(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
 
 def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Drop vertices at the position of an earlier one; the order of the others stays."""
+    # Of a closed mesh with shared vertices there are half as many as faces, and mostly each has its own place.
+    if len(vertices) < 2 * len(faces) and are_distinct(vertices):
+        return vertices, faces.astype(np.int32)
     first = first_at_position(vertices)
     kept = first == np.arange(len(vertices))
     number = np.cumsum(kept) - 1

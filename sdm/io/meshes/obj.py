@@ -29,7 +29,7 @@ def read_obj(data: bytes, path: Path) -> PolygonMesh:
             vertex that is not there.
         ValueError: Something that should be a number is none.
     """
-    text = plain_lines(b"\n" + as_bytes(data))
+    text = plain_lines(as_bytes(data))
     if b"\\" in text:
         text = text.replace(b"\\\n", b" ")
     points, faces = _rows_by_kernel(text) or _rows(text)
@@ -41,12 +41,14 @@ def read_obj(data: bytes, path: Path) -> PolygonMesh:
             f"{int(faces.lengths[face])} corners"
         )
     corners = as_integers(faces.values)
-    if (corners == 0).any():
+    low, high = (int(corners.min()), int(corners.max())) if len(corners) else (1, 1)
+    if low <= 0 and (corners == 0).any():
         raise MeshError(f"a face of {path} uses vertex 0, but OBJ files number vertices from 1")
-    if (corners < 0).any():
+    if low < 0:
         corners = _count_forward(corners, faces.lengths, text)
-    wrong = (corners < 1) | (corners > len(points.starts))
-    if wrong.any():
+        low, high = int(corners.min()), int(corners.max())
+    if low < 1 or high > len(points.starts):
+        wrong = (corners < 1) | (corners > len(points.starts))
         number = int(as_integers(faces.values)[wrong][0])
         raise MeshError(f"a face of {path} uses vertex {number}, which is not there: it has {len(points.starts)}")
     return PolygonMesh(points.columns(3), faces.lengths, corners - 1)
@@ -57,12 +59,19 @@ def _rows_by_kernel(text: bytes) -> tuple[TextRows, TextRows] | None:
     scanned = ScannedLines.of(text, obj=True)
     if scanned is None:
         return None
+    told = scanned.vertices_and_faces()
+    if told is not None:
+        # With a keyword of one letter.
+        points, faces = scanned.rows_alike(told[0], skip=1), scanned.rows_alike(told[1], skip=1, faces=True)
+        if points is not None and faces is not None:
+            return points, faces
     points = scanned.rows(scanned.of_kind(VERTEX_LINE))
     faces = scanned.rows(scanned.of_kind(FACE_LINE), faces=True)
     return None if points is None or faces is None else (points, faces)
 
 
 def _rows(text: bytes) -> tuple[TextRows, TextRows]:
+    text = b"\n" + text
     lines = FACE.findall(text)
     if b"/" in text:
         lines = [TEXTURE_AND_NORMAL.sub(b"", line) for line in lines]
@@ -71,6 +80,7 @@ def _rows(text: bytes) -> tuple[TextRows, TextRows]:
 
 def _count_forward(corners: np.ndarray, lengths: np.ndarray, text: bytes) -> np.ndarray:
     """Negative numbers of vertices, which count back from their face's line, counted from the first vertex instead."""
+    text = b"\n" + text
     vertices = np.array([vertex.start() for vertex in VERTEX.finditer(text)])
     faces = np.array([face.start() for face in FACE.finditer(text)])
     above = np.repeat(np.searchsorted(vertices, faces), lengths)

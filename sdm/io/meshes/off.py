@@ -58,8 +58,7 @@ def read_off(data: bytes, path: Path) -> PolygonMesh:
     require_corners(path, faces.lengths - 1, lengths)
     if (lengths < 0).any():
         raise ValueError("a face has a negative number of corners")
-    corners = faces.values[ragged_index(faces.starts + 1, lengths)]
-    return PolygonMesh(points.columns(3), lengths, as_integers(corners))
+    return PolygonMesh(points.columns(3), lengths, as_integers(faces.runs(1, lengths)))
 
 
 def _rows_by_kernel(body: bytes, vertex_count: int, face_count: int) -> tuple[TextRows, TextRows] | None:
@@ -67,6 +66,13 @@ def _rows_by_kernel(body: bytes, vertex_count: int, face_count: int) -> tuple[Te
     scanned = ScannedLines.of(plain_lines(body))
     if scanned is None:
         return None
+    place = scanned.filled(vertex_count + face_count)
+    if place is not None:
+        begin, end = place
+        points = scanned.rows_alike(slice(begin, begin + vertex_count))
+        faces = scanned.rows_alike(slice(begin + vertex_count, end))
+        if points is not None and faces is not None:
+            return points, faces
     lines = scanned.not_blank()[: vertex_count + face_count]
     if len(lines) < vertex_count + face_count:
         return None

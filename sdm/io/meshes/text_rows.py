@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,9 +40,29 @@ class TextRows:
     starts: np.ndarray
     lengths: np.ndarray
 
+    @classmethod
+    def of_table(cls, table: np.ndarray) -> TextRows:
+        """The rows (L,C) of lines that have as many numbers each."""
+        rows, columns = table.shape
+        return cls(table.reshape(-1), np.arange(0, rows * columns, columns), np.full(rows, columns))
+
     def columns(self, count: int) -> np.ndarray:
         """The first `count` numbers of every line, (L,count); no line may have fewer."""
-        return self.values[self.starts[:, None] + np.arange(count)]
+        table = self._table()
+        return table[:, :count] if table is not None else self.values[self.starts[:, None] + np.arange(count)]
+
+    def runs(self, first: int, lengths: np.ndarray) -> np.ndarray:
+        """Of each line the `lengths` (L,) numbers from its `first` on, one line after the other."""
+        table = self._table()
+        if table is not None and len(lengths) and (lengths == lengths[0]).all():
+            return table[:, first : first + int(lengths[0])].ravel()
+        return self.values[ragged_index(self.starts + first, lengths)]
+
+    def _table(self) -> np.ndarray | None:
+        """The numbers of lines that have as many each, (L,C)."""
+        if not len(self.lengths) or (self.lengths != self.lengths[0]).any():
+            return None
+        return self.values.reshape(len(self.lengths), -1)
 
 
 def parse_rows(lines: Sequence[bytes]) -> TextRows:
@@ -90,12 +111,16 @@ class ScannedLines:
     """
 
     def __init__(self, text: bytes, *, obj: bool = False) -> None:
-        from sdm.kernels.text.number_rows import scan_lines
-
         self._text, self._obj = np.frombuffer(text, np.uint8), obj
         ends = np.flatnonzero(self._text == ord("\n"))
-        starts = np.concatenate([[0], ends + 1, [len(text)]]).astype(np.int32)
-        self._kinds, self._firsts, self._words = scan_lines(self._text, starts, obj=obj)
+        self._starts = np.concatenate([[0], ends + 1, [len(text)]]).astype(np.int32)
+
+    @cached_property
+    def _scanned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Kinds, first places and counts of words of the lines."""
+        from sdm.kernels.text.number_rows import scan_lines
+
+        return scan_lines(self._text, self._starts, obj=self._obj)
 
     @classmethod
     def of(cls, text: bytes, *, obj: bool = False) -> ScannedLines | None:
@@ -106,11 +131,11 @@ class ScannedLines:
 
     def not_blank(self) -> np.ndarray:
         """Numbers (L,) of the lines that have something on them."""
-        return np.flatnonzero(self._words > 0)
+        return np.flatnonzero(self._scanned[2] > 0)
 
     def of_kind(self, kind: int) -> np.ndarray:
         """Numbers (L,) of the lines of an OBJ file of a kind."""
-        return np.flatnonzero(self._kinds == kind)
+        return np.flatnonzero(self._scanned[0] == kind)
 
     def rows(self, lines: np.ndarray, *, faces: bool = False) -> TextRows | None:
         """The numbers of lines, by the lines' numbers (L,); None where one is none, or has more digits than usual.
@@ -119,10 +144,46 @@ class ScannedLines:
         """
         from sdm.kernels.text.number_rows import parse_lines
 
-        words = self._words[lines]
-        values = parse_lines(self._text, self._firsts[lines], words, obj=self._obj, faces=faces)
+        _, firsts, counts = self._scanned
+        words = counts[lines]
+        values = parse_lines(self._text, firsts[lines], words, obj=self._obj, faces=faces)
         lengths = words.astype(np.int64)
         return None if values is None else TextRows(values, np.cumsum(lengths) - lengths, lengths)
+
+    def rows_alike(self, lines: np.ndarray | slice, *, skip: int = 0, faces: bool = False) -> TextRows | None:
+        """As `rows`, of lines that have as many words as the first of them, whose words nobody has counted.
+
+        None also where one has more or fewer. `skip` letters at the begin of each line are passed over.
+        """
+        from sdm.kernels.text.number_rows import parse_alike
+
+        firsts, ends = self._starts[:-1][lines] + np.int32(skip), self._starts[1:][lines]
+        if not len(firsts):
+            return TextRows.of_table(np.zeros((0, 0)))
+        first = self._text[firsts[0] : ends[0]].tobytes()
+        words = len((first.partition(b"#")[0] if self._obj else first).split())
+        table = parse_alike(self._text, firsts, ends, words, obj=self._obj, faces=faces)
+        return None if table is None else TextRows.of_table(table)
+
+    def vertices_and_faces(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Numbers (L,) of the lines of vertices and of faces of an OBJ file, by their first two letters.
+
+        None where these do not tell: where a line begins with a blank, or a keyword with an f goes on.
+        """
+        begins = self._starts[:-1]
+        begins = begins[: np.searchsorted(begins, len(self._text))]
+        first = self._text[begins]
+        second = self._text[np.minimum(begins + 1, len(self._text) - 1)]
+        blank = (second == ord(" ")) | (second == ord("\t"))
+        faces = first == ord("f")
+        if (faces & ~blank).any() or ((first <= ord(" ")) & (first != ord("\n"))).any():
+            return None
+        return np.flatnonzero((first == ord("v")) & blank), np.flatnonzero(faces)
+
+    def filled(self, count: int) -> tuple[int, int] | None:
+        """The first of `count` lines that follow each other from the first that is not empty, and the end of them."""
+        begin = int(np.argmax(np.diff(self._starts) > 1))
+        return (begin, begin + count) if begin + count < len(self._starts) else None
 
 
 def plain_lines(text: bytes) -> bytes:

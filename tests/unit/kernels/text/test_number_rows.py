@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from sdm.kernels.text.number_rows import FACE, OTHER, VERTEX, parse_lines, scan_lines
+from sdm.kernels.text.number_rows import FACE, OTHER, VERTEX, parse_alike, parse_lines, scan_lines
 
 
 def lines_of(text: bytes, *, obj: bool = False):
@@ -73,3 +73,32 @@ def test_lines_of_numbers():
     assert words.tolist() == [2, 0, 2, 1]
     assert (kinds == VERTEX).all()
     assert parse_lines(data, firsts, words, obj=False).tolist() == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (b"1 2 3\n4 5 6\n", [[1, 2, 3], [4, 5, 6]]),
+        (b"  1 2\t3  \n4 5 -6", [[1, 2, 3], [4, 5, -6]]),
+        (b"1 2\n3\n", None),
+        (b"1 2 3\n4 5 6 7\n", None),
+        (b"1 2 3\n\n", None),
+        (b"1 2 3\n4 5 x\n", None),
+        (b"1 2 3\n4 5#6\n", None),
+    ],
+)
+def test_lines_alike(text, expected):
+    data = np.frombuffer(text, np.uint8)
+    ends = np.flatnonzero(np.append(data, 10) == 10).astype(np.int32)[:2]
+    firsts = np.array([0, ends[0] + 1], np.int32)
+    found = parse_alike(data, firsts, ends, 3, obj=False)
+    assert (None if found is None else found.tolist()) == expected
+
+
+def test_lines_alike_of_an_obj_file():
+    data = np.frombuffer(b"1/2/3 4//5 6#7\n1 2 3 # 4\n", np.uint8)
+    firsts, ends = np.array([0, 15], np.int32), np.array([15, 25], np.int32)
+    found = parse_alike(data, firsts, ends, 3, obj=True, faces=True)
+    assert found is not None
+    assert found.tolist() == [[1, 4, 6], [1, 2, 3]]
+    assert parse_alike(data, firsts, ends, 3, obj=True) is None
