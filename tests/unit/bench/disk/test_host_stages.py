@@ -43,6 +43,13 @@ def test_the_record_says_what_the_pages_say():
     assert before["cpu_ms"] > 1.5 * after["cpu_ms"]
 
 
+def test_readers_of_the_record_reach_100_megabytes_a_second():
+    record = json.loads((results_folder() / "disk-readers-cpu.json").read_text())
+    own = {(row["ending"], row["triangles"]): row["mb_per_s"] for row in record["readers"] if row["reader"] == "sdm"}
+    assert {ending for ending, _ in own} == {"ply", "stl", "obj", "off"}
+    assert min(own.values()) > 100
+
+
 def test_compute_with_several_threads_uses_no_pool_beside_the_device(tmp_path, monkeypatch, capsys):
     jobs = []
     for number in range(3):
