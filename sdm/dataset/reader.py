@@ -18,6 +18,7 @@ from sdm.dataset import layout
 from sdm.dataset.manifest import read_manifest
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.one_line import one_line
+from sdm.io.files.remote import place_of
 from sdm.shapes import Parameter
 from sdm.stream import Batch
 
@@ -26,7 +27,8 @@ class SDMDataset(Dataset[Batch]):
     """The samples of a dataset that `sdm generate` wrote.
 
     Args:
-        path: The dataset.
+        path: The dataset, or its address, such as `s3://bucket/cochlea.zarr` (extra `remote`): each sample is then
+            fetched as it is asked for.
 
     Attributes:
         manifest: What it was made from: family, seed, sampler, version, device, ...
@@ -42,7 +44,7 @@ class SDMDataset(Dataset[Batch]):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = place_of(path)
         if not self.path.exists() and layout.part_of(self.path).exists():
             raise FormatError(f"{self.path} is not finished: sdm generate --resume finishes it")
         if self.path.name.endswith(layout.UNFINISHED):
@@ -118,7 +120,8 @@ class SDMDataset(Dataset[Batch]):
     def _open(self, name: str) -> zarr.Array:
         damage = f"{self.path} cannot be read: its array {name} is damaged; sdm generate --verify mends it"
         try:
-            array = zarr.open_array(self.path / name, mode="r")
+            there = self.path / name
+            array = zarr.open_array(there if isinstance(there, Path) else str(there), mode="r")
         except Exception as error:  # Zarr checks damaged metadata with whatever they lead to, such as divisions by 0.
             raise FormatError(f"{damage} ({one_line(error)})") from error
         # Of other sizes Zarr would read something else, or ask for any amount of memory.

@@ -13,6 +13,7 @@ USES = {
     "onnx": "surrogates by ONNX Runtime or OpenVINO, quicker than torch on a CPU",
     "viewer": "sdm view: a map in a window",
     "explore": "sdm explore: shapes, maps and fits in a browser",
+    "remote": "meshes, maps and datasets by addresses such as s3://; and s3fs, gcsfs or aiohttp",
     "ray": "sdm generate --ray: datasets by several machines",
     "jax": "sdm.jax: distances and maps inside jax.jit",
     "monai": "sdm.monai: distance maps of labels in MONAI's pipelines",

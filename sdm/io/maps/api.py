@@ -19,6 +19,7 @@ from sdm.errors import FormatError, GridError, SDMError
 from sdm.io.bands.api import band_origin, is_band, read_band, save_band
 from sdm.io.files.atomic import replacing
 from sdm.io.files.one_line import one_line
+from sdm.io.files.remote import is_remote, local_copy, local_for
 from sdm.io.maps.formats import FORMATS, HEADERS, Format, check_target, format_of, require_memory_to_write
 from sdm.io.maps.record import MADE_FROM, signs_record
 
@@ -41,7 +42,8 @@ def save(field: SDM | SparseSDM, path: str | Path) -> None:
 
     Args:
         field: The map, on any device; values are written as float32. A narrow band goes to `.npz`, `.zarr` or `.nvdb`.
-        path: Where to. What is there is replaced once the new file is whole.
+        path: Where to. What is there is replaced once the new file is whole. An address, such as `s3://bucket/map.npz`
+            (extra `remote`), is written to as its server does it.
 
     `load` gives the same values and, to the last bit, the same geometry. A process killed on the way leaves what was
     there before, and a hidden file whose name ends in `.part`.
@@ -49,6 +51,10 @@ def save(field: SDM | SparseSDM, path: str | Path) -> None:
     Raises:
         FormatError: An ending that is not known, or a place that cannot be written.
     """
+    if is_remote(path):
+        with local_for(str(path)) as local:
+            save(field, local)
+        return
     if isinstance(field, SparseSDM):
         save_band(field, Path(path))
         return
@@ -65,11 +71,15 @@ def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
 def load(path: str | Path) -> SDM:
     """Read a map that `save` wrote, or any NIfTI or NRRD image of three dimensions, onto the host.
 
-    A file of a narrow band gives a `SparseSDM`; `load_band` takes no other files, and is typed so.
+    An address, such as `s3://bucket/map.npz`, is read with the extra `remote`. A file of a narrow band gives a
+    `SparseSDM`; `load_band` takes no other files, and is typed so.
 
     Raises:
         FormatError: No such file, an ending that is not known, or a file that is damaged or not a map.
     """
+    if is_remote(path):
+        with local_copy(str(path)) as local:
+            return load(local)
     source = Path(path)
     chosen = _readable(source, FORMATS)
     with _reading(source):

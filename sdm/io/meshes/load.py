@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from sdm.core.mesh import TriangleMesh
-from sdm.errors import MeshError
+from sdm.errors import FormatError, MeshError
 from sdm.inspect.positions import are_distinct, first_at_position
 from sdm.io.files.list_files import visible
 from sdm.io.files.one_line import one_line
+from sdm.io.files.remote import is_remote, local_copy
 from sdm.io.meshes.archive import unpacked
 from sdm.io.meshes.formats import ARCHIVES, READERS, ending_of, mesh_endings
 from sdm.io.meshes.polygons import triangulate
@@ -22,7 +23,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     """Read a triangle mesh: STL, PLY, OBJ, OFF, GLB, glTF, and with the extra `formats` COLLADA, 3MF and 3DXML.
 
     Args:
-        path: The file.
+        path: The file, or its address, such as `s3://bucket/mesh.ply` (extra `remote`).
 
     Returns:
         The mesh, named like the file. Scenes are one mesh, each part where the scene puts it; polygons are cut into
@@ -35,6 +36,12 @@ def load_mesh(path: str | Path) -> TriangleMesh:
             triangles that would be lost or misplaced (glTF files with Draco compression, sparse accessors, normalized
             integers, fans or instances).
     """
+    if is_remote(path):
+        try:
+            with local_copy(str(path)) as local:
+                return load_mesh(local)
+        except FormatError as error:
+            raise MeshError(str(error)) from error
     source = Path(path)
     _check_file(source)
     vertices, faces = _read(source, ending_of(source))
