@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from sdm.bench.common.checkout import checkout
@@ -23,3 +25,16 @@ def test_another_record_is_found(monkeypatch):
     monkeypatch.setattr(page_figures, "FIGURES", tuple(f for f in FIGURES if f.record == "sampling-cpu"))
     (sentence,) = out_of_step()
     assert "cores 2.00 million" in sentence
+
+
+def test_records_name_their_commits_and_the_page_of_old_ones_has_them(root):
+    ages = (root / "bench" / "README.md").read_text().split("## Records and their age", 1)[1].split("\n## ", 1)[0]
+    rows = [line for line in ages.splitlines() if line.startswith("| `")]
+    named = {"surrogate-wavy-torus-cpu"}
+    for path in sorted((root / "bench" / "results").glob("*.json")):
+        commits = set(re.findall(r'"commit": "([0-9a-f]{7})', path.read_text()))
+        # Coverage has a commit as the key of each entry.
+        assert commits or path.stem in named or re.match(r'\{\s*"[0-9a-f]{12}"', path.read_text()), path.name
+        for row in rows:
+            if f"`{path.name}`" in row.split("|")[1] and "several of" not in row:
+                assert any(commit in row for commit in commits), (path.name, commits)
