@@ -21,7 +21,13 @@ def panels(
     path: Path, rows: int, columns: int, size: tuple[float, float], title: str, *, dpi: int = 110
 ) -> Iterator[np.ndarray]:
     """Axes (rows, columns) under a headline, written to `path` at the end."""
-    look = {**STYLE, "font.size": 11.0, "axes.titlesize": 11.5, "axes.titlepad": 7.0}
+    look = {
+        **STYLE,
+        "figure.constrained_layout.h_pad": 0.09,
+        "font.size": 11.0,
+        "axes.titlesize": 11.5,
+        "axes.titlepad": 7.0,
+    }
     with sheet(path, size, dpi=dpi, layout="constrained", look=look) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=16, fontweight="bold")
         grid: Any = figure.subplots(rows, columns, squeeze=False)

@@ -48,13 +48,13 @@ print(f"shapes never seen: {before:.2f} voxels off before the network, {after:.2
 
 plt.rcParams.update(STYLE)
 figure, axes = plt.subplots(1, 4, figsize=(12, 3.2), layout="constrained", width_ratios=(1.4, 1, 1, 1))
-axes[0].plot(torch.stack(losses).cpu(), label="by the network, in training")
+axes[0].plot(torch.stack(losses).cpu().numpy(), label="by the network, in training")
 axes[0].axhline(before, color="0.6", label="as given")
 axes[0].set(xlabel="step", ylabel="mean error [voxels]", ylim=(0, None), title="Every step has new shapes")
 axes[0].legend()
 largest = int((held_out < 0).sum((1, 2, 3, 4)).argmax())
 for ax, name, maps in zip(axes[1:], ("exact", "as given", "by the network"), (held_out, given, found), strict=True):
-    middle = maps[largest, 0, :, :, 12].T.cpu() / grid.spacing[0]
+    middle = maps[largest, 0, :, :, 12].T.cpu().numpy() / grid.spacing[0]
     shown = ax.imshow(middle, origin="lower", cmap=colour_map(), vmin=-6, vmax=6)
     ax.contour(middle, levels=[0], colors="k", linewidths=1.5)
     ax.set(title=name, xticks=[], yticks=[])
