@@ -9,7 +9,7 @@ import sdm
 from sdm.shapes.models.build_model import build_model
 from sdm.viz.model_sheet import model_sheet
 
-SHAPES = 10
+SHAPES = 8
 
 # A folder such as yours: beans, long or short, bent or straight. Each has triangles of its own.
 folder = Path(tempfile.mkdtemp())
@@ -21,7 +21,7 @@ for number in range(SHAPES):
     sdm.signed_distance_map(bean, 20 + number).to_mesh().save(folder / f"bean{number}.ply")
 
 meshes = [sdm.load_mesh(path) for path in sorted(folder.glob("*.ply"))]
-model = build_model(meshes, triangles=800, modes=2)
+model = build_model(meshes, triangles=400, modes=2)
 off = sum(row["distance"] for row in model.facts["shapes"]) / SHAPES
 print(
     f"the template is {off:.4f} from the meshes on average; {model.facts['compactness'][1]:.0%} of variance in 2 modes"
