@@ -10,6 +10,7 @@ from docutils import nodes
 from docutils.parsers.rst import Directive, directives
 from docutils.statemachine import StringList
 from sphinx.ext.autodoc.mock import mock
+from sphinx.pycode import ModuleAnalyzer
 
 import sdm
 
@@ -45,6 +46,18 @@ def entry(package: str, name: str, value: Any) -> list[str]:
     return [f".. py:data:: {full}", "", f"   ``{value!r}``" if len(repr(value)) < 200 else "", ""]
 
 
+def show_whole_signature(value: Any) -> None:
+    """Let autodoc print a function's own signature, not its overloads, which leave most options to a type.
+
+    The analyzer of a module is kept by Sphinx, which asks it for overloads later.
+    """
+    home = value_home(value)
+    if home is not None and home.startswith("sdm."):
+        analyzer = ModuleAnalyzer.for_module(home)
+        analyzer.analyze()
+        analyzer.overloads.clear()
+
+
 class PublicNames(Directive):
     """`.. public-names:: sdm.shapes`, with `:only:` or `:but:` a list of names."""
 
@@ -61,6 +74,7 @@ class PublicNames(Directive):
             module = importlib.import_module(package)
             for name in only or sorted(names_of(module), key=str.lower):
                 if name not in but:
+                    show_whole_signature(getattr(module, name))
                     lines += entry(package, name, getattr(module, name))
         node = nodes.section()
         node.document = self.state.document

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, overload
+from typing import Any, Literal, Unpack, overload
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented
+from sdm.engine.call_options import MapOptions, PointOptions
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, look_at_points
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
@@ -31,28 +32,16 @@ def signed_distance_map(
     mesh: MeshLike,
     grid: GridLike | None = None,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[False] = False,
+    **options: Unpack[MapOptions],
 ) -> SDM: ...
 @overload
 def signed_distance_map(
     mesh: MeshLike,
     grid: GridLike | None = None,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[True],
+    **options: Unpack[MapOptions],
 ) -> tuple[SDM, Closest]: ...
 def signed_distance_map(
     mesh: MeshLike,
@@ -155,8 +144,7 @@ def signed_distance(
     points: Any,
     *,
     return_closest: Literal[False] = False,
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
+    **options: Unpack[PointOptions],
 ) -> Tensor: ...
 @overload
 def signed_distance(
@@ -164,8 +152,7 @@ def signed_distance(
     points: Any,
     *,
     return_closest: Literal[True],
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
+    **options: Unpack[PointOptions],
 ) -> tuple[Tensor, Closest]: ...
 def signed_distance(
     mesh: MeshLike,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, Literal, overload
+from typing import Any, Literal, Unpack, overload
 
 import torch
 from jaxtyping import Float32, Int32
@@ -20,6 +20,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.api import signed_distance, signed_distance_map
 from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient
+from sdm.engine.call_options import BatchOptions, ListOptions, PointListOptions
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import batch_checks, look_at_batch
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map
@@ -40,9 +41,7 @@ def signed_distances(
     points: Any,
     *,
     return_closest: Literal[False] = False,
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    max_bytes: int | None = None,
+    **options: Unpack[PointListOptions],
 ) -> list[Tensor]: ...
 @overload
 def signed_distances(
@@ -50,9 +49,7 @@ def signed_distances(
     points: Any,
     *,
     return_closest: Literal[True],
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    max_bytes: int | None = None,
+    **options: Unpack[PointListOptions],
 ) -> list[tuple[Tensor, Closest]]: ...
 @overload
 def signed_distances(
@@ -60,9 +57,7 @@ def signed_distances(
     points: Any,
     *,
     return_closest: Literal[False] = False,
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    max_bytes: int | None = None,
+    **options: Unpack[PointListOptions],
 ) -> Iterator[Tensor]: ...
 @overload
 def signed_distances(
@@ -70,9 +65,7 @@ def signed_distances(
     points: Any,
     *,
     return_closest: Literal[True],
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    max_bytes: int | None = None,
+    **options: Unpack[PointListOptions],
 ) -> Iterator[tuple[Tensor, Closest]]: ...
 def signed_distances(
     meshes: Iterable[MeshLike],
@@ -116,15 +109,8 @@ def signed_distance_maps(
     faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
     /,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[False] = False,
-    max_bytes: int | None = None,
+    **options: Unpack[ListOptions],
 ) -> list[SDM]: ...
 @overload
 def signed_distance_maps(
@@ -132,15 +118,8 @@ def signed_distance_maps(
     faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
     /,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[True],
-    max_bytes: int | None = None,
+    **options: Unpack[ListOptions],
 ) -> list[tuple[SDM, Closest]]: ...
 @overload
 def signed_distance_maps(
@@ -148,15 +127,8 @@ def signed_distance_maps(
     faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
     /,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[False] = False,
-    max_bytes: int | None = None,
+    **options: Unpack[ListOptions],
 ) -> Iterator[SDM]: ...
 @overload
 def signed_distance_maps(
@@ -164,15 +136,8 @@ def signed_distance_maps(
     faces: GridLike | Sequence[Grid] | Iterator[Grid] | None = None,
     /,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
-    compare_signs: bool = False,
     return_closest: Literal[True],
-    max_bytes: int | None = None,
+    **options: Unpack[ListOptions],
 ) -> Iterator[tuple[SDM, Closest]]: ...
 @overload
 def signed_distance_maps(
@@ -180,12 +145,8 @@ def signed_distance_maps(
     faces: Any,
     grid: GridLike | None = None,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    hole_size: float | None = None,
     return_closest: Literal[False] = False,
+    **options: Unpack[BatchOptions],
 ) -> Float32[Tensor, "b nx ny nz"]: ...
 @overload
 def signed_distance_maps(
@@ -193,12 +154,8 @@ def signed_distance_maps(
     faces: Any,
     grid: GridLike | None = None,
     *,
-    resolution: int | None = None,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    sign: Sign = "winding",
-    hole_size: float | None = None,
     return_closest: Literal[True],
+    **options: Unpack[BatchOptions],
 ) -> tuple[Float32[Tensor, "b nx ny nz"], Closest]: ...
 def signed_distance_maps(
     vertices: Any,

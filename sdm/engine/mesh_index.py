@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import torch
 from jaxtyping import Float32
@@ -18,6 +18,7 @@ from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented
+from sdm.engine.call_options import ComparedSignOptions, SignOptions
 from sdm.engine.closest_points import Closest, Layers
 from sdm.engine.flood import flooded, rims_of
 from sdm.engine.map_check import MapCheck, SlabsCheck, checked
@@ -192,20 +193,16 @@ class MeshIndex:
         self,
         grid: GridLike,
         *,
-        sign: Sign = "winding",
-        hole_size: float | None = None,
-        compare_signs: bool = False,
         return_closest: Literal[False] = False,
+        **options: Unpack[ComparedSignOptions],
     ) -> SDM: ...
     @overload
     def signed_distance_map(
         self,
         grid: GridLike,
         *,
-        sign: Sign = "winding",
-        hole_size: float | None = None,
-        compare_signs: bool = False,
         return_closest: Literal[True],
+        **options: Unpack[ComparedSignOptions],
     ) -> tuple[SDM, Closest]: ...
     def signed_distance_map(
         self,
@@ -317,9 +314,8 @@ class MeshIndex:
         max_bytes: int = 1 << 28,
         *,
         ambiguous: Tensor | None = None,
-        sign: Sign = "winding",
-        hole_size: float | None = None,
         return_closest: Literal[False] = False,
+        **options: Unpack[SignOptions],
     ) -> Iterator[tuple[int, int, Tensor]]: ...
     @overload
     def slabs(
@@ -328,9 +324,8 @@ class MeshIndex:
         max_bytes: int = 1 << 28,
         *,
         ambiguous: Tensor | None = None,
-        sign: Sign = "winding",
-        hole_size: float | None = None,
         return_closest: Literal[True],
+        **options: Unpack[SignOptions],
     ) -> Iterator[tuple[int, int, Tensor, Closest]]: ...
     def slabs(
         self,

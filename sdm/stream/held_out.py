@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sdm.errors import SDMError
-from sdm.shapes import Family
-
-if TYPE_CHECKING:
-    from sdm.stream.samplers import Sampler
-
 # One of so many is held out.
 SHARE = 128
-# Candidates that are drawn at a time, and how often before a family counts as too small.
-BLOCK, MOST_BLOCKS = 8192, 64
 # One in `SHARE`, a power of two, ends in bits that are all zero.
 LAST = np.uint64(SHARE - 1)
 # Of SplitMix64.
@@ -41,36 +32,6 @@ def held_out_rows(theta: np.ndarray) -> np.ndarray:
     bits = np.add(theta, np.float32(0), order="C").view(np.uint32)
     word = _mix(bits + _columns(bits.shape[1]))
     return _mix(np.add.reduce(word, axis=1)) & LAST == 0
-
-
-def held_out_samples(family: Family, count: int, seed: int, static: Sampler | None = None) -> Tensor:
-    """theta (count,P) float32 on the host: the first held-out ones among the family's uniform samples of `seed`.
-
-    Args:
-        family: The shapes.
-        count: Number of samples.
-        seed: Any whole number.
-        static: A sampler that may give held-out samples, such as a table: those are left out too.
-
-    Raises:
-        SDMError: The family has so few different shapes that none of them is held out.
-    """
-    found, missing = [], count
-    for block in range(MOST_BLOCKS):
-        if missing <= 0:
-            break
-        theta = family.sample_at(torch.arange(block * BLOCK, (block + 1) * BLOCK, device="cpu"), seed=seed)
-        theta = theta[is_held_out(theta)]
-        if static is not None:
-            theta = theta[~static.includes(family, theta)]
-        found.append(theta[:missing])
-        missing -= len(found[-1])
-    if missing > 0:
-        raise SDMError(
-            f"{family.name} has too few different shapes to hold {count} of them out for validation: "
-            "give its parameters wider ranges"
-        )
-    return torch.cat(found) if found else torch.empty(0, len(family.parameters), device="cpu")
 
 
 @cache

@@ -13,7 +13,7 @@ from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.errors import SDMError
 from sdm.stream.batch import Batch
-from sdm.stream.held_out import held_out_samples
+from sdm.stream.held_out_samples import held_out_samples
 from sdm.stream.sample_maker import Maker
 from sdm.stream.samplers import Table
 

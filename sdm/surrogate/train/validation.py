@@ -13,7 +13,7 @@ from torch import Tensor
 from sdm.core.random import derive_seed
 from sdm.shapes import Family, make_family
 from sdm.stream import Batch, Maker
-from sdm.stream.held_out import held_out_samples
+from sdm.stream.held_out_samples import held_out_samples
 from sdm.stream.sample_maker import grid_record
 from sdm.stream.samplers import Table
 from sdm.surrogate.networks.cochlea_grid import GRID

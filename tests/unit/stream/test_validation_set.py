@@ -8,7 +8,8 @@ import torch
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea, Family, Parameter
 from sdm.stream import Mixture, SDMStream, Table, as_sampler
-from sdm.stream.held_out import SHARE, held_out_samples, is_held_out
+from sdm.stream.held_out import SHARE, is_held_out
+from sdm.stream.held_out_samples import held_out_samples
 
 FAMILY = Cochlea(600)
 

@@ -38,7 +38,7 @@ def fit_any_family(
         mirror: Fit mirror images of the family's shapes.
     """
     import sdm
-    from sdm.cli.commands.fit import print_fit, save_residuals
+    from sdm.cli.common.fit_report import print_fit, save_residuals
     from sdm.cli.common.progress import StageProgress
     from sdm.fit import ExactBackend, FitOptions
     from sdm.fit.model.scaled_family import MirroredFamily, factor_of
