@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--networks", nargs="+", default=list(NETWORKS), choices=list(NETWORKS))
     parser.add_argument("--steps", type=int, default=1350, help="default: those of the table that is kept")
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
-    parser.add_argument("--batch", type=int, default=4)
+    parser.add_argument("--batch-size", dest="batch", type=int, default=4)
     parser.add_argument("--rates", type=float, nargs="+", default=list(RATES), help="to choose from, for each network")
     parser.add_argument("--filters", type=int, default=32)
     parser.add_argument("--fine", type=int, default=512)

@@ -175,7 +175,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--fit", action="store_true", help="as many steps as fit into the budget, in place of --steps")
     parser.add_argument("--patch", type=int, nargs=3, default=[112, 112, 80])
     parser.add_argument("--coarsen", type=int, default=1, help="voxels so many times as large; a patch counts those")
-    parser.add_argument("--batch", type=int, default=2)
+    parser.add_argument("--batch-size", dest="batch", type=int, default=2)
     parser.add_argument("--optimizer", choices=("adam", "sgd"), default="sgd")
     parser.add_argument("--learning-rate", type=float, default=0.05)
     parser.add_argument("--schedule", choices=("cosine", "constant"), default="cosine")

@@ -20,6 +20,7 @@ from sdm.cli.common.argument_types import NUMBERS
 from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
 from sdm.cli.common.numbers import joined
+from sdm.cli.common.renamed_options import renamed
 from sdm.cli.common.usage_error import UsageError, no_command, sentence
 from sdm.errors import SDMWarning
 
@@ -177,6 +178,8 @@ def _parse(words: list[str]) -> Callable[[], int | None]:
         raise UsageError(f"{no_command(words[0], COMMANDS)}; see sdm --help")
     if words[:1] == ["bench"] and (found := program(words[1:])) is not None:
         return found
+    if (former := renamed(words)) is not None:
+        raise UsageError(f"{former}; see sdm {' '.join(words[:2])} --help")
     commands = {}
     for name in COMMANDS:
         module = importlib.import_module(f"sdm.cli.commands.{MODULES.get(name, name)}")

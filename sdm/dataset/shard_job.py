@@ -107,7 +107,7 @@ class Job:
                     "write",
                     lambda shard: self._write(shard, scratch, pool),
                     workers=min(threads, WRITERS),
-                    ahead=min(threads, WRITERS),
+                    most_held=min(threads, WRITERS),
                     times=times,
                     prompt=True,
                 )

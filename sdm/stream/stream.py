@@ -45,8 +45,8 @@ class SDMStream(IterableDataset[Batch]):
         sign: The method by which maps are signed, as for `sdm.signed_distance_map`: for folders of meshes whose faces
             do not say what is inside. A flood takes the meshes of a batch one by one, and waits for the device.
         hole_size: Of a flood, in the family's unit.
-        ahead: How many batches at least are queued on a CUDA stream of their own before they are requested. Small ones
-            are made several at once, up to 64 samples, as a GPU takes less time for them so.
+        prefetch: How many batches at least are queued on a CUDA stream of their own before they are requested. Small
+            ones are made several at once, up to 64 samples, as a GPU takes less time for them so.
         start: Global number of the first sample.
         stop: Global number before which the stream ends, a multiple of the global batch after `start`; None: never.
 
@@ -86,16 +86,16 @@ class SDMStream(IterableDataset[Batch]):
         truncate: float | None = None,
         sign: Sign = "winding",
         hole_size: float | None = None,
-        ahead: int = 2,
+        prefetch: int = 2,
         start: int = 0,
         stop: int | None = None,
     ) -> None:
         super().__init__()
         if batch_size < 1:
             raise SDMError(f"the batch size is {batch_size}; give at least 1")
-        if ahead < 1:
-            raise SDMError(f"{ahead} batches ahead were requested; give at least 1")
-        self.batch_size, self._ahead = int(batch_size), int(ahead)
+        if prefetch < 1:
+            raise SDMError(f"prefetch is {prefetch}; give at least 1 batch")
+        self.batch_size, self._prefetched = int(batch_size), int(prefetch)
         self._start, self.stop = int(start), None if stop is None else int(stop)
         self._find_rank = rank is None and world_size is None
         self._take_rank(rank, world_size)
@@ -161,7 +161,7 @@ class SDMStream(IterableDataset[Batch]):
         begin, end = self._position, self.stop
         steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
         together = max(1, self._maker.at_once // self.batch_size)
-        batches = prefetch(self._make, steps, self.device, self._ahead, together)
+        batches = prefetch(self._make, steps, self.device, self._prefetched, together)
         return self._count(batches, stride)
 
     def _take_rank(self, rank: int | None, world_size: int | None) -> None:

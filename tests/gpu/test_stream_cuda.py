@@ -98,14 +98,14 @@ def test_batches_are_ready_on_the_stream_that_reads_them():
 
 
 def test_a_state_taken_with_batches_in_flight_resumes_exactly(family):
-    whole = take(stream(family, ahead=3), 7)
-    source = stream(family, ahead=3)
+    whole = take(stream(family, prefetch=3), 7)
+    source = stream(family, prefetch=3)
     iterator = iter(source)
     for _ in range(4):
         next(iterator)
     # Three more are queued by now, and none of them has been given.
     assert source.position == 16
-    again = stream(family, 8, ahead=1)
+    again = stream(family, 8, prefetch=1)
     again.load_state_dict(source.state_dict())
     del iterator, source
     found = together(take(again, 1))

@@ -1,4 +1,4 @@
-"""A default device that a program has set for torch changes no result: here "meta", on which nothing can be computed."""
+"""A default device that a program sets for torch changes no result: here "meta", on which nothing is computed."""
 
 from __future__ import annotations
 

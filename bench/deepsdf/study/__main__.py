@@ -87,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--rates", type=float, nargs="+", default=list(RATES))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=2000)
-    parser.add_argument("--batch", type=int, default=BATCH)
+    parser.add_argument("--batch-size", dest="batch", type=int, default=BATCH)
     parser.add_argument("--points", type=int, default=POINTS)
     parser.add_argument("--search-steps", type=int, default=300)
     parser.add_argument("--resolution", type=int, default=256)

@@ -30,7 +30,7 @@ def bench(
     peers: tuple[str, ...] = (),
     device: Device = "auto",
     runs: int = 5,
-    budget_s: float = 30.0,
+    budget_s: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 30.0,
     quick: bool = False,
     out: Annotated[
         Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="(default: none)")

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from sdm.cli.common.argument_types import Device
+
 
 def explore(
     thing: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY_OR_FILE")] = "cochlea",
@@ -14,7 +16,7 @@ def explore(
     unit: Annotated[str, tyro.conf.arg(metavar="UNIT", help_behavior_hint="(default: the family's)")] = "",
     port: int = 8080,
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1",
-    device: str = "auto",
+    device: Device = "auto",
 ) -> None:
     """Explore a family, mesh, map, narrow band or dataset in the browser.
 

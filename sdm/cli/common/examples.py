@@ -28,7 +28,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sdm sample meshes -o samples --layout occupancy --count 200000 --seed 1",
     ),
     "split": ("sdm split meshes", "sdm split meshes --val 0.1 --test 0.2 --group '^[^/]+'"),
-    "family check": ("sdm family check cochlea", "sdm family check shapes.py:Torus --samples 200"),
+    "family check": ("sdm family check cochlea", "sdm family check shapes.py:Torus --count 200"),
     "family show": ("sdm family show cochlea -o cochlea.png",),
     "shape-model build": ("sdm shape-model build atria -o atria.npz",),
     "shape-model show": ("sdm shape-model show atria.npz -o atria.png",),

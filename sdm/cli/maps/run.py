@@ -54,7 +54,7 @@ def run(
     with FileProgress(len(jobs), times) as progress:
         stages = MapStages(settings, progress.share, alone=len(jobs) == 1)
         tasks = numbered(MapTask(*job) for job in jobs)
-        read = in_threads(tasks, "read", stages.read, workers=threads, times=times, ahead=max(2 * threads, most))
+        read = in_threads(tasks, "read", stages.read, workers=threads, times=times, most_held=max(2 * threads, most))
         measured = in_groups(read, str(settings.device), stages.measure, times=times, most=min(most, len(jobs)))
         written = in_threads(
             measured,

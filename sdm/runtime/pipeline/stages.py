@@ -37,7 +37,7 @@ def in_threads(
     *,
     workers: int,
     times: StageTimes,
-    ahead: int | None = None,
+    most_held: int | None = None,
     nbytes: Callable[[A], int] | None = None,
     prompt: bool = False,
 ) -> Iterator[Done[B] | Failed]:
@@ -49,7 +49,7 @@ def in_threads(
         work: What is done to each value. It may run in any thread, and several at once.
         workers: Number of threads.
         times: Where busy times go.
-        ahead: Items that the stage holds at most; twice the threads by default.
+        most_held: Items that the stage holds at most; twice the threads by default.
         nbytes: Memory that an item takes here; all together at most `MOST_BYTES`.
         prompt: Give on what is done before more is taken: for the last stage, behind one that works in the caller's
             thread. Otherwise as much is taken as there is room for, and worked on while the caller has something.
@@ -59,7 +59,7 @@ def in_threads(
     """
     # Here, and not when the first result is asked for, so that stages are known in the order of the pipeline.
     times.declare(name, workers)
-    room = 2 * workers if ahead is None else ahead
+    room = 2 * workers if most_held is None else most_held
     return _in_threads(outcomes, name, work, workers, times, room, nbytes, prompt)
 
 

@@ -112,7 +112,7 @@ def test_slabs_on_a_gpu():
 @pytest.mark.gpu
 def test_nothing_waits_for_a_gpu():
     family = sdm.shapes.Ellipsoid()
-    stream = iter(sdm.SDMStream(family, family.grid(16), batch_size=2, seed=0, device="cuda", ahead=1))
+    stream = iter(sdm.SDMStream(family, family.grid(16), batch_size=2, seed=0, device="cuda", prefetch=1))
     next(stream)
     vertices, faces = (torch.from_numpy(part).cuda() for part in ball(1, 1, 1))
     sdm.signed_distance_maps(vertices[None], faces, GRID, device="cuda")

@@ -124,7 +124,7 @@ def test_a_sound_family_is_found_sound(place):
 
 
 def test_what_is_wrong_with_a_family_is_found(place, capsys):
-    assert main(["family", "check", "ball.py:crossing", "--samples", "2", "--device", "cpu"]) == 2
+    assert main(["family", "check", "ball.py:crossing", "--count", "2", "--device", "cpu"]) == 2
     assert "cuts itself" in capsys.readouterr().err
     found = check_family(load_family("ball.py:wrong"), samples=2, device="cpu")
     assert found.derivative_error > 0.5

@@ -239,7 +239,7 @@ def test_refuses_what_makes_no_sense():
     grid = family.grid(8)
     for options, message in (
         ({"batch_size": 0}, "batch size is 0"),
-        ({"ahead": 0}, "0 batches ahead"),
+        ({"prefetch": 0}, "prefetch is 0; give at least 1 batch"),
         ({"rank": 2, "world_size": 2}, "rank is 2 of 2"),
         ({"rank": 1}, "both, or neither"),
         ({"start": -1}, "from sample -1"),

@@ -14,7 +14,7 @@ def check(
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FAMILY")],
     /,
     *,
-    samples: int = 64,
+    count: int = 64,
     triangles: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the family's own)")
     ] = None,
@@ -32,7 +32,7 @@ def check(
     Args:
         name: cochlea, cuboid, rhomboid, ellipsoid, cylinder, geometric-shapes, FILE.py:NAME (the file is run), or a
             shape model, MODEL.npz.
-        samples: Random shapes.
+        count: Number of random shapes.
         triangles: About how many triangles a shape has.
         seed: Whole number that the samples depend on.
         out: Write all figures to this JSON file too.
@@ -46,13 +46,13 @@ def check(
     from sdm.shapes import family_record, load_family
     from sdm.shapes.family_check import check_family
 
-    if samples < 1:
-        raise MeshError(f"--samples is {samples}; give 1 or more")
+    if count < 1:
+        raise MeshError(f"--count is {count}; give 1 or more")
     if out is not None and out.suffix != ".json":
         raise FormatError(f"{out} does not end with .json")
     refuse_inputs([out], [Path(name.rpartition(":")[0] or name)])
     family = load_family(name, triangles=triangles)
-    found = check_family(family, samples=samples, seed=seed, device=device)
+    found = check_family(family, samples=count, seed=seed, device=device)
     print(f"{name}: {len(family.parameters)} parameters, {found.triangles:,} triangles a shape")
     for p in family.parameters:
         print(f"  {p.name:<12} {p.low:g} to {p.high:g}" + ("" if p.unit == "1" else f" {p.unit}"))

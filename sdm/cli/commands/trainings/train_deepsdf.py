@@ -49,7 +49,7 @@ def deepsdf(
         count: Shapes of a family.
         budget_s: Seconds of training at most, over all restarts; the schedule fits itself to it.
         epochs: How often each shape is seen.
-        batch_size: Shapes of a batch, over all processes.
+        batch_size: Shapes of a step, over all processes.
         points: Samples of each.
         width: Neurons of a hidden layer.
         seed: Whole number that everything random depends on.

@@ -58,14 +58,14 @@ def sdmnn(
             ones alone; of mostly-online's samples a tenth are from the 625 and from the 16 corners of the parameters'
             box, the others random, denser towards the ends of each parameter.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
-        budget_s: Seconds for all of it; the learning rate follows the clock.
-        steps: Steps for all of it, if that is sooner.
+        budget_s: Seconds of training at most; the learning rate follows the clock.
+        steps: Steps of training at most, if that is sooner.
         batch_size: Maps of a step.
         fresh: New maps in each step; the others of a batch are drawn from the latest.
         store: How many of the latest maps are kept, 0.4 MB each on the device.
         fill_share: Share of the seconds in which the store is filled first.
         warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
-        learning_rate: Largest learning rate.
+        learning_rate: The highest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.

@@ -56,7 +56,7 @@ def segmentation(
         patch: Voxels of a patch along each axis, multiples of 16 (vnet) or 8 (unet).
         coarsen: Downsample the input by this factor: a patch of as many voxels holds more of the body, or all of it.
             Labels and distances are still those of the image's voxels.
-        batch_size: Patches a step.
+        batch_size: Patches of a step.
         steps: Steps of the optimiser.
         optimizer: adam or sgd.
         learning_rate: The highest learning rate, to which it rises in a moment.

@@ -14,6 +14,7 @@ from sdm.cli.commands.families.family_commands import LOOKS
 from sdm.cli.commands.families.model_commands import PARTS as MODELS
 from sdm.cli.commands.train import TRAININGS
 from sdm.cli.common.examples import EXAMPLES
+from sdm.cli.common.renamed_options import RENAMED
 
 PARTS = {"family": LOOKS, "shape-model": MODELS, "train": TRAININGS}
 PLACES = [*(name for name in COMMANDS if name not in PARTS)]
@@ -26,7 +27,20 @@ SHARED = {
     "--resolution": r"^N( \[N N\])? Voxels along .*\(default: \d+\)",
     "--spacing": r"Voxel size in (the mesh's unit|mm)",
     "--resume": r"\(default: False\)",
+    "--budget-s": r"^SECONDS (Seconds of training at most|About how many seconds)",
+    "--batch-size": r"^N (Maps|Shapes|Patches) of a step\b",
+    "--learning-rate": r"^X The highest learning rate\b",
+    "--count": r"^N ",
+    "--steps": r"^N ",
+    "--skip-bad": r"\(default: False\)",
+    "--truncate": r"^LENGTH Distances beyond this length become this, with their sign",
+    "--hole-size": r"^LENGTH .*narrower .*closed\. \(default: two voxels\)",
 }
+# Other names for what is in `SHARED`.
+OTHER_NAMES = {
+    "--batch", "--shapes", "--lr", "--rate", "--epsilon", "--overwrite", "--force", "--output", "--voxels", "--number", "--samples",
+    "--budget", "--gpu", "--random-seed", "--voxel-size", "--thickness",
+}  # fmt: skip
 OPTION = re.compile(r"^ +(?:-\w(?: \S+)+, )?(--[a-z][\w-]*)(.*)$")
 
 
@@ -51,6 +65,7 @@ def _help(place, capsys, monkeypatch):
 def test_help_speaks_one_language(place, capsys, monkeypatch):
     text, options = _help(place, capsys, monkeypatch)
     assert options or place == "completion"
+    assert not OTHER_NAMES & set(options)
     for name, words in options.items():
         assert not re.match(r"(INT|FLOAT|STR|PATH PATH|\{None\})\b", words), f"{name} {words}"
         assert "default: None" not in words, f"{name} {words}"
@@ -69,9 +84,19 @@ def test_trainings_share_their_words(training, capsys, monkeypatch):
     """Samples of a step, the learning rate and the seconds are called alike, whatever is trained."""
     _, options = _help(f"train {training}", capsys, monkeypatch)
     assert options.keys() >= {"--batch-size", "--budget-s"}
-    assert not options.keys() & {"--batch", "--shapes", "--rate", "--lr"}
     assert training == "deepsdf" or "--learning-rate" in options
-    assert options["--budget-s"].startswith("SECONDS ")
+
+
+@pytest.mark.parametrize("command", RENAMED, ids=" ".join)
+def test_former_names_of_options_are_refused_with_the_new_one(command, capsys, monkeypatch):
+    _, options = _help(" ".join(command), capsys, monkeypatch)
+    for former, name in RENAMED[command].items():
+        assert name in options
+        assert former not in options
+        for words in ([former, "3"], [f"{former}=3"]):
+            assert main([*command, "x", *words]) == 2
+            said = capsys.readouterr().err
+            assert said == f"sdm: {former} is called {name} now; see sdm {' '.join(command)} --help\n"
 
 
 @pytest.mark.parametrize("line", [line for place in PLACES for line in EXAMPLES[place]])

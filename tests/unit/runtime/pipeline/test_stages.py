@@ -60,7 +60,7 @@ def test_no_more_is_taken_than_there_is_room_for():
             taken.append(x)
             yield x
 
-    results = in_threads(numbered(items()), "s", lambda x: x, workers=2, times=StageTimes(), ahead=4)
+    results = in_threads(numbered(items()), "s", lambda x: x, workers=2, times=StageTimes(), most_held=4)
     next(results)
     assert len(taken) <= 4
     results.close()
@@ -73,7 +73,7 @@ def test_the_next_items_are_worked_on_while_the_caller_has_one():
         begun[x].set()
         return x
 
-    results = in_threads(numbered(range(12)), "s", work, workers=1, times=StageTimes(), ahead=2)
+    results = in_threads(numbered(range(12)), "s", work, workers=1, times=StageTimes(), most_held=2)
     for outcome in results:
         # Without asking for more.
         if outcome.number + 1 < len(begun):
@@ -89,7 +89,7 @@ def test_what_is_done_is_given_on_before_a_slow_source_is_asked():
             yield x
             time.sleep(0.05)
 
-    results = in_threads(numbered(slow()), "s", lambda x: x, workers=1, times=StageTimes(), ahead=3, prompt=True)
+    results = in_threads(numbered(slow()), "s", lambda x: x, workers=1, times=StageTimes(), most_held=3, prompt=True)
     next(results)
     assert len(asked) <= 2
     results.close()
