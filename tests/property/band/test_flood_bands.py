@@ -32,9 +32,10 @@ def assert_is_the_map(index: sdm.MeshIndex, grid: sdm.Grid, half_width: float, h
     near = clamped.abs() < band.width
     assert torch.equal(band.blocks.long(), torch.unique(near.nonzero() // 8, dim=0))
     found = band.to_dense().values
-    stored = torch.zeros_like(near)
-    for x, y, z in (8 * band.blocks).tolist():
-        stored[x : x + 8, y : y + 8, z : z + 8] = True
+    corners = torch.zeros([-(-n // 8) for n in grid.shape], dtype=torch.bool, device=near.device)
+    corners[tuple(band.blocks.long().T)] = True
+    x, y, z = (torch.arange(n, device=near.device) // 8 for n in grid.shape)
+    stored = corners[x[:, None, None], y[:, None], z]
     assert torch.equal(found[stored].view(torch.int32), clamped[stored].view(torch.int32))
     # Of a block that is not stored a voxel near its middle says the side.
     differ = (found != clamped)[~stored]
