@@ -47,7 +47,7 @@ from sdm.bench.deepsdf.shapes import Shapes, atria, cochleas
 from sdm.core.mesh import TriangleMesh
 from sdm.deepsdf import DeepSDF, interpolation_strip, render, save_picture, train
 from sdm.deepsdf.samples import SampleSource, ShapeSet
-from sdm.deepsdf.train.ranks import process_group
+from sdm.deepsdf.train.process_group import process_group
 from sdm.deepsdf.train.settings import VARIANTS, Settings
 from sdm.io.files.torch_file import save_torch
 from sdm.shapes import Cochlea

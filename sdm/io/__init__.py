@@ -5,8 +5,8 @@ superior (RAS+) by its standard; an NRRD file is written with the same numbers i
 mesh in another space (LPS, as some medical software exports) has to be turned before it meets such an image.
 """
 
-from sdm.io.maps.api import grid_like, load, load_band, save, write_streamed
 from sdm.io.maps.formats import FORMATS, check_target
+from sdm.io.maps.save_and_load import grid_like, load, load_band, save, write_streamed
 from sdm.io.meshes.load import load_mesh, mesh_files
 from sdm.io.meshes.mesh_tree import mesh_tree
 from sdm.io.meshes.write import save_mesh

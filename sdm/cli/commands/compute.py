@@ -106,8 +106,8 @@ def compute(
     from sdm.engine.arguments import SignMethod
     from sdm.errors import GridError, MeshError
     from sdm.io import grid_like as read_grid
-    from sdm.io.maps.api import is_placed
     from sdm.io.maps.formats import check_file, is_map_name
+    from sdm.io.maps.save_and_load import is_placed
 
     SignMethod(sign, hole_size)
     given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}

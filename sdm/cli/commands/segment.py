@@ -57,7 +57,7 @@ def segment(
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
     from sdm.segmentation.data.checks import check_image
     from sdm.segmentation.data.folder import PARTS, read_images
-    from sdm.segmentation.data.nifti import nifti_files
+    from sdm.segmentation.data.nifti_cases import nifti_files
     from sdm.segmentation.data.write_prediction import prediction_files
 
     if not model:

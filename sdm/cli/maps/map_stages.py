@@ -21,10 +21,10 @@ from sdm.engine.map_check import quiet
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
-from sdm.io.bands.api import check_band_target, save_band
-from sdm.io.maps.api import made_from, save_made_from
+from sdm.io.bands.save_and_load import check_band_target, save_band
 from sdm.io.maps.formats import format_of, require_memory_to_write
 from sdm.io.maps.record import digest_of
+from sdm.io.maps.save_and_load import made_from, save_made_from
 from sdm.runtime.host_copy import HostCopy
 
 # A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.

@@ -13,8 +13,8 @@ from torch import Tensor
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
-from sdm.deepsdf.samples.batch import Samples
 from sdm.deepsdf.samples.distribution import REACH, SampleDistribution
+from sdm.deepsdf.samples.sample_source import Samples
 from sdm.deepsdf.samples.unit_sphere import UnitSphere
 from sdm.deepsdf.samples.usable_shapes import why_unusable
 from sdm.engine.mesh_index import MeshIndex

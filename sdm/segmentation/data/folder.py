@@ -7,9 +7,9 @@ from pathlib import Path
 
 from sdm.errors import FormatError
 from sdm.segmentation.data.case import Case
-from sdm.segmentation.data.hdf5 import ENDINGS as HDF5
-from sdm.segmentation.data.hdf5 import hdf5_files, read_hdf5
-from sdm.segmentation.data.nifti import ENDINGS, nifti_files, read_nifti, stem_of
+from sdm.segmentation.data.hdf5_cases import ENDINGS as HDF5
+from sdm.segmentation.data.hdf5_cases import hdf5_files, read_hdf5
+from sdm.segmentation.data.nifti_cases import ENDINGS, nifti_files, read_nifti, stem_of
 
 LAYOUTS = "HDF5 files with image and label, or NIfTI files in imagesTr and labelsTr"
 # nnU-Net numbers an image's channels; there is one here.

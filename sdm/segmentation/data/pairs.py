@@ -13,11 +13,11 @@ from sdm.core.grid import Grid
 from sdm.errors import FormatError, GridError
 from sdm.segmentation.data.case import Case
 from sdm.segmentation.data.folder import named, read_image
-from sdm.segmentation.data.hdf5 import ENDINGS as HDF5
-from sdm.segmentation.data.hdf5 import hdf5_files
+from sdm.segmentation.data.hdf5_cases import ENDINGS as HDF5
+from sdm.segmentation.data.hdf5_cases import hdf5_files
 from sdm.segmentation.data.labels import foreground
-from sdm.segmentation.data.nifti import ENDINGS as NIFTI
-from sdm.segmentation.data.nifti import nifti_files
+from sdm.segmentation.data.nifti_cases import ENDINGS as NIFTI
+from sdm.segmentation.data.nifti_cases import nifti_files
 
 DISTANCES = "_sdm"
 TOLERANCE = 1e-3

@@ -14,7 +14,7 @@ from sdm.core.signed_distance_map import SDM
 from sdm.io.files.atomic import replacing
 from sdm.io.maps.nifti import write_compressed
 from sdm.segmentation.data.case import Case
-from sdm.segmentation.data.nifti import ENDINGS
+from sdm.segmentation.data.nifti_cases import ENDINGS
 from sdm.segmentation.infer.predict import label_distance_map
 
 

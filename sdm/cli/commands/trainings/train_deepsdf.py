@@ -63,7 +63,7 @@ def deepsdf(
     from sdm.deepsdf import train
     from sdm.deepsdf.samples import ShapeSet
     from sdm.deepsdf.train.checkpoint import MODEL, refuse_unfinished_in
-    from sdm.deepsdf.train.ranks import is_first, process_group
+    from sdm.deepsdf.train.process_group import is_first, process_group
     from sdm.deepsdf.train.settings import VARIANTS
     from sdm.errors import MeshError, SDMError
     from sdm.io.maps.formats import check_file

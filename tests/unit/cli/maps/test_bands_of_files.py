@@ -7,7 +7,7 @@ import trimesh
 import sdm
 from sdm.cli import main
 from sdm.io import grid_like, load_band, load_mesh
-from sdm.io.maps.api import made_from
+from sdm.io.maps.save_and_load import made_from
 
 BALL = trimesh.creation.icosphere(1)
 SMALL = ["--resolution", "20", "--device", "cpu"]

@@ -27,7 +27,7 @@ import torch
 from sdm.core.signed_distance_map import SDM
 from sdm.core.grid import Grid
 from sdm.io.maps import formats
-from sdm.io.maps import api as maps
+from sdm.io.maps import save_and_load as maps
 
 def half(field, path, made_from):
     if path.name.startswith(".map.zarr"):

@@ -177,7 +177,7 @@ def test_an_npz_whose_values_are_another_shape_is_not_unpacked(tmp_path):
 @pytest.mark.parametrize("ending", list(FORMATS))
 def test_a_grid_larger_than_memory_is_refused(ending, tmp_path, monkeypatch):
     from sdm.errors import GridError
-    from sdm.io.maps import api
+    from sdm.io.maps import save_and_load as api
 
     save(FIELD, tmp_path / f"map.{ending}")
 

@@ -9,8 +9,8 @@ from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.mesh_index import MeshIndex
 from sdm.io import FORMATS, grid_like, load, save, write_streamed
-from sdm.io.maps.api import made_from
 from sdm.io.maps.record import digest_of
+from sdm.io.maps.save_and_load import made_from
 
 ENDINGS = list(FORMATS)
 TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]

@@ -11,7 +11,7 @@ import torch
 
 from sdm.errors import FormatError
 from sdm.segmentation import has_part, read_cases
-from sdm.segmentation.data.hdf5 import read_hdf5
+from sdm.segmentation.data.hdf5_cases import read_hdf5
 from tests.helpers.segmentation_cases import AFFINE, volume, write_hdf5, write_nnunet
 
 
