@@ -14,8 +14,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
-from sdm.engine.arguments import UNSIGNED, Orient, Sign, SignMethod, described, oriented
-from sdm.engine.call_options import MapOptions, PointOptions
+from sdm.engine.arguments import UNSIGNED, MapOptions, Orient, PointOptions, Sign, SignMethod, described, oriented
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, look_at_points
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map

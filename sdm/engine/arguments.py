@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypedDict, get_args
 
 import torch
 from torch import Tensor
@@ -23,6 +23,56 @@ ORIENTS, SIGNS = get_args(Orient), get_args(Sign)
 
 # Voxels that a gap is wide which a flood just passes, if nobody says otherwise.
 DEFAULT_HOLE = 2.0
+
+
+# Options as keyword types, which the overloads of each call share.
+class SignOptions(TypedDict, total=False):
+    """Signs of maps."""
+
+    sign: Sign
+    hole_size: float | None
+
+
+class ComparedSignOptions(SignOptions, total=False):
+    """Signs of maps, and whether two ways to them are compared."""
+
+    compare_signs: bool
+
+
+class MapOptions(ComparedSignOptions, total=False):
+    """Grid, device and signs of one map."""
+
+    resolution: int | None
+    margin: float | None
+    device: str | torch.device | None
+    orient: Orient
+
+
+class ListOptions(MapOptions, total=False):
+    """The same of maps of many meshes, and their memory."""
+
+    max_bytes: int | None
+
+
+class BatchOptions(SignOptions, total=False):
+    """Grid, device and signs of a batch that shares its faces."""
+
+    resolution: int | None
+    margin: float | None
+    device: str | torch.device | None
+
+
+class PointOptions(TypedDict, total=False):
+    """Device and signs of points."""
+
+    device: str | torch.device | None
+    sign: Sign
+
+
+class PointListOptions(PointOptions, total=False):
+    """The same of points of many meshes, and their memory."""
+
+    max_bytes: int | None
 
 
 @dataclass(frozen=True)

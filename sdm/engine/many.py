@@ -19,8 +19,16 @@ from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
 from sdm.engine.api import signed_distance, signed_distance_map
-from sdm.engine.arguments import WINDING, Orient, Sign, SignMethod, check_orient
-from sdm.engine.call_options import BatchOptions, ListOptions, PointListOptions
+from sdm.engine.arguments import (
+    WINDING,
+    BatchOptions,
+    ListOptions,
+    Orient,
+    PointListOptions,
+    Sign,
+    SignMethod,
+    check_orient,
+)
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import batch_checks, look_at_batch
 from sdm.engine.map_closest import VOXEL_BYTES, closest_map

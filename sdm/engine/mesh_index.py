@@ -17,8 +17,7 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import AccelerationStructure, build
-from sdm.engine.arguments import Orient, Sign, SignMethod, described, oriented
-from sdm.engine.call_options import ComparedSignOptions, SignOptions
+from sdm.engine.arguments import ComparedSignOptions, Orient, Sign, SignMethod, SignOptions, described, oriented
 from sdm.engine.closest_points import Closest, Layers
 from sdm.engine.flood import flooded, rims_of
 from sdm.engine.map_check import MapCheck, SlabsCheck, checked

@@ -15,10 +15,15 @@ LOOSE_MODULES = {"sdm": 4, "kernels": 3}
 TOPS = ("sdm", "kernels", "bench", "tests")
 # Words that announce a thing without naming it.
 FIRST_WORDS = re.compile(r"(What|Which|Where|How|Whether)\b")
-# Modules of one name that differ plainly, besides those that `is_plain` knows.
-TWINS = {
-    "api", "batch", "grid", "nifti", "ranks", "targets", "validation", "predict", "evaluate",
+# Names without a meaning outside this project, or with several, and the field's.
+METAPHORS = {
+    "shelf": "graph_cache", "board": "lane_broadcast", "placing": "output_slot", "beside": "prefetch",
+    "ahead": "prefetch", "places": "graph_cache", "rows": "the kind of row", "lists": "the kind of list",
+    "nasty": "degenerate",
 }  # fmt: skip
+# Sizes of boxes of voxels, each of which the glossary has to name.
+BOXES = {"grid", "slab", "region", "cell", "brick", "block", "octant", "eighth", "tile", "band"}
+MOST_GLOSSARY_LINES = 40
 
 
 def modules(root: Path, *tops: str) -> list[Path]:
@@ -66,9 +71,34 @@ def test_names_of_modules_are_told_apart(root):
     twins = {
         name: [str(folder) for folder in folders]
         for name, folders in named.items()
-        if name not in TWINS and not all(is_plain(*pair) for pair in combinations(folders, 2))
+        if not all(is_plain(*pair) for pair in combinations(folders, 2))
     }
     assert not twins
+
+
+def test_names_of_modules_are_the_fields(root):
+    named = {str(path): METAPHORS[path.stem] for path in modules(root, *TOPS) if path.stem in METAPHORS}
+    assert not named
+
+
+def test_names_of_parameters_are_the_fields(root):
+    found = []
+    for path in modules(root, "sdm"):
+        for node in ast.walk(ast.parse((root / path).read_text())):
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                names = [each.arg for each in (*node.args.args, *node.args.kwonlyargs)]
+                found += [f"{path}: {node.name}({name})" for name in names if name in {"shelf", "board", "ahead"}]
+    assert not found
+
+
+def test_glossary_is_short_and_has_each_term_once(root):
+    text = (root / "ARCHITECTURE.md").read_text()
+    glossary = text[text.index("## Glossary") : text.index("## Rules that hold everywhere")]
+    assert len(glossary.splitlines()) <= MOST_GLOSSARY_LINES
+    terms = re.findall(r"\*\*([\w ]+)\*\*", glossary + (root / "docs" / "glossary.md").read_text())
+    assert len(terms) > 50
+    assert not {term for term in terms if terms.count(term) > 1}
+    assert set(terms) >= BOXES
 
 
 def is_plain(one: Path, other: Path) -> bool:
