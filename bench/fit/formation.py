@@ -6,11 +6,8 @@ The fit is told a blur of 0.2 mm and no more. Each case is one shape under one n
 from __future__ import annotations
 
 import argparse
-import functools
 import json
 import math
-import multiprocessing
-import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +20,7 @@ from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS, summarise
 from sdm.bench.fit.mismatch import CLINICAL, Condition, correlated, image_of
-from sdm.bench.fit.tools import backends_by_name, truth_backend
+from sdm.bench.fit.tools import exact_backends, run_cases
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.fit import FitOptions, Image, State, fit_shape, random_state, simulate
@@ -92,13 +89,7 @@ def formation(options: argparse.Namespace) -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + options.budget_s
     jobs = [(number, options, deadline) for number in range(options.count) if _open(number, options)]
-    if options.workers > 1 and jobs:
-        os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
-        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            pool.map(_run, jobs, chunksize=1)
-    else:
-        for job in jobs:
-            _run(job)
+    run_cases(_run, jobs, options.workers)
     report = {name: {"note": case.note, **_summary(name, options)} for name, case in CASES.items()}
     write(options.out, {"wanted": options.count, "named_blur_mm": NAMED_BLUR, "conditions": report,
                         "machine": describe(options.device)})  # fmt: skip
@@ -115,15 +106,9 @@ def _open(number: int, options: argparse.Namespace) -> list[str]:
     return [name for name in CASES if not _path(name, number, options).is_file()]
 
 
-@functools.cache
-def _backends(device: str) -> tuple[Any, Any]:
-    torch.set_num_threads(1)
-    return truth_backend(device), backends_by_name("exact", device)[0]
-
-
 def _run(job: tuple[int, argparse.Namespace, float]) -> None:
     number, options, deadline = job
-    truth, backend = _backends(options.device)
+    truth, backend = exact_backends(options.device)
     for name in _open(number, options):
         if time.monotonic() > deadline:
             return

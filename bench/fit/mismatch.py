@@ -7,10 +7,7 @@ condition is a change of the image, or of what the fit takes for granted.
 from __future__ import annotations
 
 import argparse
-import functools
 import json
-import multiprocessing
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -23,7 +20,7 @@ import torch
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS, summarise
-from sdm.bench.fit.tools import backends_by_name, truth_backend
+from sdm.bench.fit.tools import exact_backends, run_cases
 from sdm.core.random import derive_seed
 from sdm.fit import SCANNERS, FitOptions, Image, fit_shape, random_state, simulate
 
@@ -103,13 +100,7 @@ def mismatch(options: argparse.Namespace) -> None:
     if options.workers > 1 and jobs:
         # One fit here first, so that the workers find the kernels compiled.
         _run(jobs[0], most=1)
-        # One thread each; set before a worker imports anything.
-        os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
-        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            pool.map(_run, jobs, chunksize=1)
-    else:
-        for job in jobs:
-            _run(job)
+    run_cases(_run, jobs, options.workers)
     report = {name: {"note": condition.note, **_summary(name, options)} for name, condition in CONDITIONS.items()}
     record = {"scanner": vars(CLINICAL), "wanted": options.count, "conditions": report}
     write(options.out, {**record, "machine": describe(options.device)})
@@ -125,16 +116,10 @@ def _open(number: int, options: argparse.Namespace) -> list[str]:
     return [name for name in CONDITIONS if not _path(name, number, options).is_file()]
 
 
-@functools.cache
-def _backends(device: str) -> tuple[Any, Any]:
-    torch.set_num_threads(1)
-    return truth_backend(device), backends_by_name("exact", device)[0]
-
-
 def _run(job: tuple[int, argparse.Namespace, float], most: int | None = None) -> None:
     """The fits of one case that are still to be made, while there is time."""
     number, options, deadline = job
-    truth, backend = _backends(options.device)
+    truth, backend = exact_backends(options.device)
     state = random_state(truth, number, edge=EDGE)
     clean = simulate(truth, state, replace(CLINICAL, noise=0.0), seed=number)
     for name in _open(number, options)[:most]:

@@ -7,21 +7,17 @@ told a blur of 0.2 mm and estimates it. An image has an answer where the shape l
 from __future__ import annotations
 
 import argparse
-import functools
 import json
-import multiprocessing
-import os
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS
-from sdm.bench.fit.tools import backends_by_name, truth_backend
+from sdm.bench.fit.tools import exact_backends, run_cases
 from sdm.core.random import derive_seed
 from sdm.fit import FitOptions, Scanner, fit_shape, random_state, simulate
 from sdm.fit.solve.formation.estimate import estimate_formation
@@ -43,13 +39,7 @@ def refusals(options: argparse.Namespace) -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + options.budget_s
     jobs = [(number, options, deadline) for number in range(options.count) if not _path(number, options).is_file()]
-    if options.workers > 1 and jobs:
-        os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
-        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            pool.map(_run, jobs, chunksize=1)
-    else:
-        for job in jobs:
-            _run(job)
+    run_cases(_run, jobs, options.workers)
     paths = [_path(number, options) for number in range(options.count)]
     found = summary([json.loads(path.read_text()) for path in paths if path.is_file()])
     write(options.out, {"wanted": options.count, **found, "machine": describe(options.device)})
@@ -85,17 +75,11 @@ def _path(number: int, options: argparse.Namespace) -> Path:
     return options.folder / f"{number}.json"
 
 
-@functools.cache
-def _backends(device: str) -> tuple[Any, Any]:
-    torch.set_num_threads(1)
-    return truth_backend(device), backends_by_name("exact", device)[0]
-
-
 def _run(job: tuple[int, argparse.Namespace, float]) -> None:
     number, options, deadline = job
     if time.monotonic() > deadline:
         return
-    truth, backend = _backends(options.device)
+    truth, backend = exact_backends(options.device)
     state, scanner = random_state(truth, number, edge=EDGE), scanner_of(number)
     image = simulate(truth, state, scanner, seed=number, margin=2.0)
     own = FitOptions(blur=NAMED_BLUR)

@@ -1,8 +1,15 @@
-"""Tools of the studies of the fit: simulated cases, backends by name, and files that are whole or not there."""
+"""Tools of the studies of the fit: simulated cases, backends by name, and cases in several processes."""
 
 from __future__ import annotations
 
+import functools
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+import torch
 
 from sdm.bench.fit.stock_backend import StockBackend
 from sdm.bench.fit.stock_maps import StockMaps
@@ -43,3 +50,22 @@ def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None
     """Fit with the scanner's known blur and everything else as it comes."""
     options = FitOptions(blur=SCANNERS[scanner].blur)
     return fit_shape(image.values, image.grid, backends[0], finish=backends[1], options=options)
+
+
+@functools.cache
+def exact_backends(device: str) -> tuple[Any, Any]:
+    """The backend that images are made by and the exact one that fits them, once for each process of a study."""
+    torch.set_num_threads(1)
+    return truth_backend(device), backends_by_name("exact", device)[0]
+
+
+def run_cases(work: Callable[[Any], None], jobs: Sequence[Any], workers: int) -> None:
+    """Do each job, in processes of one thread each where several are wanted."""
+    if workers <= 1 or not jobs:
+        for job in jobs:
+            work(job)
+        return
+    # Set before a worker imports anything.
+    os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        pool.map(work, jobs, chunksize=1)

@@ -6,8 +6,8 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.launch import launch_grid
 from sdm.kernels.shapes.rotation import uniform_rotation
+from sdm.kernels.shapes.vertex_launch import add_gradient, fill_vertices
 
 wp.set_module_options({"enable_backward": True})
 
@@ -75,18 +75,9 @@ def solids_vertices(theta: Any, tables: list[Any], vertices: Any, device: Any) -
         vertices: (B,V) vec3, out.
         device: Warp device.
     """
-    launch_grid(solids_kernel, dim=vertices.shape, inputs=[theta, *tables], outputs=[vertices], device=device)
+    fill_vertices(solids_kernel, theta, tables, vertices, device)
 
 
 def solids_gradient(theta: Any, tables: list[Any], vertices: Any, upstream: Any, gradient: Any, device: Any) -> None:
     """Add to `gradient` (B,P) what `upstream` (B,V) vec3, the gradient by vertices, gives by theta."""
-    launch_grid(
-        solids_kernel,
-        dim=vertices.shape,
-        inputs=[theta, *tables],
-        outputs=[vertices],
-        adj_inputs=[gradient, *([None] * len(tables))],
-        adj_outputs=[upstream],
-        adjoint=True,
-        device=device,
-    )
+    add_gradient(solids_kernel, theta, tables, vertices, upstream, gradient, device)
