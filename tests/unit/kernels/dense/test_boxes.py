@@ -20,13 +20,11 @@ from sdm.kernels.dense.block.shared_layout import (
     scratch_of,
     write_row,
 )
-from sdm.kernels.primitives.work_queues import FEATURE_BITS, PAIR_BITS, enqueue, queue_entry
+from sdm.kernels.primitives.work_queues import FEATURE_BITS, enqueue, queue_entry
 
 wp.set_module_options({"enable_backward": False})
 
-_TEST_ROW, _BATCH, _LATTICE_ROW = wp.constant(TEST_ROW), wp.constant(BATCH), wp.constant(LATTICE_ROW)
-_MIN_VALUES_ROW, _MIN_VALUES_ROWS = wp.constant(MIN_VALUES // 4), wp.constant(128)
-_ITEMS, _FEATURE_BITS, _PAIR_BITS = wp.constant(ITEMS), wp.constant(FEATURE_BITS), wp.constant(PAIR_BITS)
+MIN_VALUES_ROW, MIN_VALUES_ROWS = MIN_VALUES // 4, 128
 
 
 @wp.kernel
@@ -41,12 +39,12 @@ def _boxes(
     scratch = scratch_of(memory, 0)
     for row in range(4):
         at = lattice[row]
-        write_row(scratch, _LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
+        write_row(scratch, LATTICE_ROW + row, at[0], at[1], at[2], 0.0)
     for i in range(pairs.shape[0]):
-        feature = pairs[i] % _BATCH
+        feature = pairs[i] % BATCH
         for t in range(tests.shape[1]):
             u = tests[i, t]
-            write_row(scratch, _TEST_ROW + _BATCH * t + feature, u[0], u[1], u[2], u[3])
+            write_row(scratch, TEST_ROW + BATCH * t + feature, u[0], u[1], u[2], u[3])
         octants[i] = octants_of(scratch, feature, tests.shape[1])
         eighths[i] = 0
         if octants[i] != 0:
@@ -109,9 +107,9 @@ def _queue(begin: int, memory: wp.array(dtype=float), which: wp.array(dtype=int)
     scratch = scratch_of(memory, 0)
     top = int(begin)
     for feature in range(which.shape[0]):
-        top = enqueue(scratch, _ITEMS, top, feature, _FEATURE_BITS, which[feature], 0)
+        top = enqueue(scratch, ITEMS, top, feature, FEATURE_BITS, which[feature], 0)
     for i in range(top):
-        out[i] = queue_entry(scratch, _ITEMS, i)
+        out[i] = queue_entry(scratch, ITEMS, i)
     out[out.shape[0] - 1] = top
 
 
@@ -160,9 +158,9 @@ def test_features_are_taken_once_and_full_lanes_first():
 @wp.kernel
 def _twos(memory: wp.array(dtype=float), at: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec2)):
     scratch = scratch_of(memory, 0)
-    for row in range(_MIN_VALUES_ROWS):
+    for row in range(MIN_VALUES_ROWS):
         first = float(4 * row)
-        write_row(scratch, _MIN_VALUES_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
+        write_row(scratch, MIN_VALUES_ROW + row, first, first + 1.0, first + 2.0, first + 3.0)
     for two in range(at.shape[0]):
         at[two] = two_at(two)
         values[two] = values_of(scratch, two)

@@ -27,8 +27,6 @@ from sdm.kernels.primitives.atomics import fetch_add_once
 
 wp.set_module_options({"enable_backward": False})
 
-_NEXT_CHUNK, _ROOM = wp.constant(NEXT_CHUNK), wp.constant(ROOM)
-
 
 @wp.kernel
 def _fill(
@@ -42,7 +40,7 @@ def _fill(
     """Chain after chain, entries ends[i] to ends[i + 1] of those to keep; as `cells` and `regions` do it."""
     for i in range(chains):
         chain = Chain()
-        chain.chunk = fetch_add_once(pool.counters, _NEXT_CHUNK, 1, 0)
+        chain.chunk = fetch_add_once(pool.counters, NEXT_CHUNK, 1, 0)
         head = chain.chunk
         for at in range(ends[i], ends[i + 1]):
             chain = append(pool, chain, keep[at] != 0, entries[at], 0)
@@ -54,13 +52,13 @@ def _fill(
 def _fill_by_turns(pool: ChunkPool, lists: CandidateLists, chains: int, length: int):
     """All chains grow at the same time: their chunks lie mixed in the pool."""
     for i in range(chains):
-        lists.heads[i] = fetch_add_once(pool.counters, _NEXT_CHUNK, 1, 0)
+        lists.heads[i] = fetch_add_once(pool.counters, NEXT_CHUNK, 1, 0)
         lists.lengths[i] = lists.heads[i]
     for n in range(length):
         for i in range(chains):
             chain = Chain()
             chain.chunk = lists.lengths[i]
-            chain.fill = n - (wp.max(n - 1, 0) / _ROOM) * _ROOM
+            chain.fill = n - (wp.max(n - 1, 0) / ROOM) * ROOM
             chain = append(pool, chain, True, 1000 * i + n, 0)
             lists.lengths[i] = chain.chunk
     for i in range(chains):
