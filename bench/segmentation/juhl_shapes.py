@@ -19,7 +19,7 @@ from sdm.shapes import Cuboid, Cylinder, Ellipsoid, Family, Rhomboid
 
 TRAIN, TEST, VALIDATION = 19, 6, 3
 # Number of the first shape of a part in each family, and how many it has.
-PARTS = {"train": (0, TRAIN), "test": (TRAIN, TEST), "validation": (TRAIN + TEST, VALIDATION)}
+SPLITS = {"train": (0, TRAIN), "test": (TRAIN, TEST), "validation": (TRAIN + TEST, VALIDATION)}
 SHIFT = 0.3
 MARGIN = 1.05
 # Of the image's noise, for a contrast of 1.
@@ -67,7 +67,7 @@ def shapes(part: str, fine: int, coarse: int, device: torch.device | str) -> Ite
         coarse: Of images and targets: 64.
         device: Where they are made and stay.
     """
-    first, count = PARTS[part]
+    first, count = SPLITS[part]
     fine_grid, coarse_grid = grid_of(fine), grid_of(coarse)
     for family in families():
         theta = family.sample(count, seed=SEED, start=first, device="cpu")

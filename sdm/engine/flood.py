@@ -34,7 +34,7 @@ ROUNDINGS = 16
 # One voxel in so many may climb; where more do, all voxels are gone through, which takes longer.
 LISTED = 16
 # Voxels by which the mesh's box is taken for larger than it is.
-ROOM = 1e-3
+MARGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def frame_of(grid: Grid, vertices: Tensor, faces: Tensor, *, limited: bool = Tru
     """
     low, high, size = _box_of(grid, vertices, faces)
     last = np.asarray(grid.shape) - 1
-    low, high = low - ROOM, high + ROOM
+    low, high = low - MARGIN, high + MARGIN
     before = np.maximum(0, np.floor(-low) + 1)
     after = np.maximum(0, np.floor(high - last) + 1)
     shape = before + last + 1 + after

@@ -35,7 +35,7 @@ from sdm.inspect.placement import (
     thinness,
     too_large_for,
 )
-from sdm.inspect.problems import FLOOD, NOTHING_INSIDE, PARTS
+from sdm.inspect.problems import FLOOD, NOTHING_INSIDE, ORIENT_PARTS
 from sdm.inspect.quick_look import look_at
 from sdm.inspect.recommendation import NEARLY_CLOSED
 from sdm.inspect.report import inspect_mesh
@@ -93,7 +93,7 @@ def _though_closed(mesh: TriangleMesh, grid: Grid) -> list[str]:
         return [thin]
     text = (
         f"nothing is inside although components that are closed, or open by little, make up {100 * shut:.3g} % of the "
-        f"area: they are thinner than the voxels, or faces face all ways; use a finer grid, {PARTS} or {FLOOD}"
+        f"area: they are thinner than the voxels, or faces face all ways; use a finer grid, {ORIENT_PARTS} or {FLOOD}"
     )
     return [text]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 # In Python and in commands.
 AUTO = 'orient="auto" (--orient auto)'
-PARTS = 'orient="parts" (--orient parts)'
+ORIENT_PARTS = 'orient="parts" (--orient parts)'
 FLOOD = 'sign="flood" (--sign flood)'
 NOTHING_INSIDE = "the mesh is closed but encloses no volume, so nothing is inside"
 
@@ -55,8 +55,8 @@ def sign_problems(facts: Mapping[str, Any]) -> list[str]:
         found.append(
             f"faces disagree which side is out along {_count(facts['disagreeing_edges'], 'edge')}, and "
             f"{100 * facts['turned_area']:.3g} % of the area is turned against the rest: the sign is not to be trusted "
-            f"near {'it' if facts['disagreeing_edges'] == 1 else 'them'}; {PARTS} turns patches outward, {FLOOD} does "
-            "not ask them"
+            f"near {'it' if facts['disagreeing_edges'] == 1 else 'them'}; {ORIENT_PARTS} turns patches outward, "
+            f"{FLOOD} does not ask them"
         )
     if facts["inside_out"]:
         why = f"it is closed, but its volume is {facts['volume']:.6g}" if facts["closed"] else "its faces look inward"

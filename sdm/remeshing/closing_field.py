@@ -19,7 +19,7 @@ LARGEST_MAP = 1 << 26
 # So many times a band's half width are the voxels along the shortest axis of a grid for which it is worth while.
 SHARE = 16
 # For rounding.
-ROOM = 1.01
+SAFETY = 1.01
 
 
 def closing_field(index: MeshIndex, grid: Grid, sign: Sign, hole_size: float | None, level: float) -> SDM | SparseSDM:
@@ -33,7 +33,7 @@ def closing_field(index: MeshIndex, grid: Grid, sign: Sign, hole_size: float | N
         GridError: Neither fits into memory.
     """
     diagonal = math.hypot(*grid.spacing)
-    width = ROOM * max(level + 2 * diagonal, 0.0 if hole_size is None else hole_size + 3 * diagonal)
+    width = SAFETY * max(level + 2 * diagonal, 0.0 if hole_size is None else hole_size + 3 * diagonal)
     half_width = width / max(grid.spacing)
     needed, free = BYTES * grid.size, free_memory(index.device)
     wide = SHARE * half_width > min(grid.shape)

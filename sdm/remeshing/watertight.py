@@ -25,7 +25,7 @@ Hidden = Literal["drop", "keep"]
 # A hundredth more than half a voxel: a sheet midway between two layers of voxels is half a voxel from both.
 DEFAULT_OFFSET = 0.505
 # Voxels around the surface, so that it ends before the grid does.
-ROOM = 2
+BORDER = 2
 SMALLEST = 8
 
 
@@ -154,10 +154,10 @@ def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:
         raise GridError(f"the resolution {resolution} is too low for a surface; give a whole number from {SMALLEST} on")
     low, high = mesh.bounds
     size = high - low
-    voxels = resolution - 1 - 2 * ROOM - (2 * DEFAULT_OFFSET if offset is None else 0)
+    voxels = resolution - 1 - 2 * BORDER - (2 * DEFAULT_OFFSET if offset is None else 0)
     step = float(size.max() + 2 * (offset or 0.0)) / voxels
     if not step > 0:
         raise MeshError(f"{mesh.name} has size zero, so a resolution says nothing: give an offset")
-    room = ROOM + (DEFAULT_OFFSET if offset is None else offset / step)
+    room = BORDER + (DEFAULT_OFFSET if offset is None else offset / step)
     shape = np.ceil(size / step + 2 * room - 1e-6) + 1
     return Grid((low + high) / 2 - step * (shape - 1) / 2, (step,) * 3, shape)

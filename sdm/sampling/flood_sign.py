@@ -10,7 +10,7 @@ from sdm.engine.mesh_index import MeshIndex
 
 VOXELS = 128
 # Room around what the grid has to hold, in voxels.
-ROOM = 3
+BORDER = 3
 # How often a point that no voxel vouches for is moved away from the surface, by twice as much each time.
 STEPS = 4
 
@@ -62,6 +62,6 @@ def _grid_around(index: MeshIndex, points: Tensor) -> Grid:
     low, high = (torch.as_tensor(end, device="cpu") for end in index.mesh.bounds)
     low = torch.minimum(low, points.amin(0).double().cpu())
     high = torch.maximum(high, points.amax(0).double().cpu())
-    spacing = float((high - low).max()) / (VOXELS - 2 * ROOM)
-    shape = [int(n) for n in ((high - low) / spacing).ceil() + 2 * ROOM]
-    return Grid((low - ROOM * spacing).tolist(), (spacing, spacing, spacing), shape)
+    spacing = float((high - low).max()) / (VOXELS - 2 * BORDER)
+    shape = [int(n) for n in ((high - low) / spacing).ceil() + 2 * BORDER]
+    return Grid((low - BORDER * spacing).tolist(), (spacing, spacing, spacing), shape)

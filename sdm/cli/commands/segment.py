@@ -56,7 +56,7 @@ def segment(
     from sdm.errors import FormatError, SDMError
     from sdm.segmentation import check_ensemble, load_model, predict_ensemble, write_prediction
     from sdm.segmentation.data.checks import check_image
-    from sdm.segmentation.data.folder import PARTS, read_images
+    from sdm.segmentation.data.folder import SPLIT_FOLDERS, read_images
     from sdm.segmentation.data.nifti_cases import nifti_files
     from sdm.segmentation.data.write_prediction import prediction_files
 
@@ -77,7 +77,7 @@ def segment(
     if twice is not None:
         raise FormatError(f"{twice} would be one image's label and another's distance map: segment them apart")
     # nnU-Net has the true labels in a folder beside that of the images, under the names of those to write.
-    beside = {case.source.absolute().parent.parent / masks for case in cases for _, _, masks in PARTS.values()}
+    beside = {case.source.absolute().parent.parent / masks for case in cases for _, _, masks in SPLIT_FOLDERS.values()}
     truths = [path for folder in beside for path in nifti_files(folder)]
     refuse_inputs(targets, [*(case.source for case in cases), *truths, *model])
     out.mkdir(parents=True, exist_ok=True)

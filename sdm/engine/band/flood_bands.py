@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # Of a flood, as its nodes are counted with 32 bits.
 MOST_BLOCKS = (1 << 22) - 1
 # For rounding.
-ROOM = 1e-4
+SAFETY = 1e-4
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def flood_band(
     mesh = index._measured
     frame = frame_of(grid, mesh.vertices.detach(), mesh.faces, limited=False)
     flood = frame.as_struct(hole_size / 2)
-    reach = (float(flood.deep) + math.hypot(*grid.spacing) + 4 * float(flood.slack)) * (1 + ROOM)
+    reach = (float(flood.deep) + math.hypot(*grid.spacing) + 4 * float(flood.slack)) * (1 + SAFETY)
     reach = max(float(np.float32(reach)), width)
     blocks, wide, _ = measured_blocks(index._structure, frame.grid, reach, signed=False, beyond=False)
     found = _flooded(index, frame, flood, reach, blocks, wide, hole_size)

@@ -15,7 +15,7 @@ LAYOUTS = "HDF5 files with image and label, or NIfTI files in imagesTr and label
 # nnU-Net numbers an image's channels; there is one here.
 CHANNEL = "_0000"
 # Sub-folder of HDF5 files, and nnU-Net's pair of folders, for each part of the data.
-PARTS = {"train": ("train", "imagesTr", "labelsTr"), "val": ("val", "imagesTs", "labelsTs")}
+SPLIT_FOLDERS = {"train": ("train", "imagesTr", "labelsTr"), "val": ("val", "imagesTs", "labelsTs")}
 
 
 def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) -> list[Case]:
@@ -32,7 +32,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
     """
     if not folder.is_dir():
         raise FormatError(f"{folder} is not a folder of cases: give one with {LAYOUTS}")
-    plain, images, masks = PARTS[part or "train"]
+    plain, images, masks = SPLIT_FOLDERS[part or "train"]
     for place in (folder / plain,) if part == "val" else (folder / plain, folder):
         if files := hdf5_files(place):
             cases = [read_hdf5(path) for path in files]
@@ -48,7 +48,7 @@ def read_cases(folder: Path, part: str | None = None, *, labels: bool = True) ->
 
 def has_part(folder: Path, part: str) -> bool:
     """True if a folder has cases of a part of its own."""
-    plain, images, _ = PARTS[part]
+    plain, images, _ = SPLIT_FOLDERS[part]
     return bool(hdf5_files(folder / plain) or nifti_files(folder / images))
 
 

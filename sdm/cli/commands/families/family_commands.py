@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sdm.cli.common.subcommands import union_of
 
-LOOKS = {
+FAMILY_COMMANDS = {
     "check": "sdm.cli.commands.families.check_family:check",
     "show": "sdm.cli.commands.families.show_family:show",
 }
@@ -15,7 +15,7 @@ LOOKS = {
 if TYPE_CHECKING:
     Look = Callable[[], int | None]
 else:
-    Look = union_of(LOOKS)
+    Look = union_of(FAMILY_COMMANDS)
 
 
 def family(what: Look) -> int | None:

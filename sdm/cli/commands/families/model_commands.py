@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from sdm.cli.common.subcommands import union_of
 
-PARTS = {
+MODEL_COMMANDS = {
     "build": "sdm.cli.commands.families.build_shape_model:build",
     "show": "sdm.cli.commands.families.show_model:show",
     "import": "sdm.cli.commands.families.import_model:import_model",
@@ -16,7 +16,7 @@ PARTS = {
 if TYPE_CHECKING:
     Part = Callable[[], int | None]
 else:
-    Part = union_of(PARTS)
+    Part = union_of(MODEL_COMMANDS)
 
 
 def shape_model(what: Part) -> int | None:

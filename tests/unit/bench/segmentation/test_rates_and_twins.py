@@ -31,7 +31,9 @@ def test_rates_are_chosen_by_the_validation_shapes_of_each_network(tmp_path):
     options = juhl.parser().parse_args(words.split())
     listed = juhl.jobs(options)
     assert [job["name"] for job in listed] == ["pwc-ce-rate-0.01", "pwc-ce-rate-0.03", "pwc-ce-0", "pwc-ce-1"]
-    few = {part: [s for _, s in zip(range(2), shapes(part, 32, 16, "cpu"), strict=False)] for part in juhl_shapes.PARTS}
+    few = {
+        part: [s for _, s in zip(range(2), shapes(part, 32, 16, "cpu"), strict=False)] for part in juhl_shapes.SPLITS
+    }
     for job in listed:
         log = juhl.work(job, "cpu", tmp_path, dict(few), time.monotonic() + 600, logs=logs)
         assert log is not None
@@ -52,5 +54,5 @@ def test_rates_are_chosen_by_the_validation_shapes_of_each_network(tmp_path):
 
 
 def test_the_parts_of_the_shapes_have_no_shape_in_common():
-    taken = [number for first, count in juhl_shapes.PARTS.values() for number in range(first, first + count)]
+    taken = [number for first, count in juhl_shapes.SPLITS.values() for number in range(first, first + count)]
     assert len(taken) == len(set(taken)) == 28

@@ -10,13 +10,13 @@ import subprocess
 import pytest
 
 from sdm.cli import COMMANDS, app, main
-from sdm.cli.commands.families.family_commands import LOOKS
-from sdm.cli.commands.families.model_commands import PARTS as MODELS
+from sdm.cli.commands.families.family_commands import FAMILY_COMMANDS
+from sdm.cli.commands.families.model_commands import MODEL_COMMANDS
 from sdm.cli.commands.train import TRAININGS
 from sdm.cli.common.examples import EXAMPLES
 from sdm.cli.common.renamed_options import RENAMED
 
-PARTS = {"family": LOOKS, "shape-model": MODELS, "train": TRAININGS}
+PARTS = {"family": FAMILY_COMMANDS, "shape-model": MODEL_COMMANDS, "train": TRAININGS}
 PLACES = [*(name for name in COMMANDS if name not in PARTS)]
 PLACES += [f"{name} {part}" for name, parts in PARTS.items() for part in parts]
 
