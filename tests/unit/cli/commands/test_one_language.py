@@ -38,8 +38,8 @@ SHARED = {
 }
 # Other names for what is in `SHARED`.
 OTHER_NAMES = {
-    "--batch", "--shapes", "--lr", "--rate", "--epsilon", "--overwrite", "--force", "--output", "--voxels", "--number", "--samples",
-    "--budget", "--gpu", "--random-seed", "--voxel-size", "--thickness",
+    "--batch", "--shapes", "--lr", "--rate", "--epsilon", "--overwrite", "--force", "--output", "--voxels", "--number",
+    "--samples", "--budget", "--gpu", "--random-seed", "--voxel-size", "--thickness",
 }  # fmt: skip
 OPTION = re.compile(r"^ +(?:-\w(?: \S+)+, )?(--[a-z][\w-]*)(.*)$")
 
