@@ -166,7 +166,7 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
         passes=passes,
         most=most,
         split_length=NO_SPLITS,
-        list_bricks=False,
+        list_bricks_below=0,
         chunks=chunks,
         blocks=8 * most,
     )

@@ -31,7 +31,7 @@ import warp as wp
 from sdm.kernels.bvh.triangle_frames import Frame, Local
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.lanes import from_lane, lane_of_least
-from sdm.kernels.primitives.vector_loads import load4, write4
+from sdm.kernels.primitives.vector_loads import load4, read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
@@ -171,10 +171,21 @@ def write_witness(rows: wp.array(dtype=wp.float32), number: int, known: Witness)
 
 
 @wp.func
-def read_witness(rows: wp.array(dtype=wp.float32), number: int):
-    """Witness `number` of rows of four, written before."""
-    row = load4(rows, number)
+def witness_in(row: wp.vec4):
+    """The witness in a row of four."""
     known = Witness()
     known.to_surface = wp.vec3(row[0], row[1], row[2])
     known.distance2 = row[3]
     return known
+
+
+@wp.func
+def read_witness(rows: wp.array(dtype=wp.float32), number: int):
+    """Witness `number` of rows of four, written before."""
+    return witness_in(load4(rows, number))
+
+
+@wp.func
+def read_witness_in_use(rows: wp.array(dtype=wp.float32), number: int):
+    """Witness `number` of rows of four, of which this kernel may write a better one: the old or the new, whole."""
+    return witness_in(read4(rows, number))

@@ -169,6 +169,7 @@ def _search_bricks(
     lanes: int,
     each: int,
     groups: int,
+    below: int,
     tree: Tree,
     slab: Slab,
     grid: RegionGrid,
@@ -197,8 +198,9 @@ def _search_bricks(
         here = slab_of(slab, mesh)
         start = brick_start(grid, place.start, brick % 8)
         length = list_length(cells, number * cells.shares, cells.shares)
-        # Each split of a list has the whole of it.
-        if split_of(code) == 0 and length > 0 and is_within(here, start):
+        # Each split of a list has the whole of it. Maps of a list that are longer are searched by the tree, as alone.
+        wanted = split_of(code) == 0 and wp.max(here.shape) < below
+        if wanted and length > 0 and is_within(here, start):
             if is_coarse(make_cell(one, here, mesh, start, size)):
                 inner = (item % turns) * together + lane / each
                 at = start + wp.vec3i(inner / (size * size), (inner / size) % size, inner % size)
@@ -231,14 +233,15 @@ def search_bricks(
     cache: CellCache,
     schedule: BlockSchedule,
     out: Output,
+    below: int,
     groups: int,
     lanes: int,
 ) -> None:
     """Put distances where they are infinite in bricks of the pass that are too coarse to be measured.
 
     `tree` is the one that the lists are of, and `groups` groups of lanes are at work. A voxel without an answer stays
-    as it is, for `voxel_search.mend_slab`.
+    as it is, for `voxel_search.mend_slab`, and so do all of a map with `below` voxels or more along some axis.
     """
     each = LANES_EACH if out.values.device.is_cuda else 1
-    inputs = [lanes, each, groups, tree, slab, grid, pool, cells, cache, schedule, out]
+    inputs = [lanes, each, groups, below, tree, slab, grid, pool, cells, cache, schedule, out]
     launch(_search_bricks, groups * lanes, inputs, out.values.device, smallest=1)

@@ -48,17 +48,13 @@ LONG_FOR_LEAVES = 400
 # last blocks would be waited for, about so many triangles. A CPU has fewer groups, and nothing to gain.
 LONG_SPLIT, SHORT_SPLIT, FEW_CELLS = 512, 370, 1 << 13
 NO_SPLITS = 1 << 30
-# Voxels along the longest axis of a slab from which on its bricks are hardly ever too coarse for float32.
-FINE = 128
+# Voxels along the longest axis of a slab from which on its bricks are hardly ever too coarse for float32; and longer
+# than any.
+FINE, ALL_COARSE = 128, 1 << 30
 # Layers of a slab: regions are of 16^3 or 32^3 voxels, and in whole ones a slab's are treated as in the whole map.
 THINNEST_SLAB = 32
 # Longer lists than this, on average, cost more than one search a voxel (see bench/decisions/0012-search-or-cells.md).
 LONGEST_LIST = {"cuda": 50_000, "cpu": 16_000}
-
-
-def coarse_bricks_are_many(shape: Sequence[int]) -> bool:
-    """True if bricks of a slab of so many voxels may be too coarse for float32."""
-    return max(shape) < FINE
 
 
 def expected_list(triangles: int, shape: Sequence[int], cell: int) -> float:

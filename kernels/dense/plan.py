@@ -12,10 +12,11 @@ import warp as wp
 
 from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.cost_model import (
+    ALL_COARSE,
+    FINE,
     MOST_REGIONS,
     NO_SPLITS,
     cell_for,
-    coarse_bricks_are_many,
     expected_entries,
     levels_left_out,
     passes_for,
@@ -66,7 +67,7 @@ class Plan:
         chunks: Chunks of the pool of candidate lists.
         blocks: Blocks that there is room for in each class of lengths: every split but the last of a list is full.
         most_columns: See `PlanOptions`.
-        list_bricks: See `PlanOptions`.
+        list_bricks_below: Coarse bricks of maps that are shorter along each axis are searched by lists: 0 for none.
     """
 
     method: str
@@ -82,7 +83,7 @@ class Plan:
     chunks: int
     blocks: int
     most_columns: int | None
-    list_bricks: bool
+    list_bricks_below: int
 
 
 @lru_cache(maxsize=16)
@@ -134,7 +135,8 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     passes = passes_for(expected, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))
     most = -(-total // passes)
     chunks = entries // CHUNK
-    list_bricks = gpu and coarse_bricks_are_many(shape) if options.list_bricks is None else options.list_bricks
+    by_option = ALL_COARSE if options.list_bricks else 0
+    below = (FINE if gpu else 0) if options.list_bricks is None else by_option
     return Plan(
         method=method,
         cell=cell,
@@ -149,7 +151,7 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
         most_columns=options.most_columns,
-        list_bricks=list_bricks,
+        list_bricks_below=below if max(shape) < below else 0,
     )
 
 
@@ -192,5 +194,6 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
         split_length=split_length,
         chunks=chunks,
         blocks=8 * most + chunks * CHUNK // split_length,
-        list_bricks=all(plan.list_bricks for plan in plans),
+        # Of each map by itself, as alone: see `coarse_bricks`.
+        list_bricks_below=max(plan.list_bricks_below for plan in plans),
     )

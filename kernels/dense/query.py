@@ -231,6 +231,18 @@ def run_stages(
         )
         if has_splits:
             end_split(slab, grid, cache, schedule, out, merge_threads)
-        if plan.list_bricks:
-            search_bricks(tree, slab, grid, pool, cells, cache, schedule, out, workers(SEARCH_BLOCKS_PER_SM), lanes)
+        if plan.list_bricks_below > 0:
+            search_bricks(
+                tree,
+                slab,
+                grid,
+                pool,
+                cells,
+                cache,
+                schedule,
+                out,
+                plan.list_bricks_below,
+                workers(SEARCH_BLOCKS_PER_SM),
+                lanes,
+            )
     mend(whole, slab, out, workers(BLOCKS_PER_SM) * lanes)

@@ -24,7 +24,14 @@ from sdm.kernels.culling.leaf_filter import (
 )
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features, features_that_matter
-from sdm.kernels.culling.witness_bound import LARGEST_SQUARE, Witness, box_is_farther, read_witness, write_witness
+from sdm.kernels.culling.witness_bound import (
+    LARGEST_SQUARE,
+    Witness,
+    box_is_farther,
+    read_witness,
+    read_witness_in_use,
+    write_witness,
+)
 from sdm.kernels.dense.block.voxels import Block
 from sdm.kernels.dense.block_schedule import BlockSchedule, cell_of, split_of, splits_of, whole_block, whole_blocks
 from sdm.kernels.dense.cell_cache import CellCache, cached_box, cached_half2
@@ -108,7 +115,7 @@ def block_of(
     block.splits = splits_of(code)
     block.unscale = float(tree.frame[block.mesh * FRAME_SIZE + UNSCALE])
     block.box = place.box
-    block.known = read_witness(cache.witnesses, grid.count + box)
+    block.known = read_witness_in_use(cache.witnesses, grid.count + box)
     # A brick whose witness is its cell's has its floor from there.
     if eighth >= 0:
         block.floor = floor_of(read_witness(cache.witnesses, grid.count + number), cached_half2(cache, number))
@@ -135,7 +142,10 @@ def find_brick_witness(
 ):
     """The surface point nearest to a brick's centre, which is noted for stage 6: distances are taken from it.
 
-    Of several splits each finds the same.
+    Of several splits each finds the same, whether it begins with the witness of stage 4 or with what another split has
+    noted meanwhile. For let w be what the list leads to from the first of them. A lane looks at a triangle only if its
+    leaf's box and its ball may be nearer than what the lane knows, which from w on is never more than it was before. So
+    what is looked at from w on was looked at before too, and none of it is nearer than w, which stays.
     """
     centre = block.box.centre
     known = nearest_in_list(tree, frames, features, pool, cells, number, block.mesh, centre, block.known, lane, lanes)
@@ -247,6 +257,7 @@ def _select_features(
         block, number = block_of(tree, slab, grid, cache, schedule, item, bricks, -1)
         within = is_within(slab_of(slab, block.mesh), block.start)
         head = int(-1)
+        lacking = False
         chain = Chain()
         chain.chunk = pool.chunks
         length = list_length(cells, number * cells.shares, cells.shares)
@@ -283,9 +294,11 @@ def _select_features(
                     lane,
                     lanes,
                 )
+                lacking = chain.chunk >= pool.chunks
         if lane == 0:
-            if chain.chunk >= pool.chunks and block.splits > 1 and within:
-                # What the other splits come to is not all.
+            if lacking and block.splits > 1:
+                # What the other splits come to is not all. Bricks that are too coarse lack nothing: no split measures
+                # them, and if the cell's other bricks were searched with them, bits would depend on splits.
                 schedule.lacking[number] = 1
             blocks.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
             blocks.lengths[item] = chain.length

@@ -7,9 +7,29 @@ import pytest
 import torch
 
 import sdm
+from tests.helpers.same_bits import assert_same_bits, difference
 from tests.property.test_ragged_lists import SIGNS, assert_same_closest, random_grid, random_mesh
 
 pytestmark = [pytest.mark.gpu, pytest.mark.filterwarnings("ignore::sdm.SDMWarning")]
+
+
+def what_differs(
+    i: int,
+    meshes: list[sdm.TriangleMesh],
+    grids: list[sdm.Grid],
+    max_bytes: int | None,
+    listed: torch.Tensor,
+    alone: torch.Tensor,
+) -> str:
+    """Which mesh, how many values and by how much; and which of both calls, made again, gives something else."""
+    again = {
+        "alone again": (sdm.signed_distance_map(meshes[i], grids[i]).values, alone),
+        "in the list again": (sdm.signed_distance_maps(meshes, grids, max_bytes=max_bytes)[i].values, listed),
+        "in a list of its own": (sdm.signed_distance_maps(meshes[i : i + 1], grids[i : i + 1])[0].values, alone),
+    }
+    others = [f"{name}: {difference(*pair) or 'the same as before'}" for name, pair in again.items()]
+    pair = f"mesh {i} of {len(meshes)}, {meshes[i]} on {grids[i]}: {difference(listed, alone)}"
+    return "; ".join([pair, *others])
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -21,11 +41,12 @@ def test_maps_and_distances_are_those_of_single_calls(seed: int, max_bytes: int 
     found = sdm.signed_distance_maps(meshes, grids, max_bytes=max_bytes)
     for i, (field, mesh, grid) in enumerate(zip(found, meshes, grids, strict=True)):
         alone = sdm.signed_distance_map(mesh, grid)
-        assert torch.equal(field.values, alone.values), (i, mesh, grid)
-        assert field.ambiguous_voxels == alone.ambiguous_voxels
+        if difference(field.values, alone.values):
+            pytest.fail(what_differs(i, meshes, grids, max_bytes, field.values, alone.values))
+        assert field.ambiguous_voxels == alone.ambiguous_voxels, (i, mesh, grid)
     points = [torch.randn(int(rng.integers(0, 9000)), 3, device="cuda") for _ in meshes]
     for values, mesh, at in zip(sdm.signed_distances(meshes, points, max_bytes=max_bytes), meshes, points, strict=True):
-        assert torch.equal(values, sdm.signed_distance(mesh, at))
+        assert_same_bits(values, sdm.signed_distance(mesh, at), mesh)
 
 
 @pytest.mark.parametrize("options", SIGNS, ids=str)
@@ -38,8 +59,8 @@ def test_every_method_and_closest_points_are_those_of_single_calls(options: dict
     for made, mesh, grid in zip(sdm.signed_distance_maps(meshes, grids, **asked), meshes, grids, strict=True):
         alone = sdm.signed_distance_map(mesh, grid, **asked)
         field, own = (made[0], alone[0]) if closest else (made, alone)
-        assert torch.equal(field.values, own.values), (mesh, grid)
-        assert field.ambiguous_voxels == own.ambiguous_voxels
+        assert_same_bits(field.values, own.values, (mesh, grid))
+        assert field.ambiguous_voxels == own.ambiguous_voxels, (mesh, grid)
         assert field.sign_disagreements == own.sign_disagreements
         if closest:
             assert_same_closest(made[1], alone[1], mesh.vertices, (mesh, grid))
@@ -53,7 +74,7 @@ def test_closest_points_of_point_lists_are_those_of_single_calls(sign: str) -> N
     asked = {"sign": sign, "return_closest": True}
     for (values, hit), mesh, at in zip(sdm.signed_distances(meshes, points, **asked), meshes, points, strict=True):
         alone, own = sdm.signed_distance(mesh, at, **asked)
-        assert torch.equal(values, alone)
+        assert_same_bits(values, alone, mesh)
         assert_same_closest(hit, own, mesh.vertices, mesh)
 
 
@@ -61,7 +82,7 @@ def test_meshes_of_the_host_are_taken_there() -> None:
     meshes = [random_mesh(np.random.default_rng(seed)) for seed in range(5)]
     for field, mesh in zip(sdm.signed_distance_maps(meshes, 20, device="cuda"), meshes, strict=True):
         assert field.device.type == "cuda"
-        assert torch.equal(field.values, sdm.signed_distance_map(mesh, 20, device="cuda").values)
+        assert_same_bits(field.values, sdm.signed_distance_map(mesh, 20, device="cuda").values, mesh)
 
 
 def test_a_face_out_of_range_is_named_by_its_mesh() -> None:

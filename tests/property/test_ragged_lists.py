@@ -12,6 +12,7 @@ import sdm
 from sdm.bench.common.meshes import cube, sphere, torus
 from sdm.engine.plan_override import plan_override
 from sdm.engine.ragged.joint_maps import MapJob, ragged_maps
+from tests.helpers.same_bits import assert_same_bits
 
 
 def random_mesh(rng: np.random.Generator) -> sdm.TriangleMesh:
@@ -47,7 +48,7 @@ def assert_same(found: list[sdm.SDM], meshes: list[sdm.TriangleMesh], grids: lis
     for i, (field, mesh, grid) in enumerate(zip(found, meshes, grids, strict=True)):
         alone = sdm.signed_distance_map(mesh, grid, device="cpu")
         assert field.grid == grid
-        assert torch.equal(field.values, alone.values), (i, mesh, grid)
+        assert_same_bits(field.values, alone.values, (i, mesh, grid))
         assert field.ambiguous_voxels == alone.ambiguous_voxels, (i, mesh, grid)
 
 
@@ -116,7 +117,7 @@ def test_maps_by_every_method_are_those_of_single_calls(seed, count, options, cl
     for i, (made, mesh, grid) in enumerate(zip(found, meshes, grids, strict=True)):
         alone = sdm.signed_distance_map(mesh, grid, **asked)
         field, own = (made[0], alone[0]) if closest else (made, alone)
-        assert torch.equal(field.values, own.values), (i, mesh, grid)
+        assert_same_bits(field.values, own.values, (i, mesh, grid))
         for name in ("ambiguous_voxels", "sign", "hole_size", "sign_disagreements"):
             assert getattr(field, name) == getattr(own, name), (i, name)
         if closest:
@@ -181,4 +182,41 @@ def test_lists_made_in_other_shares_each(shares):
             alone.append(sdm.signed_distance_map(job.mesh, job.grid, device="cpu"))
     joint = ragged_maps(jobs)
     for place, field in enumerate(alone):
-        assert torch.equal(joint.values(place), field.values)
+        assert_same_bits(joint.values(place), field.values, place)
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+@settings(deadline=None, max_examples=15)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(2, 6),
+    split_length=st.sampled_from([1, 3, 17, 130, None]),
+    list_bricks=st.booleans(),
+)
+def test_lists_in_other_splits_than_alone(seed, count, split_length, list_bricks):
+    """As on a GPU, where the mesh with the fewest triangles says how the lists of all are split, and others' shares
+    of them are theirs: meshes of a few triangles beside some of thousands, on coarse grids and fine ones."""
+    rng = np.random.default_rng(seed)
+    alone, jobs = [], []
+    for number in range(count):
+        large = sphere(int(rng.integers(30, 60))) if rng.random() < 0.3 else None
+        mesh = random_mesh(rng) if large is None else sdm.TriangleMesh(*large)
+        job = MapJob(number, mesh, random_grid(rng, mesh))
+        own = {
+            "shares": [(1, 1), (2, 1), (2, 2)][rng.integers(3)],
+            "split_length": [2, 5, 40, None][rng.integers(4)],
+            "levels_left_out": int(rng.integers(2)),
+        }
+        with plan_override(method="cells", slice_factors=(1,), list_bricks=list_bricks, **own):
+            # Kept by the job, so that the others' do not matter to it.
+            assert job.plan[0].triangles == len(mesh.faces)
+            alone.append(sdm.signed_distance_map(mesh, job.grid, device="cpu").values)
+        jobs.append(job)
+    for turned in (False, True):
+        some = [job for job in jobs if job.turned == turned]
+        if some:
+            with plan_override(slice_factors=(1,), split_length=split_length):
+                joint = ragged_maps(some)
+            for place, job in enumerate(some):
+                if place not in joint.left:
+                    assert_same_bits(joint.values(place), alone[job.number], (job.number, job.mesh, job.grid))

@@ -24,6 +24,7 @@ from sdm.kernels.dense.workspace import Workspace
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import shrink
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
+from tests.helpers.same_bits import assert_same_bits
 from tests.helpers.watch_measuring import entries_used, watching
 
 wp.set_module_options({"enable_backward": False})
@@ -203,6 +204,20 @@ def test_slices_change_no_bit(seen, name):
         most = int(seen.codes()[:, 2].max())
         assert most > (1 if split_length < 100 or name == "all alike" else 0)
         assert torch.equal(values.view(torch.int32), plain.view(torch.int32))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_slices_change_no_bit_beside_bricks_that_are_too_coarse(seen, name):
+    """The grid's end cuts cells so that some of their bricks are narrow enough to be measured, and others are not."""
+    mesh = mesh_of(name)
+    grid = sdm.Grid.around(mesh, resolution=14)
+    plain = values_of(mesh, grid, split_length=10**6)
+    for split_length in (1, 7):
+        seen.clear()
+        values = values_of(mesh, grid, split_length=split_length)
+        assert max(int(codes[:, 2].max(initial=0)) for codes in seen.coarse) > 1
+        assert_same_bits(values, plain, split_length)
+    assert seen.split_without_room == 0
 
 
 @pytest.mark.parametrize("shares", [2, 16])
