@@ -138,6 +138,11 @@ def split_length_for(triangles: int, depth: int, cells: int) -> int:
     return max(GPU_LANES, 1 << max(0, round(math.log2(SHORT_SPLIT / triangles) + depth)))
 
 
+def without_idle_splits(split_length: int, depth: int) -> int:
+    """The same, or `NO_SPLITS` where a tree with 2^depth leaves has no longer lists: stage 7 is two launches."""
+    return NO_SPLITS if 1 << depth <= split_length else split_length
+
+
 def largest_pool(memory: int) -> int:
     """Entries of the largest pool of lists on a GPU with so many bytes of memory."""
     return min(LARGEST_POOL, max(SMALLEST_POOL, memory // POOL_SHARE // 4))

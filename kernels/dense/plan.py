@@ -25,6 +25,7 @@ from sdm.kernels.dense.cost_model import (
     shares_of,
     split_length_for,
     uneven_room,
+    without_idle_splits,
 )
 from sdm.kernels.plan_options import PlanOptions
 
@@ -127,8 +128,9 @@ def make_plan(work: Workload, memory: int | None, options: PlanOptions) -> Plan:
     method, cell, region_shares, cell_shares, left_out = decide(work, gpu, options)
     nx, ny, nz = (-(-n // (2 * cell)) for n in shape)
     total = work.meshes * nx * ny * nz
-    by_model = split_length_for(work.triangles, work.depth - left_out, 8 * total) if gpu else NO_SPLITS
-    split_length = options.split_length or by_model
+    depth = work.depth - left_out
+    by_model = split_length_for(work.triangles, depth, 8 * total) if gpu else NO_SPLITS
+    split_length = options.split_length or without_idle_splits(by_model, depth)
     expected = expected_entries(work.triangles, shape, cell, region_shares, cell_shares)
     expected *= uneven_room(work.spacing, work.turned)
     entries = options.pool_entries or pool_for(expected, total, memory)
@@ -174,10 +176,11 @@ def joint_plan(works: Sequence[Workload], plans: Sequence[Plan], memory: int | N
     total = sum(plan.total for plan in plans)
     split_length = NO_SPLITS
     if memory is not None:
+        depths = [work.depth - plan.levels_left_out for work, plan in zip(works, plans, strict=True)]
         split_length = min(
-            split_length_for(work.triangles, work.depth - plan.levels_left_out, 8 * total)
-            for work, plan in zip(works, plans, strict=True)
+            split_length_for(work.triangles, depth, 8 * total) for work, depth in zip(works, depths, strict=True)
         )
+        split_length = without_idle_splits(split_length, max(depths))
     split_length = options.split_length or split_length
     entries = options.pool_entries or pool_for(expected / total, total, memory)
     passes = passes_for(expected / total, total, entries, min(options.most_regions or MOST_REGIONS, MOST_REGIONS))

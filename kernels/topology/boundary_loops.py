@@ -4,7 +4,9 @@ The same as `sdm.topology.joining` and `sdm.topology.cap_triangles` find on the 
 
 For calls that must not wait: how many edges are unmatched, and how many bound the mesh, is guessed by the caller, and
 flags tell whether that was right. Each step compares every edge with every other, which for a thousand takes a GPU
-less time than a sort. Only simple loops are followed here, in which one edge begins at each vertex.
+less time than a sort. Where loops meet, the k-th edge that ends at a vertex is followed by the k-th that begins there:
+so they are closed loops all the same, perhaps through a vertex twice, and `cap_triangles` may cut them into others.
+Which caps close a mesh is of no matter to a winding number.
 """
 
 from __future__ import annotations
@@ -22,9 +24,11 @@ from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 wp.set_module_options({"enable_backward": False})
 
 # Places of the flags: a vertex out of range; by how many more edges than guessed are unmatched, and than bound the
-# mesh; edges that are not followed by one.
+# mesh; edges that are followed by none, or meet too many others.
 WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
 _NONE = 0x7FFFFFFF
+# Edges that begin at one vertex, at most: each is looked for after the one before.
+MOST_MEETING = 32
 
 
 @wp.func
@@ -143,27 +147,54 @@ def _follow(
     edges: wp.array2d(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
     onward: wp.array(dtype=wp.int64),
+    firsts: wp.array(dtype=wp.int32),
     flags: wp.array(dtype=wp.int32),
 ):
-    """The edge that follows each one, and its first vertex, in one number."""
+    """The edge that follows each one, and its place in the order of first vertices, in one number.
+
+    And the first vertices in that order.
+    """
     thread = begin + wp.tid()
     lane = thread % lanes
     edge = thread / lanes
+    start = edges[edge, 0]
+    end = edges[edge, 1]
     following = int(_NONE)
-    many = int(0)
+    # Edges that end where this one does, and come before it; and those before it in the order.
+    earlier = int(0)
+    place = int(0)
     other = lane
     while other < edges.shape[0]:
-        if edges[other, 0] == edges[edge, 1]:
+        if edges[other, 0] == end:
             following = wp.min(following, other)
-            many = many + 1
+        if edges[other, 1] == end and other < edge:
+            earlier = earlier + 1
+        if edges[other, 0] < start or (edges[other, 0] == start and other < edge):
+            place = place + 1
         other = other + lanes
-    many = int(sum_of_lanes(float(many)))
+    earlier = int(sum_of_lanes(float(earlier)))
+    place = int(sum_of_lanes(float(place)))
     following = least_whole_of_lanes(following)
+    # Few loops meet: mostly there is none before.
+    if earlier >= MOST_MEETING:
+        following = int(_NONE)
+    while earlier > 0 and following < _NONE:
+        last = following
+        following = int(_NONE)
+        other = lane
+        while other < edges.shape[0]:
+            if edges[other, 0] == end and other > last:
+                following = wp.min(following, other)
+            other = other + lanes
+        following = least_whole_of_lanes(following)
+        earlier = earlier - 1
     if lane == 0:
-        if many != 1:
+        if following == _NONE:
+            # Or the number of edges was guessed wrong.
             flags[TANGLED] = 1
             following = edge
-        ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(edges[edge, 0])
+        firsts[place] = start
+        ahead[edge] = (wp.int64(following) << wp.int64(32)) | wp.int64(place)
         onward[edge] = ahead[edge]
 
 
@@ -172,17 +203,17 @@ def _number_loops(
     begin: int,
     lanes: int,
     steps: int,
-    edges: wp.array2d(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
     onward: wp.array(dtype=wp.int64),
     around: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
 ):
-    """One group of lanes: each edge's loop is known by its lowest vertex, its place by the edges from it to that.
+    """One group of lanes: each edge's loop is known by its first edge in the order of first vertices, its place by the
+    edges from it to that.
 
-    Each number tells of the edges up to another one, and which vertex is the lowest of those, or how many they are; in
-    each step it is joined with the number there. A number is read and written as a whole, so that it does not matter
-    who is first.
+    Each number tells of the edges up to another one, and which is the first of those, or how many they are; in each
+    step it is joined with the number there. A number is read and written as a whole, so that it does not matter who is
+    first.
     """
     lane = (begin + wp.tid()) % lanes
     count = around.shape[0]
@@ -197,8 +228,8 @@ def _number_loops(
             else:
                 lowest = int(mine & low)
                 around[edge] = lowest
-                # From there none are left.
-                if edges[edge, 0] == lowest:
+                # From there none are left. Until now this is the edge's own place in the order.
+                if int(onward[edge] & low) == lowest:
                     onward[edge] = wp.int64(edge) << wp.int64(32)
                 else:
                     onward[edge] = (onward[edge] & ~low) | wp.int64(1)
@@ -224,6 +255,7 @@ def _write_caps(
     edges: wp.array2d(dtype=wp.int32),
     around: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
+    firsts: wp.array(dtype=wp.int32),
     caps: wp.array2d(dtype=wp.int32),
 ):
     """The cap that cuts off each edge's first vertex, see `sdm.topology.cap_triangles`."""
@@ -244,9 +276,10 @@ def _write_caps(
     before = least_whole_of_lanes(before)
     after = least_whole_of_lanes(after)
     if lane == 0:
-        caps[edge, 0] = wp.where(before == _NONE, around[edge], before)
+        first = firsts[around[edge]]
+        caps[edge, 0] = wp.where(before == _NONE, first, before)
         caps[edge, 1] = edges[edge, 0]
-        caps[edge, 2] = wp.where(after == _NONE, around[edge], after)
+        caps[edge, 2] = wp.where(after == _NONE, first, after)
 
 
 def join_edges(
@@ -265,7 +298,7 @@ def join_edges(
         found: (2) int32, the flags of `edge_pairing.pair_edges`.
         vertices: (meshes, V) vec3.
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
-        caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns.
+        caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns, where no loops meet.
         flags: (FLAGS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
         empty: Allocates workspace: `empty(length, dtype)`.
     """
@@ -273,10 +306,10 @@ def join_edges(
     lanes = GPU_LANES if device.is_cuda else 1
     same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
-    around, left = empty(count, wp.int32), empty(count, wp.int32)
+    around, left, firsts = (empty(count, wp.int32) for _ in range(3))
     launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, same], device)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, flags], device)
-    launch(_follow, count * lanes, [lanes, edges, ahead, onward, flags], device)
-    launch(_number_loops, lanes, [lanes, count.bit_length(), edges, ahead, onward, around, left], device)
-    launch(_write_caps, count * lanes, [lanes, edges, around, left, caps], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, flags], device)
+    launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, onward, around, left], device)
+    launch(_write_caps, count * lanes, [lanes, edges, around, left, firsts, caps], device)

@@ -34,10 +34,14 @@ def _make_keys(
     edges: wp.array(dtype=wp.int32),
     first: wp.array(dtype=wp.int32),
     flags: wp.array(dtype=wp.int32),
+    clamp: int,
+    within: wp.array2d(dtype=wp.int32),
 ):
     edge = begin + wp.tid()
     face = edge / 3
     start = faces[face, edge % 3]
+    if clamp != 0:
+        within[face, edge % 3] = wp.clamp(start, 0, vertices - 1)
     end = faces[face, (edge + 1) % 3]
     key = wp.int64(0)
     if start < 0 or start >= vertices:
@@ -130,6 +134,7 @@ def pair_edges(
     unmatched: wp.array,
     neighbours: wp.array,
     empty: Callable[[int, Any], wp.array],
+    within: wp.array | None = None,
 ) -> None:
     """Pair the faces' edges for `sdm.topology.boundary_edges`, on their device.
 
@@ -142,11 +147,13 @@ def pair_edges(
             the higher, and how many more of the edges between them lead up than back.
         neighbours: (F,4) int32, filled as `sdm.topology.boundary_edges.neighbours` says.
         empty: Allocates workspace: `empty(length, dtype)`.
+        within: (F,3) int32, filled with the faces, whose indices out of range are brought into it; None: nobody asks.
     """
     count, vertices, device = faces.shape[0], first.shape[0], faces.device
     total, bits = 3 * count, bits_for(vertices)
     keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
-    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, flags], device)
+    clamped = [0, faces] if within is None else [1, within]
+    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, flags, *clamped], device)
     wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
     launch(_pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device)
     launch(_own, count, [faces, owned, first, flags, neighbours], device)

@@ -180,7 +180,7 @@ class AccelerationStructure:
 
         That is one allocation, and one tensor to tell of the streams that read it.
         """
-        length, _, pieces = _layout(sizes)
+        length, _, pieces = layout(sizes)
         if block is None:
             block = torch.empty(length, dtype=torch.uint8, device=device)
         return cls(sizes, (block,), _view_of_block(sizes, block.data_ptr(), block.device), pieces)
@@ -231,7 +231,7 @@ def tensors_of_mesh(tensors: list[Tensor], mesh: int, meshes: int) -> list[Tenso
 
 
 @lru_cache(maxsize=256)
-def _layout(sizes: Sizes) -> tuple[int, tuple[tuple[int, int], ...], tuple[int, ...]]:
+def layout(sizes: Sizes) -> tuple[int, tuple[tuple[int, int], ...], tuple[int, ...]]:
     """Bytes of all arrays together, of each its offset and number of elements, and the bytes and padding of each."""
     end, spans, pieces = 0, [], []
     for array in ARRAYS:
@@ -246,7 +246,7 @@ def _layout(sizes: Sizes) -> tuple[int, tuple[tuple[int, int], ...], tuple[int, 
 @lru_cache(maxsize=64)
 def _view_of_block(sizes: Sizes, base: int, device: torch.device) -> KernelView:
     # Torch's allocator gives the same few addresses again and again, and views own nothing.
-    return _view(sizes, [(base + offset, length) for offset, length in _layout(sizes)[1]], device)
+    return _view(sizes, [(base + offset, length) for offset, length in layout(sizes)[1]], device)
 
 
 def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) -> KernelView:
@@ -282,7 +282,7 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
 
 
 def build(
-    vertices: Tensor, faces: Tensor, edges: Tensor | None = None, *, tree_alone: bool = False
+    vertices: Tensor, faces: Tensor, edges: Tensor | None = None, *, tree_alone: bool = False, for_maps: bool = False
 ) -> AccelerationStructure:
     """Build the structure of a batch of meshes on their device.
 
@@ -292,12 +292,14 @@ def build(
         edges: (E,2) int32 boundary edges, found here if None.
         tree_alone: Leave frames, features and cones without content: points are searched without them on a CPU, see
             `search_needs_tree_alone`.
+        for_maps: See `fill_boundary`.
 
     Raises:
         MeshError: More triangles in all than the kernels can count.
     """
     vertices, faces = vertices.contiguous(), faces.contiguous()
-    return queue_build(vertices, faces, topology_for(vertices, faces, edges), tree_alone=tree_alone)
+    topology = topology_for(vertices, faces, edges)
+    return queue_build(vertices, faces, topology, tree_alone=tree_alone, for_maps=for_maps)
 
 
 def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -> MeshTopology:
@@ -324,11 +326,18 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
 
 
 def queue_build(
-    vertices: Tensor, faces: Tensor, topology: MeshTopology, join: Join | None = None, *, tree_alone: bool = False
+    vertices: Tensor,
+    faces: Tensor,
+    topology: MeshTopology,
+    join: Join | None = None,
+    *,
+    tree_alone: bool = False,
+    for_maps: bool = False,
 ) -> AccelerationStructure:
     """Queue the kernels of `build`, and do nothing else: `vertices` and `faces` are contiguous.
 
     If the topology is found on a branch of the graph that is being recorded, `join` is called before it is read.
+    `for_maps`: see `fill_boundary`.
     """
     meshes, count, edges = vertices.shape[0], faces.shape[0], topology.boundary.shape[0]
     sizes = Sizes(meshes, count, edges, kind_of(edges, count))
@@ -337,7 +346,7 @@ def queue_build(
         bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
         room = as_warp(bounds, wp.float32)
         fill_surface(structure.view, vertices, faces, topology.neighbours, room, join, tree_alone=tree_alone)
-        fill_boundary(structure, vertices, topology, as_warp(bounds, wp.float32))
+        fill_boundary(structure, vertices, topology, room, for_maps=for_maps)
     return structure
 
 
@@ -373,8 +382,13 @@ def fill_surface(
     join_parts()
 
 
-def fill_boundary(structure: AccelerationStructure, vertices: Tensor, topology: MeshTopology, bounds: wp.array) -> None:
-    """Queue the kernels that depend on a boundary, after those of `fill_surface`."""
+def fill_boundary(
+    structure: AccelerationStructure, vertices: Tensor, topology: MeshTopology, bounds: wp.array, for_maps: bool = False
+) -> None:
+    """Queue the kernels that depend on a boundary, after those of `fill_surface`.
+
+    `for_maps`: the structure is for maps alone, so dipoles of a mesh with caps are left out: a launch a level.
+    """
     view, meshes, kind = structure.view, structure.sizes.meshes, structure.kind
     if kind in VISITING:
         empty, corners = workspace(vertices.device), as_warp(vertices, wp.vec3)
@@ -382,5 +396,5 @@ def fill_boundary(structure: AccelerationStructure, vertices: Tensor, topology: 
         room = 2 * structure.sizes.all_caps
         caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
         cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
-    if kind in WITH_DIPOLES:
+    if kind in WITH_DIPOLES and not (for_maps and kind in VISITING):
         dipole_tree.build_moments(view.tree, view.winding.moments, meshes)

@@ -12,11 +12,13 @@ import warp as wp
 from torch import Tensor
 
 from sdm.engine.acceleration import (
+    MOST_BOUNDARY_EDGES,
     AccelerationStructure,
     Sizes,
     fill_boundary,
     fill_surface,
     kind_of,
+    layout,
     topology_for,
 )
 from sdm.runtime.torch_warp import as_warp, on_current_stream
@@ -24,18 +26,26 @@ from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
 from sdm.topology.face_pairing import PairingUnderWay, remember
 
+# Boundary edges that a new mesh's block has room for: with more, it is copied into a larger one.
+ROOM = MOST_BOUNDARY_EDGES
+
 
 def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure, MeshTopology]:
-    """The structure of one mesh whose faces were never seen, and their topology; both contiguous, (V,3) and (F,3).
+    """The structure, for maps alone, of one mesh whose faces were never seen, and their topology.
+
+    Both are contiguous, (V,3) and (F,3).
 
     Raises:
         MeshError: A face index out of range.
     """
     count, device, batch = vertices.shape[0], vertices.device, vertices[None]
-    under_way = PairingUnderWay(faces, count)
     # The kernels trust the faces, which only later turn out to be out of range.
-    within = faces.clamp(0, count - 1)
-    closed = AccelerationStructure.in_block(Sizes(1, faces.shape[0], 0, kind_of(0, faces.shape[0])), device)
+    within = torch.empty_like(faces)
+    under_way = PairingUnderWay(faces, count, within)
+    # The arrays of a closed mesh come first, at the same places; behind them is room for a boundary.
+    without, most = (Sizes(1, faces.shape[0], edges, kind_of(edges, faces.shape[0])) for edges in (0, ROOM))
+    block = torch.empty(layout(most)[0], dtype=torch.uint8, device=device)
+    closed = AccelerationStructure.in_block(without, device, block[: layout(without)[0]])
     room = torch.empty(6, dtype=torch.float32, device=device)
     with on_current_stream(vertices, vertices, within):
         bounds = as_warp(room, wp.float32)
@@ -50,9 +60,11 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
         if edges == 0:
             return closed, topology
         sizes = Sizes(1, faces.shape[0], edges, kind_of(edges, faces.shape[0]))
-        structure = AccelerationStructure.in_block(sizes, device)
-        # The arrays of a closed mesh come first, at the same places.
-        length = closed.memory[0].shape[0]
-        structure.memory[0][:length].copy_(closed.memory[0])
-        fill_boundary(structure, batch, topology, bounds)
+        length = layout(sizes)[0]
+        if length <= block.shape[0]:
+            structure = AccelerationStructure.in_block(sizes, device, block[:length])
+        else:
+            structure = AccelerationStructure.in_block(sizes, device)
+            structure.memory[0][: layout(without)[0]].copy_(closed.memory[0])
+        fill_boundary(structure, batch, topology, bounds, for_maps=True)
     return structure, topology

@@ -148,11 +148,12 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
         return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
     # A map's stride is 32 bits wide, too: two maps share a slab of less than 4 GiB.
     if meshes * voxels < LARGEST_SLAB:
-        return map_slab(vertices, faces, build(vertices.detach(), faces, edges), grid, 0, grid.shape[0])[0]
+        structure = build(vertices.detach(), faces, edges, for_maps=True)
+        return map_slab(vertices, faces, structure, grid, 0, grid.shape[0])[0]
     most = max(1, LARGEST_SLAB // _thinnest(grid))
     if meshes > most:
         return torch.cat([batch_maps(some, faces, grid, edges) for some in vertices.split(most)])
-    structure = build(vertices.detach(), faces, edges)
+    structure = build(vertices.detach(), faces, edges, for_maps=True)
     slabs = slabs_of(grid, (LARGEST_SLAB - 1) // meshes)
     return put_together(
         ((begin, end, map_slab(vertices, faces, structure, grid, begin, end)[0]) for begin, end in slabs),
@@ -188,7 +189,8 @@ def _queue_maps(
     *,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    structure = queue_build(vertices, faces, MeshTopology(neighbours, boundary, caps), join)
+    topology = MeshTopology(neighbours, boundary, caps)
+    structure = queue_build(vertices, faces, topology, join, for_maps=True)
     found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
     return found if boundary.shape[0] else found[:1]
 

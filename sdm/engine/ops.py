@@ -314,7 +314,7 @@ def map_slab(
 ) -> tuple[Tensor, Tensor]:
     """The operator `distance_map` for layers of a grid, in the same way: maps (B,end-begin,ny,nz), ambiguous (B,)."""
     if is_eager(vertices):
-        return structure_slab(structure or build(vertices.detach(), faces), grid, begin, end)
+        return structure_slab(structure or build(vertices.detach(), faces, for_maps=True), grid, begin, end)
     shape = end - begin, grid.shape[1], grid.shape[2]
     direction = [x for row in grid.direction for x in row]
     return torch.ops.sdm.distance_map(

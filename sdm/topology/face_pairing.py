@@ -102,12 +102,13 @@ def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
     _known[faces] = state_of(faces, count), pairing
 
 
-def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def queue_pairing(faces: Tensor, count: int, within: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
     """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
     Returns:
         The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
-        `neighbours` returns: all int32. No index out of range does harm here.
+        `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is given,
+        the faces are written without any: each is brought into it.
     """
     total = faces.numel()
     first, flags = torch.zeros(count + FLAGS, dtype=torch.int32, device=faces.device).split([count, FLAGS])
@@ -121,6 +122,7 @@ def queue_pairing(faces: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
             as_warp(unmatched, wp.int32),
             as_warp(around, wp.int32),
             workspace(faces.device),
+            None if within is None else as_warp(within, wp.int32),
         )
     return flags, unmatched, around
 
@@ -131,13 +133,14 @@ class PairingUnderWay:
     Args:
         faces: (F,3) int32, contiguous.
         count: Number of vertices.
+        within: See `queue_pairing`.
 
     `found` and `neighbours` are those of `queue_pairing`.
     """
 
-    def __init__(self, faces: Tensor, count: int) -> None:
+    def __init__(self, faces: Tensor, count: int, within: Tensor | None = None) -> None:
         self._faces, self._count = faces, count
-        flags, self._unmatched, self.neighbours = queue_pairing(faces, count)
+        flags, self._unmatched, self.neighbours = queue_pairing(faces, count, within)
         self.found, self._flags, self._there = flags, flags, None
         if flags.is_cuda:
             self._flags = torch.empty(FLAGS, dtype=torch.int32, pin_memory=True)

@@ -54,15 +54,17 @@ def is_hopeless(faces: Tensor, count: int) -> bool:
 def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> None:
     """Remember the boundary `edges` (E,2) that faces turned out to have, for the next guess.
 
-    If they are `simple`, one is known to begin at each vertex; else that is looked at on the host.
+    If they are `simple`, they were followed on the device; else whether they can be is looked at on the host.
     """
     unmatched = pairing_of(faces, count).unmatched.shape[0]
     key = faces.shape[0], count
     _last_open.pop(key, None)
     if unmatched == 0:
         return
-    # Loops that meet are not followed on the device.
-    simple = simple or (unmatched <= MOST_GUESSED and 0 < edges.shape[0] == len(np.unique(on_host(edges)[:, 0])))
+    if not simple and unmatched <= MOST_GUESSED and edges.shape[0]:
+        # Where too many begin at one vertex, they are not followed on the device.
+        meeting = np.unique(on_host(edges)[:, 0], return_counts=True)[1]
+        simple = int(meeting.max()) <= boundary_loops.MOST_MEETING
     _last_open[key] = Guess(unmatched, edges.shape[0]) if simple else None
     while len(_last_open) > MOST_KEPT:
         _last_open.popitem(last=False)
@@ -94,17 +96,28 @@ def topology_on_device(
 ) -> MeshTopology | None:
     """The topology of one open mesh (V,3) whose faces were just paired, found on the device: waits for it once.
 
-    None if that does not serve: for many unmatched edges, vertices at equal positions, loops that meet.
+    Or twice where vertices at equal positions leave other edges than the faces alone. None if that does not serve: for
+    many unmatched edges, or where many loops meet.
     """
     unmatched = pairing.unmatched.shape[0]
     if not 0 < unmatched <= MOST_GUESSED or vertices.device.type not in JOINING_DEVICES:
         return None
     numbers = Guess(unmatched, unmatched)
     flags, edges, caps = queue_joining(pairing.unmatched, under_way.found, vertices[None], numbers)
-    if any(flags.tolist()):
+    said = flags.tolist()
+    more = said[boundary_loops.WRONG_EDGES]
+    if more and numbers.boundary + more > 0:
+        flags, edges, caps = queue_joining(
+            pairing.unmatched, under_way.found, vertices[None], Guess(unmatched, numbers.boundary + more)
+        )
+        said = flags.tolist()
+    elif more:
+        # They close it, so that the rest does not matter.
+        edges, caps, said = edges[:0], caps[:0], [0]
+    if any(said):
         return None
     remember_joined(pairing, edges, caps)
-    remember(faces, vertices.shape[0], edges, simple=True)
+    remember(faces, vertices.shape[0], edges, simple=edges.shape[0] > 0)
     return MeshTopology(pairing.neighbours, edges, caps)
 
 

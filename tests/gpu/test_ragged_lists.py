@@ -21,7 +21,7 @@ def what_differs(
     listed: torch.Tensor,
     alone: torch.Tensor,
 ) -> str:
-    """Which mesh, how many values and by how much; and which of both calls, made again, gives something else."""
+    """Difference of a list's map from a single call's, and whether either call, made again, gives something else."""
     again = {
         "alone again": (sdm.signed_distance_map(meshes[i], grids[i]).values, alone),
         "in the list again": (sdm.signed_distance_maps(meshes, grids, max_bytes=max_bytes)[i].values, listed),

@@ -14,7 +14,7 @@ def ulps_between(one: Tensor, other: Tensor) -> Tensor:
 
 
 def difference(found: Tensor, wanted: Tensor) -> str:
-    """What is not the same in two maps, as a sentence; empty if nothing is. NaN equals NaN."""
+    """Difference of two maps, as a sentence; empty if there is none. NaN equals NaN."""
     if found.shape != wanted.shape:
         return f"the shape is {tuple(found.shape)} and not {tuple(wanted.shape)}"
     found, wanted = found.detach().cpu(), wanted.detach().cpu()

@@ -149,14 +149,14 @@ def ragged_maps(jobs: Sequence[MapJob], *, signed: bool = True) -> JointMaps:
         rows, _ = _to_device(_slab_rows(jobs, plans, starts, groups), plans, device)
     with on_current_stream(whole, whole, rows, *build.memory):
         for i in structure.topologies.keys() - thick - crowded if signed else ():
-            _fill_open(structure.of_mesh(i), jobs[i].grid, found.values(i))
+            _fill_open(structure.of_mesh(i, for_maps=True), jobs[i].grid, found.values(i))
         target = Target(values, as_warp(ambiguous, wp.int32), None)
         parts = [(slab(table), plan) for table, (_, plan) in zip(rows, groups, strict=False)]
         tree, _, frames, features, cones = surface
         query_slabs(Surface(tree, frames, features, cones), target, parts, empty, partial(kernels_beside, whole))
     for i in thick:
         grid = jobs[i].grid
-        own, unclear = structure_slab(structure.of_mesh(i), grid, 0, grid.shape[0], signed=signed)
+        own, unclear = structure_slab(structure.of_mesh(i, for_maps=True), grid, 0, grid.shape[0], signed=signed)
         found.alone[i], ambiguous[i] = own[0], unclear[0]
     if not (structure.topologies and signed):
         # Of closed meshes it is known without a look at the device, which would wait for it.

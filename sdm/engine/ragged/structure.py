@@ -94,8 +94,11 @@ class RaggedStructure:
         if mesh not in self.topologies and not is_known(faces, count):
             remember(faces, count, Pairing(faces.new_empty((0, 3)), self.neighbours_of(mesh)))
 
-    def of_mesh(self, mesh: int) -> AccelerationStructure:
-        """The structure of one mesh, over the same memory; what only an open mesh has is made here."""
+    def of_mesh(self, mesh: int, *, for_maps: bool = False) -> AccelerationStructure:
+        """The structure of one mesh, over the same memory; what only an open mesh has is made here.
+
+        `for_maps`: see `fill_boundary`.
+        """
         first_slot, count, _, first_node, *_ = self.rows[mesh]
         begin = JoinedSizes(mesh, 0, first_slot, first_node)
         topology = self.topologies.get(mesh)
@@ -112,7 +115,8 @@ class RaggedStructure:
         if topology is not None:
             vertices = self.meshes[mesh].vertices.detach()[None]
             with on_current_stream(vertices, vertices, *tensors, self.bounds, *topology):
-                fill_boundary(structure, vertices, topology, as_warp(self.bounds[6 * mesh :][:6], wp.float32))
+                bounds = as_warp(self.bounds[6 * mesh :][:6], wp.float32)
+                fill_boundary(structure, vertices, topology, bounds, for_maps=for_maps)
         return structure
 
     @cached_property

@@ -7,14 +7,17 @@ import pytest
 import torch
 
 import sdm
-from sdm.bench.common.meshes import cube, load_case
+from sdm.bench.common.dirty_meshes.by_code import sheets, torn
+from sdm.bench.common.meshes import cube, load_case, sphere, torus
 from sdm.engine.acceleration import build
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import structure_slab
+from sdm.engine.plan_override import plan_override
 from sdm.errors import MeshError
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import is_known
+from tests.helpers.same_bits import assert_same_bits
 
 
 @pytest.mark.parametrize("name", ["torus-500", "open hemisphere", "random soup", "unmerged sphere", "three sheets"])
@@ -52,7 +55,7 @@ def test_too_many_triangles():
 
 @pytest.mark.parametrize("name", ["open hemisphere", "moebius strip", "random soup", "unmerged sphere", "three sheets"])
 def test_a_boundary_joined_on_the_device(monkeypatch, name):
-    """As a GPU does it, for simple loops; whatever else there is goes the way of the host."""
+    """As a GPU does it, for few edges; whatever else there is goes the way of the host."""
     case = load_case(name)
     vertices, faces = torch.from_numpy(case.vertices), torch.from_numpy(case.faces)
     expected, topology = build_first(vertices, faces.clone())
@@ -61,13 +64,48 @@ def test_a_boundary_joined_on_the_device(monkeypatch, name):
     plain = guesses.remember_joined
     monkeypatch.setattr(guesses, "remember_joined", lambda *given: joined.append(1) or plain(*given))
     found, ours = build_first(vertices, faces)
-    assert bool(joined) == (name == "open hemisphere")
+    assert bool(joined) == (name in ("open hemisphere", "moebius strip", "three sheets"))
     assert found.sizes == expected.sizes
     assert torch.equal(ours.boundary, topology.boundary)
-    if name != "random soup":
+    # Caps of a soup are its faces, and loops that meet are cut otherwise.
+    if not joined or name == "open hemisphere":
         assert torch.equal(ours.caps, topology.caps)
     grid = sdm.Grid([-1.1] * 3, [0.2] * 3, [12] * 3)
     for one, other in zip(structure_slab(found, grid, 0, 12), structure_slab(expected, grid, 0, 12), strict=True):
         assert torch.equal(one, other)
     # The next call about the same faces finds the same boundary.
     assert torch.equal(boundary_edges(vertices, faces), topology.boundary)
+
+
+def loose(mesh):
+    """Each triangle with vertices of its own, as in an STL file."""
+    vertices, faces = mesh
+    return vertices[faces].reshape(-1, 3), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+
+
+NEW_MESHES = {
+    "closed": lambda: torus(900),
+    "loops that meet": lambda: torn(torus(600), 0.3),
+    "more boundary edges than are joined on a device": lambda: torn(torus(5000), 0.3),
+    "closed, loose": lambda: loose(sphere(9)),
+    "a hole, loose": lambda: loose((cube()[0], cube()[1][1:])),
+    "sheets": lambda: sheets(9),
+}
+
+
+@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
+@pytest.mark.parametrize("name", NEW_MESHES)
+def test_a_first_map_by_the_steps_of_a_gpu(monkeypatch, name):
+    monkeypatch.setattr(guesses, "JOINING_DEVICES", ("cpu",))
+    monkeypatch.setattr(guesses, "_last_open", type(guesses._last_open)())
+    vertices, faces = (torch.from_numpy(array) for array in NEW_MESHES[name]())
+    mesh = sdm.TriangleMesh(vertices.clone(), faces.clone())
+    grid = sdm.Grid.around(mesh, 24)
+    with plan_override(slice_factors=(1,)):
+        expected = sdm.signed_distance_map(mesh, grid, device="cpu")
+        for _ in range(2):
+            structure, topology = build_first(vertices, faces)
+            values, ambiguous = structure_slab(structure, grid, 0, grid.shape[0])
+            assert_same_bits(values[0], expected.values, name)
+            assert ambiguous.item() == expected.ambiguous_voxels
+    assert (topology.boundary.shape[0] == 0) == name.startswith("closed")

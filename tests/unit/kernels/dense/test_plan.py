@@ -11,7 +11,7 @@ from sdm.engine.plan_override import OPTIONS, plan_override
 from sdm.kernels.bvh.tree import depth_for
 from sdm.kernels.dense.chunk_pool import CHUNK
 from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
-from sdm.kernels.dense.plan import Plan, Workload, make_plan
+from sdm.kernels.dense.plan import Plan, Workload, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
 
 USUAL = PlanOptions()
@@ -68,6 +68,18 @@ def test_a_cpu_has_one_group_for_each_list():
 def test_options_decide(memory, options, decided):
     plan = make_plan(workload(), memory, replace(USUAL, **options))
     assert {name: getattr(plan, name) for name in decided} == decided
+
+
+@pytest.mark.parametrize(("triangles", "splits"), [(12, False), (500, False), (640, True), (20_000, True)])
+def test_lists_are_split_only_where_one_may_be_long_enough(triangles, splits):
+    work = workload(triangles, (64, 64, 64))
+    plan = make_plan(work, GPU, USUAL)
+    assert (plan.split_length < NO_SPLITS) == splits
+    assert splits == (plan.split_length < 1 << (work.depth - plan.levels_left_out))
+    # Of several the largest tree says whether there are any.
+    others = [work, workload(100, (64, 64, 64))]
+    joint = joint_plan(others, [make_plan(other, GPU, USUAL) for other in others], GPU, USUAL)
+    assert (joint.split_length < NO_SPLITS) == (joint.split_length < 1 << work.depth)
 
 
 def test_no_pass_has_more_regions_than_can_be_numbered():
