@@ -9,10 +9,12 @@ import torch
 
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
-from sdm.engine.api import signed_distance_map
+from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import MeshError
 from sdm.explore.controls import Choice, Control, Shown, Slider, Switch, Values
 from sdm.explore.cutting_plane import coloured
+from sdm.explore.planes import ComputedPlanes
+from sdm.runtime.threads import threads
 from sdm.shapes import Family
 
 SURROGATE, EXACT = "surrogate", "exact engine"
@@ -29,6 +31,8 @@ class FamilyScene:
         resolution: Voxels along each axis of the exact engine's map; the surrogate has a grid of its own.
         device: Where the exact engine computes.
         predictor: A surrogate of the family, with `predict(theta) -> SDM`; None if there is none.
+
+    The exact engine measures the plane that is shown alone, as the family's own mesh is the surface.
     """
 
     def __init__(self, family: Family, resolution: int, device: torch.device, predictor: Any = None) -> None:
@@ -61,21 +65,38 @@ class FamilyScene:
         theta = self.theta(values)
         if self.predictor is not None and values.get(ERROR):
             return self._with_error(theta)
-        quick = self.predictor is not None and values.get(METHOD, SURROGATE) == SURROGATE
-        field = self.predictor.predict(theta) if self.predictor is not None and quick else self._exact(theta)
+        if self.predictor is None or values.get(METHOD, SURROGATE) == EXACT:
+            return self._exact(theta)
+        field = self._predict(theta)
         surface = field.to_mesh()
-        count = len(surface.faces)
-        note = f"{SURROGATE if quick else EXACT}, {'×'.join(map(str, field.grid.shape))} voxels, {count:,} triangles"
-        return Shown(surface.vertices.cpu().numpy(), surface.faces.cpu().numpy(), field.cpu(), note)
+        vertices, faces = surface.vertices.cpu().numpy(), surface.faces.cpu().numpy()
+        return Shown(vertices, faces, field.cpu(), self._said(SURROGATE, field.grid, vertices, faces))
 
-    def _exact(self, theta: torch.Tensor) -> SDM:
+    def _predict(self, theta: torch.Tensor) -> SDM:
+        # A small network: more threads would mostly wait for each other, and the browser wants a core too.
+        with threads(1):
+            return self.predictor.predict(theta)
+
+    def _exact(self, theta: torch.Tensor) -> Shown:
         with torch.no_grad():
-            return signed_distance_map(self.family.mesh(theta.to(self.device)), self.grid, device=self.device)
+            mesh = self.family.mesh(theta.to(self.device))
+        index = MeshIndex(mesh, device=self.device)
+        planes = ComputedPlanes(self.grid, index.signed_distance_map)
+        vertices, faces = mesh.vertices.cpu().numpy(), mesh.faces.cpu().numpy()
+        return Shown(vertices, faces, planes, self._said(EXACT, self.grid, vertices, faces))
+
+    def _said(self, how: str, grid: Grid, vertices: np.ndarray, faces: np.ndarray) -> str:
+        a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+        volume = float((a * np.cross(b, c)).sum(dtype=np.float64)) / 6
+        units = {p.unit for p in self.family.parameters} & {"mm", "cm", "m", "um"}
+        unit = f" {units.pop()}³" if len(units) == 1 else ""
+        size = "×".join(map(str, grid.shape))
+        return f"{how}, {size} voxels, {len(faces):,} triangles, volume {volume:.4g}{unit}"
 
     def _with_error(self, theta: torch.Tensor) -> Shown:
         """The exact surface, coloured by the surrogate's distance there, which should be 0."""
         mesh = self.family.mesh(theta)
-        field = self.predictor.predict(theta)
+        field = self._predict(theta)
         error = field.sample(mesh.vertices).numpy()
         end = ERROR_END_VOXELS * max(field.grid.spacing)
         unit = self.family.parameters[0].unit if self.family.parameters else "1"

@@ -13,11 +13,12 @@ from importlib import import_module
 from typing import Any
 
 from sdm.errors import SDMError
-from sdm.explore.controls import Scene
+from sdm.explore.controls import Moving, Scene
 from sdm.explore.newest_values import NewestValues
 from sdm.explore.page import Page
 
 THIS_MACHINE = "127.0.0.1"
+TAKEN = "port {port} of {host} is taken: end what listens there, or give another --port"
 ENDINGS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -55,16 +56,22 @@ def explore(
         with redirect_stdout(io.StringIO()):
             server: Any = viser.ViserServer(host=host, port=port, label="sdm explore", verbose=False)
         try:
+            if server.get_port() != port:
+                raise SDMError(TAKEN.format(port=port, host=host))
             page = Page(server, scene, mailbox, unit)
             if not mailbox.ended:
                 say(address(host, server.get_port()))
             while not mailbox.ended:
-                changed = mailbox.take()
+                changed = mailbox.take(page.until_step())
                 if changed:
                     page.draw(changed)
+                if not mailbox.ended:
+                    page.step()
         finally:
             with redirect_stdout(io.StringIO()):
                 server.stop()
+            if isinstance(scene, Moving):
+                scene.close()
     return page.drawn
 
 
@@ -102,7 +109,7 @@ def check_place(host: str, port: int) -> Any:
         raise SDMError(f"port {port} may not be used by this user: give --port 1024 or more") from None
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise SDMError(f"port {port} of {host} is taken: end what listens there, or give another --port") from None
+            raise SDMError(TAKEN.format(port=port, host=host)) from None
         raise SDMError(f"cannot listen on {host}, port {port}: {error.strerror}") from None
     return viser
 
@@ -119,7 +126,9 @@ def _until_signalled(mailbox: NewestValues) -> Iterator[None]:
             raise KeyboardInterrupt
         mailbox.end()
 
-    before = {number: signal.signal(number, end) for name in ENDINGS if (number := getattr(signal, name, None))}
+    numbers = [number for name in ENDINGS if (number := getattr(signal, name, None))]
+    # What is ignored, as by nohup, stays so.
+    before = {n: signal.signal(n, end) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
     try:
         yield
     finally:

@@ -55,7 +55,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "sdm evaluate labels truths --json scores.json",
     ),
     "view": ("sdm view bunny.nii.gz", "sdm view bunny.ply --out bunny.png"),
-    "explore": ("sdm explore", "sdm explore bunny.ply --port 8090"),
+    "explore": (
+        "sdm explore",
+        "sdm explore bunny.ply --port 8090",
+        "sdm explore cochlea --stream",
+        "sdm explore --fit scan.nii.gz",
+    ),
     "demo": ("sdm demo", "sdm demo --resolution 64 --out demo"),
     "doctor": ("sdm doctor", "sdm doctor --compile --device cpu"),
     "completion": (

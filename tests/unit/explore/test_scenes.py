@@ -35,6 +35,8 @@ def test_a_slider_moves_the_surface(cochlea):
     assert unit == "mm"
     assert np.ptp(wider.vertices[:, 0]) > 1.1 * np.ptp(first.vertices[:, 0])
     assert first.faces.max() < len(first.vertices)
+    volume = [float(shown.note.split("volume ")[1].split()[0]) for shown in (first, wider)]
+    assert volume[1] > volume[0] > 0
 
 
 def test_the_surrogate_and_the_exact_engine_show_nearly_one_surface(cochlea):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -16,10 +17,16 @@ from sdm.cli import main
 from sdm.errors import SDMError
 from sdm.explore.map_scene import LEVEL, MapScene
 from sdm.explore.newest_values import NewestValues
-from sdm.explore.page import ACROSS, OPEN, PLACE, PLANE
+from sdm.explore.page import ACROSS, DRAGGED, OPEN, PLACE, PLANE, Page
 from sdm.explore.session import address, check_place, explore
 from tests.helpers.chromium import chromium, open_tab, wait_for
 
+# Makes its standard input the terminal that it ends with, as a login does.
+ON_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
 NO_VISER = "viser is not installed: pip install '.[explore]'"
 
 
@@ -31,22 +38,30 @@ def free_port() -> int:
 
 @pytest.fixture(scope="module")
 def session(root):
-    """A session of a small family in a process of its own, which the last test ends."""
+    """A session of a small family in a process of its own, on a terminal that the last test closes."""
     pytest.importorskip("viser", reason=NO_VISER)
     port = free_port()
     program = [sys.executable, "-m", "sdm.cli", "explore", "ellipsoid", "--resolution", "16", "--device", "cpu"]
+    shown, terminal = pty.openpty()
     process = subprocess.Popen(
-        [*program, "--port", str(port)], cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", ON_TERMINAL, *program, "--port", str(port)],
+        cwd=root,
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
     )
+    os.close(terminal)
     try:
-        assert process.stdout is not None
-        lines = [process.stdout.readline() for _ in range(2)]
-        assert f"http://localhost:{port}" in lines[0]
-        assert f"ssh -L {port}:localhost:{port}" in lines[1]
-        yield process, port
+        said = b""
+        while said.count(b"\n") < 2:
+            said += os.read(shown, 4096)
+        assert f"http://localhost:{port}" in said.decode()
+        assert f"ssh -L {port}:localhost:{port}" in said.decode()
+        yield process, port, shown
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
 
 
 @pytest.fixture
@@ -88,8 +103,37 @@ def test_what_is_put_is_drawn(flat_map):
     assert explore(flat_map, port=free_port(), say=say, newest=newest) == 2
 
 
+def test_the_arrow_of_the_plane_moves_its_slider(flat_map):
+    viser = pytest.importorskip("viser", reason=NO_VISER)
+    server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
+    try:
+        page = Page(server, flat_map, NewestValues())
+        for place, share in ((3.0, 1.0), (0.6, 0.2), (-9.0, 0.0)):
+            page.draw({DRAGGED: np.array([0.0, place, 0.0])})
+            assert page.plane[PLACE] == pytest.approx(share)
+    finally:
+        server.stop()
+
+
+def test_what_is_ignored_stays_so(flat_map):
+    """As `nohup` asks."""
+    pytest.importorskip("viser", reason=NO_VISER)
+    newest, before = NewestValues(), signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+
+        def say(line: str) -> None:
+            signal.raise_signal(signal.SIGHUP)
+            assert not newest.ended
+            newest.end()
+
+        assert explore(flat_map, port=free_port(), say=say, newest=newest) == 1
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_it_listens_on_this_machine_only(session):
-    _, port = session
+    _, port, _ = session
     rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     listening = {row[1] for row in rows if row[3] == "0A"}
     assert f"0100007F:{port:04X}" in listening
@@ -125,10 +169,10 @@ def test_the_address():
 
 @pytest.mark.skipif(chromium() is None, reason="Chromium is not installed (Debian: apt install chromium)")
 def test_a_slider_moves_the_surface_in_a_browser(session, tmp_path):
-    _, port = session
+    _, port, _ = session
     with open_tab(f"http://127.0.0.1:{port}", tmp_path, size=(640, 400)) as tab:
-        tab.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('triangles')")
-        note = "document.body.innerText.match(/([0-9,]+) triangles/)[1]"
+        tab.wait_for("document.querySelector('canvas') !== null && document.body.innerText.includes('volume')")
+        note = "document.body.innerText.match(/volume ([0-9.]+)/)[1]"
         before = tab.value(note)
         tab.value("document.querySelectorAll('[role=slider]')[0].focus()")
         for _ in range(20):
@@ -138,7 +182,7 @@ def test_a_slider_moves_the_surface_in_a_browser(session, tmp_path):
         assert tab.errors == []
 
 
-def test_the_process_ends(session):
-    process, _ = session
-    process.send_signal(signal.SIGTERM)
+def test_it_ends_with_its_terminal(session):
+    process, _, shown = session
+    os.close(shown)
     assert process.wait(timeout=30) == 0

@@ -1,0 +1,1 @@
+"""Updates a second of `sdm explore`."""
