@@ -19,7 +19,8 @@ PLANE, PLACE, ACROSS, OPEN = "show the plane", "place", "across", "hide what is 
 # What the arrow on the plane says, which is no control: a point (3,) that the plane is to go through.
 DRAGGED = "the plane's arrow"
 SURFACE_COLOUR = (222, 203, 176)
-LINE_COLOUR, MIDDLE_COLOUR = (70, 70, 70), (0, 0, 0)
+# The last on grey.
+LINE_COLOUR, MIDDLE_COLOUR, OUTLINE_COLOUR = (70, 70, 70), (0, 0, 0), (224, 160, 16)
 # Pixels.
 LINE, MIDDLE_LINE = 1.0, 3.0
 # The scene's radius is at least this share of the map's.
@@ -85,7 +86,7 @@ class Page:
         plane = cut(shown, self.plane[ACROSS], self.plane[PLACE], self._limit(shown))
         with self.server.atomic():
             self._draw_surface(shown, plane)
-            self._draw_plane(plane, dragged=point is not None)
+            self._draw_plane(plane, dragged=point is not None, grey=shown.grey)
             self._note.content = shown.note
         picture = self._colour_bar(shown)
         if picture is not self._bar_picture:
@@ -169,7 +170,7 @@ class Page:
         mesh = trimesh.Trimesh(shown.vertices, faces, vertex_colors=shown.colours, process=False)
         self._handles["surface"] = self.server.scene.add_mesh_trimesh("/surface", mesh)
 
-    def _draw_plane(self, plane: Cut, *, dragged: bool) -> None:
+    def _draw_plane(self, plane: Cut, *, dragged: bool, grey: bool) -> None:
         scene = self.server.scene
         visible = bool(self.plane[PLANE])
         for name in ("lines", "middle") if visible else ("plane", "arrow", "lines", "middle"):
@@ -205,7 +206,7 @@ class Page:
         lift = (1e-3 * max(plane.size) * plane.rotation[:, 2]).astype(np.float32)
         for name, lines, colour, thickness in (
             ("lines", plane.lines, LINE_COLOUR, LINE),
-            ("middle", plane.middle, MIDDLE_COLOUR, MIDDLE_LINE),
+            ("middle", plane.middle, OUTLINE_COLOUR if grey else MIDDLE_COLOUR, MIDDLE_LINE),
         ):
             if len(lines):
                 self._handles[name] = scene.add_line_segments(

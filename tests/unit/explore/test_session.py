@@ -151,6 +151,23 @@ def test_a_taken_port_is_one_sentence(capsys):
     assert said.err == f"sdm: port {port} of 127.0.0.1 is taken: end what listens there, or give another --port\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--stream", "--fit", "scan.nii.gz"], "--stream and --fit are two scenes: give one of them"),
+        (["--stream", "--surrogate", "folder"], "--surrogate is for sliders"),
+        (["--fit", "nothing.nii.gz"], "nothing.nii.gz"),
+        (["--surrogate", "nothing"], "nothing"),
+    ],
+)
+def test_what_does_not_go_together_is_one_sentence(capsys, words, said):
+    pytest.importorskip("viser", reason=NO_VISER)
+    assert main(["explore", "cochlea", "--port", str(free_port()), *words]) == 2
+    found = capsys.readouterr().err
+    assert said in found
+    assert len(found.splitlines()) == 1
+
+
 def test_places_where_no_page_can_be(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(SDMError, match="needs viser"):
