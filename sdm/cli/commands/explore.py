@@ -42,7 +42,7 @@ def explore(
         stream: Show the samples that SDMStream makes of the family, as they come.
         fit: Fit the family to this image (NIfTI, NRRD, ..., cropped to the shape), and show each step.
         surrogate: Of the family: a folder of `sdm train sdmnn --family`, or a cochlea's file of weights.
-        seed: Of --stream.
+        seed: Whole number that the samples of --stream depend on.
         resolution: Voxels along each axis of maps that are computed.
         unit: Of lengths, for the colour bar, for example mm.
         port: Port to listen on.
