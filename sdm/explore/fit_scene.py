@@ -33,6 +33,35 @@ class _EndedError(Exception):
     """The page is gone."""
 
 
+class _EndableFamily(Family):
+    """The shapes of a family, until the page is gone: a fit asks for shapes far more often than it reports steps."""
+
+    def __init__(self, family: Family, gone: threading.Event) -> None:
+        self.family, self.gone = family, gone
+        self.parameters, self.triangles = family.parameters, family.triangles
+        # As an own attribute: errors name the family.
+        vars(self)["name"] = family.name
+
+    def vertices(self, theta: torch.Tensor) -> torch.Tensor:
+        """Vertices (B,V,3) for theta (B,P)."""
+        self._check()
+        return self.family.vertices(theta)
+
+    def reference_vertices(self, theta: torch.Tensor) -> torch.Tensor:
+        """Vertices (B,V,3) in theta's own type."""
+        self._check()
+        return self.family.reference_vertices(theta)
+
+    def with_triangles(self, triangles: int) -> Family | None:
+        """The same from meshes of about so many triangles; None where that is no matter of choice."""
+        other = self.family.with_triangles(triangles)
+        return None if other is None else _EndableFamily(other, self.gone)
+
+    def _check(self) -> None:
+        if self.gone.is_set():
+            raise _EndedError
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """Outcome of a step of the fit.
@@ -69,7 +98,7 @@ class FitScene:
         self.steps: list[Step] = []
         self.result: FitResult | None = None
         self.problem = ""
-        self._seen, self._ended, self._changes = 0, False, 0
+        self._seen, self._changes, self._gone = 0, 0, threading.Event()
         self._thread: threading.Thread | None = None
 
     def pause(self, values: Values) -> float | None:
@@ -85,8 +114,8 @@ class FitScene:
         return new
 
     def close(self) -> None:
-        """End the fit at its next step."""
-        self._ended = True
+        """End the fit at the next shape that it asks for."""
+        self._gone.set()
         if self._thread is not None:
             self._thread.join()
 
@@ -138,7 +167,12 @@ class FitScene:
         options = FitOptions() if type(self.family) is families[COCHLEA] else None
         try:
             found = fit_family(
-                self.image.values, self.image.grid, self.family, options=options, device=self.device, report=self._note
+                self.image.values,
+                self.image.grid,
+                _EndableFamily(self.family, self._gone),
+                options=options,
+                device=self.device,
+                report=self._note,
             )
             self.result = found.require()
         except SDMError as error:
@@ -148,8 +182,6 @@ class FitScene:
         self._changes += 1
 
     def _note(self, stage: str, number: int, point: Point) -> None:
-        if self._ended:
-            raise _EndedError
         state = point.state
         own = State(state.theta, state.rotation, state.translation / self._factor, state.centre / self._factor)
         with torch.no_grad():
