@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 # By the words of the command. One meaning has one name in all commands.
-RENAMED = {
+RENAMED: dict[tuple[str, ...], dict[str, str]] = {
     ("train", "deepsdf"): {"--shapes": "--batch-size"},
     ("train", "sdmnn"): {"--rate": "--learning-rate"},
     ("train", "segmentation"): {"--batch": "--batch-size"},
