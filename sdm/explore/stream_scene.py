@@ -32,7 +32,7 @@ class StreamScene:
     ) -> None:
         self.family, self.title = family, f"stream of {family.name}, seed {seed}"
         self.stream = SDMStream(
-            family, family.grid(resolution), batch_size, seed, rank=0, world_size=1, device=device, ahead=1
+            family, family.grid(resolution), batch_size, seed, rank=0, world_size=1, device=device, prefetch=1
         )
         self.controls: Sequence[Control] = (Switch(RUN, start=True), Slider(PACE, 0.5, 20.0, 0.5, 2.0))
         self._batches = iter(self.stream)
