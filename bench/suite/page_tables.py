@@ -75,9 +75,24 @@ def fit_times() -> list[str]:
     return ["| {} | {:.1f} | {} | {} |".format(name, *(summary[name][key] for key in keys)) for name in ours]
 
 
+def dataset_costs() -> list[str]:
+    """Disk and time of 100,000 maps, by the rates of each record."""
+    rows, maps = [], 100_000
+    for work in ("float16 none", "float32 zstd"):
+        memory, disk, cores = (
+            next(row for row in _record(name)["pipelines"] if row["work"] == f"generate {work}")
+            for name in ("disk-generate-cuda", "disk-real-cuda", "disk-cpu")
+        )
+        size = maps * memory["written_mb_per_s"] / memory["per_second"] / 1000
+        seconds = [maps / row["per_second"] for row in (memory, disk, cores)]
+        rows.append(f"| {size:.0f} GB | {seconds[0]:.0f} s | {seconds[1]:.0f} s | {seconds[2] / 3600:.1f} h |")
+    return rows
+
+
 TABLES: tuple[tuple[str, str, Callable[[], list[str]]], ...] = (
     ("docs/papers.md", "segmentation.md", left_atrium),
     ("sdm/deepsdf/README.md", "deepsdf", deepsdf_scores),
     ("sdm/surrogate/README.md", "surrogate-cpu", surrogate_times),
     ("sdm/fit/README.md", "fit-cases", fit_times),
+    ("docs/from-disk-to-disk.md", "disk-*", dataset_costs),
 )

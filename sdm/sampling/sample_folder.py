@@ -119,10 +119,19 @@ class FolderSampling:
         """Sample all meshes whose samples are not there yet; what became of each, in order."""
         times, threads = self._times, self._threads
         nbytes = 40 * self._recipe.count
-        read = in_threads(numbered(self._tasks), "read", self._read, workers=threads, times=times)
+        read = in_threads(
+            numbered(self._tasks), "read", self._read, workers=threads, times=times, single=len(self._tasks) == 1
+        )
         measured = one_by_one(read, str(self._device), self._measure, times=times)
         written = in_threads(
-            measured, "write", self._write, workers=threads, times=times, nbytes=lambda _: nbytes, prompt=True
+            measured,
+            "write",
+            self._write,
+            workers=threads,
+            times=times,
+            nbytes=lambda _: nbytes,
+            prompt=True,
+            single=len(self._tasks) == 1,
         )
         done = [False] * len(self._tasks)
         for outcome in written:

@@ -54,7 +54,15 @@ def run(
     with FileProgress(len(jobs), times) as progress:
         stages = MapStages(settings, progress.share, alone=len(jobs) == 1)
         tasks = numbered(MapTask(*job) for job in jobs)
-        read = in_threads(tasks, "read", stages.read, workers=threads, times=times, most_held=max(2 * threads, most))
+        read = in_threads(
+            tasks,
+            "read",
+            stages.read,
+            workers=threads,
+            times=times,
+            single=len(jobs) == 1,
+            most_held=max(2 * threads, most),
+        )
         measured = in_groups(read, str(settings.device), stages.measure, times=times, most=min(most, len(jobs)))
         written = in_threads(
             measured,
@@ -64,6 +72,7 @@ def run(
             times=times,
             nbytes=lambda found: found.nbytes,
             prompt=True,
+            single=len(jobs) == 1,
         )
         progress.begin(names[0])
         for outcome in written:

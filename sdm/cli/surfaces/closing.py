@@ -87,10 +87,17 @@ def run(
     found: dict[str, dict[str, Any]] = {}
     alone = len(jobs) == 1 and not skip_bad
     with FileProgress(len(jobs), times) as progress:
-        read = in_threads(numbered(jobs), "read", stages.read, workers=threads, times=times)
+        read = in_threads(numbered(jobs), "read", stages.read, workers=threads, times=times, single=len(jobs) == 1)
         closed = one_by_one(read, str(device), stages.close, times=times)
         written = in_threads(
-            closed, "write", stages.write, workers=threads, times=times, nbytes=lambda one: one.nbytes, prompt=True
+            closed,
+            "write",
+            stages.write,
+            workers=threads,
+            times=times,
+            nbytes=lambda one: one.nbytes,
+            prompt=True,
+            single=len(jobs) == 1,
         )
         progress.begin(jobs[0][0].name)
         for outcome in written:

@@ -40,6 +40,7 @@ def in_threads(
     most_held: int | None = None,
     nbytes: Callable[[A], int] | None = None,
     prompt: bool = False,
+    single: bool = False,
 ) -> Iterator[Done[B] | Failed]:
     """A stage in threads of its own; results in the order of the items.
 
@@ -53,6 +54,7 @@ def in_threads(
         nbytes: Memory that an item takes here; all together at most `MOST_BYTES`.
         prompt: Give on what is done before more is taken: for the last stage, behind one that works in the caller's
             thread. Otherwise as much is taken as there is room for, and worked on while the caller has something.
+        single: There is one item, whose kernels on a CPU may have all threads. Of several each thread runs its own.
 
     When the generator is closed, by an error or an interrupt of who goes through it, work that has not begun is
     dropped, and work that has is waited for.
@@ -60,7 +62,7 @@ def in_threads(
     # Here, and not when the first result is asked for, so that stages are known in the order of the pipeline.
     times.declare(name, workers)
     room = 2 * workers if most_held is None else most_held
-    return _in_threads(outcomes, name, work, workers, times, room, nbytes, prompt)
+    return _in_threads(outcomes, name, work, workers, times, room, nbytes, prompt, single)
 
 
 def _in_threads(
@@ -72,12 +74,13 @@ def _in_threads(
     room: int,
     nbytes: Callable[[A], int] | None,
     prompt: bool,
+    single: bool,
 ) -> Iterator[Done[B] | Failed]:
     held: deque[tuple[int, Future[B] | Failed, int]] = deque()
     used, source, more = 0, iter(outcomes), True
 
     def timed(number: int, value: A) -> B:
-        with times.busy(name, number), by_this_thread() if workers > 1 else nullcontext():
+        with times.busy(name, number), nullcontext() if single else by_this_thread():
             return work(value)
 
     pool = ThreadPoolExecutor(workers, thread_name_prefix=f"sdm-{name}")

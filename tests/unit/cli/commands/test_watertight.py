@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -107,3 +112,30 @@ def test_what_cannot_be_is_refused_in_a_sentence(roof, tmp_path, capsys):
         assert main(["watertight", *words]) == 2
         assert sentence in capsys.readouterr().err
     assert not (tmp_path / "a.ply").exists()
+
+
+def test_kill_9_leaves_no_broken_surface_and_is_resumed_to_the_same_bytes(roof, tmp_path):
+    for number in range(12):
+        (roof.parent / f"roof{number}.obj").write_bytes(roof.read_bytes())
+    out, whole = tmp_path / "out", tmp_path / "whole.ply"
+    words = ["watertight", str(roof.parent), "-o", str(out), "--resolution", "16", "--device", "cpu"]
+    program = "import sys; from sdm.cli import main; sys.exit(main())"
+    child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, *words], stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 90
+    while len(list(out.glob("[a-z]*.ply"))) < 3:
+        assert time.monotonic() < deadline
+        assert child.poll() is None
+        time.sleep(0.005)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    assert main(["watertight", str(roof), "-o", str(whole), "--resolution", "16", "--device", "cpu"]) == 0
+    there = sorted(out.glob("[a-z]*.ply"))
+    assert all(path.read_bytes() == whole.read_bytes() for path in there)
+    before = {path: path.stat().st_mtime_ns for path in there}
+    assert main([*words, "--resume"]) == 0
+    found = list(out.glob("[a-z]*.ply"))
+    assert len(found) == 13
+    assert all(path.read_bytes() == whole.read_bytes() for path in found)
+    # At most what was in flight is made again: written, and not yet in the journal.
+    kept = [path for path, when in before.items() if path.stat().st_mtime_ns == when]
+    assert len(before) - len(kept) <= 3
