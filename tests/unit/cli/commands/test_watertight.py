@@ -114,6 +114,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(roof, tmp_path, capsys):
     assert not (tmp_path / "a.ply").exists()
 
 
+@pytest.mark.slow
 def test_kill_9_leaves_no_broken_surface_and_is_resumed_to_the_same_bytes(roof, tmp_path):
     for number in range(12):
         (roof.parent / f"roof{number}.obj").write_bytes(roof.read_bytes())
