@@ -3,10 +3,10 @@
     python -m sdm.bench.dense.dirty --device cuda --resolution 256 --out dirty-cuda.json
 
 Meshes are torn, opened, turned inside out here, or are files (`--meshes`, `--zoo`). A row tells the boundary edges,
-milliseconds of the signed map, of the distances alone and, on a GPU, of stock Warp (on a CPU also the seconds of all
-its cores, which do not tell how busy it is otherwise, and which the ratio is of); how many boxes of voxels of each
-size were looked at, how many voxels by themselves and in float64, and which share of all voxels each of these decided;
-and the wrong signs among random voxels whose winding number, summed up over all
+milliseconds of the signed map, of the distances alone, of a closed torus of as many triangles and, on a GPU, of stock
+Warp (on a CPU also the seconds of all its cores, which do not tell how busy it is otherwise, and which the ratios are
+of); how many boxes of voxels of each size were looked at, how many voxels by themselves and in float64, and which share
+of all voxels each of these decided; and the wrong signs among random voxels whose winding number, summed up over all
 triangles in float64, is further than 1e-3 from one half.
 """
 
@@ -62,6 +62,9 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
         else:
             calls["unsigned"] = _without_signs(query)
     calls["unsigned"]()
+    closed = _closed_map(len(case), device, resolution)
+    calls["closed"] = recorded(closed)[0] if gpu else closed
+    calls["closed"]()
     times = by_turns(calls, device, runs, 20_000.0)
     signed, alone = times["signed"].ms, times["unsigned"].ms
     found = {
@@ -70,7 +73,9 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
         "boundary_edges": ours.index._structure.sizes.edges,
         "signed_ms": signed,
         "unsigned_ms": alone,
+        "closed_ms": times["closed"].ms,
         "ratio": signed / alone,
+        "over_closed": signed / times["closed"].ms,
         "looked_at": looked,
         "wrong_signs": _wrong(case, grid, values, device),
     }
@@ -78,9 +83,17 @@ def row(case: Case, device: str, resolution: int, runs: int) -> dict[str, Any]:
         seconds = _cpu_seconds(calls, runs)
         found |= {f"{name}_cpu_s": taken for name, taken in seconds.items()}
         found["ratio"] = seconds["signed"] / seconds["unsigned"]
+        found["over_closed"] = seconds["signed"] / seconds["closed"]
     if gpu:
         found["stock_warp_ms"] = min(_stock(peer, case, grid, device) for peer in (StockWarp, StockWarpSah))
     return found
+
+
+def _closed_map(triangles: int, device: str, resolution: int) -> Callable[[], torch.Tensor]:
+    """A call that maps a closed torus of about so many triangles."""
+    case = load_case(f"torus-{triangles}")
+    ours, grid = Ours(case, device), cube_around(case, resolution)
+    return lambda: map_slab(ours.vertices[None], ours.faces, ours.index._structure, grid, 0, resolution)[0]
 
 
 def _cpu_seconds(calls: dict[str, Callable[[], Any]], turns: int) -> dict[str, float]:
@@ -193,7 +206,8 @@ def main() -> None:
         stock = f", stock Warp {found['stock_warp_ms']:.0f}" if "stock_warp_ms" in found else ""
         print(
             f"{case.name}: {found['boundary_edges']} edges, {found['signed_ms']:.3g} ms, without signs "
-            f"{found['unsigned_ms']:.3g} ({found['ratio']:.2f} times){stock}, wrong signs {found['wrong_signs']}, "
+            f"{found['unsigned_ms']:.3g} ({found['ratio']:.2f} times), {found['over_closed']:.2f} times a closed mesh"
+            f"{stock}, wrong signs {found['wrong_signs']}, "
             f"{ {k: v for k, v in found['looked_at'].items() if k != 'shares'} }",
             flush=True,
         )

@@ -29,6 +29,8 @@ Sixteen = wp.types.vector(length=16, dtype=wp.float32)
     const eight px = load(xs), py = load(ys), pz = load(zs), none = all(0.0f), one = all(1.0f);
     eight re = one, im = none, turns = none, error = none;
     for (int i = 0; i < near; ++i) {{
+        // Products and sums as one operation, with one rounding: nobody wants these bits again.
+        #pragma clang fp contract(fast)
         const auto* at = corners.data + stack.data[{NEAR_LIST} + i];
         const eight ax = at[0].c[0] - px, ay = at[0].c[1] - py, az = at[0].c[2] - pz;
         const eight bx = at[1].c[0] - px, by = at[1].c[1] - py, bz = at[1].c[2] - pz;
