@@ -29,6 +29,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import sdm
 from sdm.bench.common import json_file
+from sdm.bench.common.machine import describe
 from sdm.bench.common.dirty_meshes.by_code import sheets, torn
 from sdm.bench.common.mesh_formulas import Arrays
 from sdm.bench.common.meshes import torus
@@ -196,7 +197,7 @@ def main() -> None:
             for kind, names in counts.found.items():
                 print(f"    {kind}: " + ", ".join(f"{key} {number}" for key, number in names.items()))
     if given.out:
-        json_file.write(given.out, {"resolution": given.resolution, "rows": rows})
+        json_file.write(given.out, {"machine": describe("cpu"), "resolution": given.resolution, "rows": rows})
 
 
 if __name__ == "__main__":
