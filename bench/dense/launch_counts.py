@@ -29,8 +29,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import sdm
 from sdm.bench.common import json_file
-from sdm.bench.common.machine import describe
 from sdm.bench.common.dirty_meshes.by_code import sheets, torn
+from sdm.bench.common.machine import describe
 from sdm.bench.common.mesh_formulas import Arrays
 from sdm.bench.common.meshes import torus
 from sdm.engine import first_build, ops
