@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh, as_tensor
 from sdm.core.normalization import Normalization
@@ -61,7 +62,7 @@ class SDM:
     def __init__(
         self,
         values: Tensor | np.ndarray,
-        grid: Grid,
+        grid: GridLike,
         ambiguous_voxels: int | None = None,
         *,
         sign: str | None = None,
@@ -75,6 +76,7 @@ class SDM:
             if values.dtype.kind not in "fiu":
                 raise SDMError(f"values of a map are real numbers, not {values.dtype}")
             values = torch.from_numpy(np.array(values, np.float32))
+        grid = grid if isinstance(grid, Grid) else as_grid(grid)
         if tuple(values.shape) != grid.shape:
             raise GridError(f"values of shape {tuple(values.shape)} do not fit a grid of shape {grid.shape}")
         self.__dict__.update(

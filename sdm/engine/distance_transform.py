@@ -212,7 +212,8 @@ def _tensor_of(array: Any) -> tuple[Tensor, Callable[[Tensor], Any]]:
     values = np.asarray(array)
     if values.dtype.kind not in "buif":
         raise SDMError(f"a mask holds numbers or truth values, not {values.dtype}: give a tensor or a NumPy array")
-    if not values.dtype.isnative or not values.flags.writeable or any(s < 0 for s in values.strides):
+    odd = any(s < 0 or s % values.itemsize for s in values.strides)
+    if odd or not values.dtype.isnative or not values.flags.writeable:
         values = np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
     return torch.from_numpy(values.astype(np.float64) if values.dtype == np.longdouble else values), _as_numpy
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdm.core.mesh import TriangleMesh
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.random import derive_seed
 from sdm.errors import MeshError
 from sdm.shapes.sampling import uniform
 
 
-def surface_points(mesh: TriangleMesh, count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
+def surface_points(mesh: MeshLike, count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Independent random points of a mesh, uniform by area, and their normals.
 
     Args:
-        mesh: Any triangles.
+        mesh: Any triangles, as a mesh of any kind that `as_mesh` takes.
         count: How many.
         seed: Any whole number; the points are a pure function of it.
 
@@ -25,6 +25,7 @@ def surface_points(mesh: TriangleMesh, count: int, *, seed: int = 0) -> tuple[Te
     Raises:
         MeshError: Every triangle has zero area.
     """
+    mesh = as_mesh(mesh)
     corners = mesh.vertices.detach()[mesh.faces.long()]
     areas = triangle_areas(corners)
     total = areas.cumsum(0)

@@ -14,6 +14,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.demo_mesh import demo_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import MeshError, SDMError
@@ -46,7 +47,7 @@ class MeshFolder(Family):
 
     Args:
         source: A folder, whose mesh files, also those of the folders in it, are read in order of their paths, or a
-            sequence of meshes.
+            sequence of meshes of any kind that `as_mesh` takes.
         normalize: Put each mesh's box about the origin with its longest edge 2 long; otherwise each stays where it is.
         rotation: Largest angle of the random rotation [degrees]; None for all rotations alike.
         scale: Least and greatest factor.
@@ -84,7 +85,7 @@ class MeshFolder(Family):
 
     def __init__(
         self,
-        source: str | Path | Sequence[TriangleMesh],
+        source: str | Path | Sequence[MeshLike],
         *,
         normalize: bool = True,
         rotation: float | None = None,
@@ -247,10 +248,10 @@ def _parameters(rotation: float | None, scale: tuple[float, float], shift: float
 
 
 def _read(
-    source: str | Path | Sequence[TriangleMesh], keep_open: bool, orient: Orient, split: str | None
+    source: str | Path | Sequence[MeshLike], keep_open: bool, orient: Orient, split: str | None
 ) -> tuple[tuple[TriangleMesh, ...], tuple[tuple[str, str], ...]]:
     from sdm.engine.arguments import check_orient, oriented
-    from sdm.io import load_mesh, mesh_tree
+    from sdm.io import mesh_tree
     from sdm.io.meshes.split_file import files_of_part
 
     check_orient(orient)
@@ -260,16 +261,19 @@ def _read(
         if not folder.is_dir():
             raise MeshError(f"{folder} is not a folder; give a folder of meshes")
         files = mesh_tree(folder)
-        items: Sequence[Path | TriangleMesh] = files if split is None else files_of_part(folder, split, files)
+        items: Sequence[MeshLike] = files if split is None else files_of_part(folder, split, files)
     elif split is not None:
         raise MeshError(f"a sequence of meshes has no part {split!r}: give a folder that sdm split has split")
     else:
         items = list(source)
     meshes, rejected = [], []
-    for item in items:
-        name = item.relative_to(folder).as_posix() if isinstance(item, Path) else item.name
+    for number, item in enumerate(items):
+        if isinstance(item, str | Path):
+            name = Path(item).relative_to(folder).as_posix() if isinstance(source, str | Path) else str(item)
+        else:
+            name = item.name if isinstance(item, TriangleMesh) else f"mesh {number}"
         try:
-            mesh = load_mesh(item) if isinstance(item, Path) else item.to("cpu")
+            mesh = as_mesh(item).to("cpu")
             # On the host, so that the same meshes come of it whatever the device.
             mesh = oriented(mesh, orient, mesh.device)
             why = reason_to_reject(mesh, keep_open=keep_open)

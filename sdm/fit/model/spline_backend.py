@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
 from sdm.errors import SDMError
 from sdm.fit.model.backend import Backend, Distances
@@ -28,7 +29,7 @@ class GridBackend:
 
     Args:
         model: From theta (B,P) float32 to maps (B,1,nx,ny,nz) [mm], negative inside; plain torch, on `device`.
-        grid: The maps' grid, which holds every shape and half a millimetre around.
+        grid: The maps' grid, or an image or map that has it, which holds every shape and half a millimetre around.
         parameters: The ranges of theta; the cochlea's by default.
         device: Where the model is.
         name: What to call it in reports.
@@ -43,7 +44,7 @@ class GridBackend:
     def __init__(
         self,
         model: Callable[[Tensor], Tensor],
-        grid: Grid,
+        grid: GridLike,
         parameters: tuple[Parameter, ...] | None = None,
         *,
         device: str | torch.device = "cpu",
@@ -52,7 +53,7 @@ class GridBackend:
         rough: tuple[Callable[[Tensor], Tensor], Grid] | None = None,
         exact: Backend | None = None,
     ) -> None:
-        self.model, self.grid, self.name, self.slack = model, grid, name, slack
+        self.model, self.grid, self.name, self.slack = model, as_grid(grid), name, slack
         self.parameters = families["cochlea"].parameters if parameters is None else parameters
         self.device = torch.device(device)
         self.evaluations = 0
@@ -62,7 +63,7 @@ class GridBackend:
         # The model is work for all threads, whatever the fit around it uses.
         self._threads = torch.get_num_threads()
         self.centre = self._centre()
-        self._to_coefficients = [_spline_matrix(n).to(self.device) for n in grid.shape]
+        self._to_coefficients = [_spline_matrix(n).to(self.device) for n in self.grid.shape]
         self._theta: Tensor | None = None
         self._stack: Tensor | None = None
 

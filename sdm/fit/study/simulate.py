@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.fit.model.backend import Backend
@@ -52,7 +53,7 @@ class Image:
 
 
 def simulate(
-    backend: Backend, state: State, scanner: Scanner, *, seed: int, margin: float = 1.5, grid: Grid | None = None
+    backend: Backend, state: State, scanner: Scanner, *, seed: int, margin: float = 1.5, grid: GridLike | None = None
 ) -> Image:
     """An image of a shape.
 
@@ -62,10 +63,10 @@ def simulate(
         scanner: How it is seen.
         seed: Of the noise and of where the voxels lie: a pure function of it.
         margin: Bone around the shape's mean box [mm], of a cochlea.
-        grid: Where the voxels are; by default around a cochlea. Other families need it.
+        grid: Where the voxels are, a `Grid` or an image; by default around a cochlea. Other families need it.
     """
     generator = np.random.default_rng(derive_seed(seed, "simulated image"))
-    grid = _grid(state, scanner.spacing, margin, generator) if grid is None else grid
+    grid = _grid(state, scanner.spacing, margin, generator) if grid is None else as_grid(grid)
     renderer = Renderer(grid, backend, blur=scanner.blur, length=FINE / 4, fine=FINE)
     share = renderer(state, derivatives=False).share.cpu()
     noise = torch.from_numpy(generator.standard_normal(grid.shape))

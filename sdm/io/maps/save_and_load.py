@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 
-from sdm.core.as_grid import as_grid
+from sdm.core.as_grid import GridLike, as_grid
 from sdm.core.device import require_memory
 from sdm.core.grid import Grid
 from sdm.core.normalization import Normalization
@@ -154,7 +154,7 @@ def made_from(path: str | Path) -> str | None:
 
 def write_streamed(
     index: MeshIndex,
-    grid: Grid,
+    grid: GridLike,
     path: str | Path,
     *,
     progress: Callable[[float], Any] | None = None,
@@ -169,7 +169,7 @@ def write_streamed(
 
     Args:
         index: The mesh.
-        grid: Where to measure.
+        grid: Where to measure: a `Grid`, an image, or voxels along each axis of a grid around the mesh.
         path: Where to write, as for `save`.
         progress: Called with the share that is done, 0 to 1; for formats other than `.zarr` at the end alone.
         made_from: `digest_of` the mesh, which the file is to keep; see `made_from`.
@@ -190,7 +190,7 @@ def write_streamed(
     from sdm.engine.arguments import SignMethod
 
     asked: dict[str, Any] = {} if sign == "winding" and hole_size is None else {"sign": sign, "hole_size": hole_size}
-    target = Path(path)
+    target, grid = Path(path), as_grid(grid, index.mesh)
     chosen = check_target(target)
     require_memory_to_write(chosen, grid, index.device)
     if not chosen.streamed:

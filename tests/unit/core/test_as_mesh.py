@@ -202,3 +202,9 @@ def test_of_open3d():
 def test_of_meshio():
     mesh = pytest.importorskip("meshio").Mesh(VERTICES, [("triangle", FACES)])
     assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]
+
+
+def test_of_meshlib_itself():
+    arrays = pytest.importorskip("meshlib.mrmeshnumpy", exc_type=ImportError)
+    mesh = arrays.meshFromFacesVerts(FACES.astype(np.int32), VERTICES.astype(np.float64))
+    assert sdm.signed_distance(mesh, POINTS, device="cpu").tolist() == [-1, 1]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import distance_transform_edt
 
 import sdm
 from sdm.engine.distance_transform import euclidean_distance_transform
@@ -107,6 +108,34 @@ def test_arrays_in_arrays_out(kind):
     assert isinstance(found, np.ndarray)
     expected = sdm.euclidean_distance_transform(torch.from_numpy(mask[:, ::-1].copy()), (1, 2, 3), signed=True)
     np.testing.assert_array_equal(found, expected.numpy())
+
+
+def _packed(mask: np.ndarray) -> np.ndarray:
+    records = np.zeros(mask.shape, [("tag", "u1"), ("label", "<i4")])
+    records["label"] = mask
+    return records["label"]
+
+
+KINDS = ["?", "u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f2", "f4", "f8", "g", ">u2", ">i8", ">f8"]
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "packed", "list"])
+@pytest.mark.parametrize("filled", ["some", "none", "all"])
+def test_every_type_against_scipy(kind, filled):
+    """In float64, voxels of three sizes: within float32's roundings, and of labels the same."""
+    share = {"some": 0.03, "none": 0.0, "all": 1.0}[filled]
+    mask = np.random.default_rng(0).random((17, 12, 21)) < share
+    given = _packed(mask) if kind == "packed" else mask.tolist() if kind == "list" else mask.astype(kind)
+    spacing = (0.8, 2.5, 1.1)
+    wanted = distance_transform_edt(~mask, spacing) if share else np.full(mask.shape, np.inf)
+    inside = distance_transform_edt(mask, spacing) if share < 1 else np.full(mask.shape, np.inf)
+    found = sdm.euclidean_distance_transform(given, spacing)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, wanted, rtol=3e-7)
+    signed = sdm.euclidean_distance_transform(given, spacing, signed=True)
+    np.testing.assert_allclose(signed, np.where(mask, -inside, wanted), rtol=3e-7)
+    if kind not in ("?", "list"):
+        np.testing.assert_array_equal(sdm.euclidean_distance_transform(given, spacing, classes=[1])[0], found)
 
 
 def test_no_numbers():
