@@ -35,7 +35,7 @@ NARROW = {"TriangleMesh", "Grid", "TriangleMesh | None", "Grid | None", "Sequenc
 
 
 def public() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """What packages export, and the public methods of classes among it."""
+    """Names that packages export, and the public methods of classes among them."""
     for part in pkgutil.iter_modules(sdm.__path__):
         if not part.ispkg or part.name in ("kernels", "bench", "cli", "jax", "nnunet", "explore"):
             continue
