@@ -80,17 +80,22 @@ def _add_up(
     lanes: int,
     unmatched: wp.array2d(dtype=wp.int32),
     same: wp.array(dtype=wp.int32),
+    found: wp.array(dtype=wp.int32),
     balances: wp.array(dtype=wp.int32),
 ):
-    """Net count of all edges between the same two vertices, noted at the first of them; zero at the others."""
+    """Net count of all edges between the same two vertices, noted at the first of them; zero at the others.
+
+    And zero at rows that are not there, if more were guessed: what memory holds there would add up beyond all bounds.
+    """
     thread = begin + wp.tid()
     lane = thread % lanes
     row = thread / lanes
+    rows = wp.min(balances.shape[0], found[UNMATCHED])
     key = key_of(same, row)
     first = row
     balance = int(0)
     other = lane
-    while other < balances.shape[0]:
+    while other < rows:
         if key_of(same, other) == key:
             first = wp.min(first, other)
             up = same[2 * other + 1] - same[2 * other]
@@ -99,7 +104,7 @@ def _add_up(
     # Small numbers, which floats hold exactly.
     balance = int(sum_of_lanes(float(balance)))
     first = least_whole_of_lanes(first)
-    if same[2 * row] == same[2 * row + 1] or first != row:
+    if row >= rows or same[2 * row] == same[2 * row + 1] or first != row:
         balance = int(0)
     if lane == 0:
         balances[row] = balance
@@ -308,7 +313,7 @@ def join_edges(
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
     around, left, firsts = (empty(count, wp.int32) for _ in range(3))
     launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, same], device)
-    launch(_add_up, rows * lanes, [lanes, unmatched, same, balances], device)
+    launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, flags], device)
     launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, flags], device)
     launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, onward, around, left], device)

@@ -97,6 +97,9 @@ def _by_kernels(batch: torch.Tensor, index: torch.Tensor, rows: int, expected: t
         # Loops that meet may be cut otherwise, but are closed.
         opposite = {edge: -times for edge, times in _edges_balance(expected).items()}
         assert _balance(caps.numpy(), {vertex: vertex for vertex in range(batch.shape[1])}) == opposite
+    # Rows that are not there hold whatever was in memory before, such as so many edges that a sum of them overflows.
+    limits = torch.iinfo(torch.int32)
+    unmatched[rows:] = torch.tensor([0, limits.max, limits.min], dtype=torch.int32)
     for other in ((rows + 1, count), (rows - 1, count), (rows, count + 1), (rows, max(count - 1, 0))):
         if other != (rows, count) and 0 < other[0] <= len(unmatched):
             assert any(joined(*other)[0])
