@@ -245,6 +245,7 @@ class Never:
     """An index that must not be asked."""
 
     closed = True
+    mesh = None
     device = torch.device("cpu")
 
 

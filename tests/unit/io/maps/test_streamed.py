@@ -63,6 +63,7 @@ class Slabs:
     """An index whose maps hold their layer's number, and which watches that slabs are let go."""
 
     closed = True
+    mesh = None
     device = torch.device("cpu")
 
     def __init__(self) -> None:
@@ -112,6 +113,7 @@ zarr.SLAB_BYTES = 1000
 
 class Index:
     closed = True
+    mesh = None
     device = torch.device("cpu")
 
     def slabs(self, grid, max_bytes, *, ambiguous=None):
