@@ -22,7 +22,8 @@ CODE = $(wildcard sdm kernels tests bench docs/site)
 # Adapters of other libraries, which need these.
 INTEGRATIONS = dev,bench,explore,formats,integrations,jax,monai,nnunet,pyvista,torchio
 INTEGRATION_TESTS = tests/unit/test_jax.py tests/unit/losses tests/unit/compat tests/unit/core tests/unit/io \
-	tests/unit/explore tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines
+	tests/unit/explore tests/unit/bench/dropins tests/unit/bench/edt tests/unit/bench/pipelines \
+	"tests/unit/test_examples.py::test_example_leaves_its_picture[monai_pipeline]"
 
 .PHONY: demo docs figures notebooks test test-all test-bounds test-integrations run-integrations lint format bench records release install clean help
 .DEFAULT_GOAL := help

@@ -16,12 +16,15 @@ EXAMPLES = (
     "freeze_a_dataset",
     "many_classes",
     "map_of_a_mesh",
+    "monai_pipeline",
     "narrow_band",
     "neural_field",
     "shape_model",
     "surrogate_of_a_family",
     "watertight_from_soup",
 )
+# Those that need an extra.
+NEEDS = {"monai_pipeline": "monai"}
 
 
 def test_every_example_is_listed(root):
@@ -48,6 +51,8 @@ def fewer_steps(text):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_leaves_its_picture(name, root, tmp_path, pyplot):
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name], reason=f"needs the extra {NEEDS[name]}")
     text = fewer_steps((root / "docs" / "examples" / f"{name}.py").read_text())
     exec(compile(text, f"{name}.py", "exec"), {"__name__": "__main__"})
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
