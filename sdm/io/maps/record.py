@@ -139,7 +139,9 @@ def verify(kept: Any, values: np.ndarray, name: str) -> None:
 
 def _verify_record(kept: dict[str, Any], name: str) -> None:
     found = {key: value for key, value in kept.items() if key not in (CHECKSUM, RECORD_CHECKSUM)}
-    if RECORD_CHECKSUM in kept and _checksum(found, NO_VALUES) != kept[RECORD_CHECKSUM]:
+    # They are written together: one alone has lost the other.
+    whole = (CHECKSUM in kept) == (RECORD_CHECKSUM in kept)
+    if not whole or (RECORD_CHECKSUM in kept and _checksum(found, NO_VALUES) != kept[RECORD_CHECKSUM]):
         raise FormatError(f"{name} is damaged: its record is not what sdm wrote; compute or copy it again")
 
 

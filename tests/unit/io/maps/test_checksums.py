@@ -115,6 +115,18 @@ def test_a_header_that_lost_its_place_is_damaged(ending, name, tmp_path):
         grid_like(path)
 
 
+@pytest.mark.parametrize("ending", ["nii", "nrrd", "mha", "mhd"])
+def test_a_record_that_lost_its_own_checksum_is_damaged(ending, tmp_path):
+    """A digit of its geometry alone would look like an image that was moved, whose values nobody compares."""
+    path = tmp_path / f"map.{ending}"
+    save(FIELD, path)
+    data = path.read_bytes()
+    assert data.count(b"record_crc32") == data.count(b"-50.3,") == 1
+    path.write_bytes(data.replace(b"record_crc32", b"record_xrc32").replace(b"-50.3,", b"-50.4,"))
+    with pytest.raises(FormatError, match="is damaged: its record is not what sdm wrote"):
+        load(path)
+
+
 @pytest.mark.parametrize("ending", ["nii", "nrrd"])
 def test_a_record_that_is_no_json_is_found(ending, tmp_path):
     """Its checksum is lost with it, so the values may be anything."""
