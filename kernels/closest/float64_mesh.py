@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.geometry.triangle_distance import segment_parameter
 from sdm.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False})
@@ -54,8 +55,7 @@ class Answers:
 def near_on_segment(p: wp.vec3d, begin: wp.vec3d, end: wp.vec3d):
     """The point of a segment that is closest to p."""
     along = end - begin
-    share = wp.dot(p - begin, along) / wp.max(wp.dot(along, along), TINY)
-    return begin + wp.clamp(share, wp.float64(0.0), wp.float64(1.0)) * along
+    return begin + segment_parameter(p - begin, along) * along
 
 
 @wp.func

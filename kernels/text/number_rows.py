@@ -20,7 +20,7 @@ OTHER, VERTEX, FACE = 0, 1, 2
 SHARE = 4096
 LARGEST_EXPONENT = 22
 # Digits that 64 bits hold whatever they are.
-FEW_DIGITS = wp.constant(19)
+FEW_DIGITS = 19
 POWERS = 10.0 ** np.arange(LARGEST_EXPONENT + 1)
 _MANTISSA = wp.uint64(1 << 53)
 _TEN = wp.uint64(10)

@@ -11,10 +11,10 @@ import trimesh
 import sdm.cli.maps.map_stages as stages
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.disk.host_stages import Options, rows
-from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.run import run
 from sdm.io import load
 from sdm.kernels import launch
+from tests.helpers.map_settings import map_settings
 
 
 @pytest.fixture(autouse=True)
@@ -55,16 +55,7 @@ def test_compute_with_several_threads_uses_no_pool_beside_the_device(tmp_path, m
     for number in range(3):
         trimesh.creation.icosphere(4, radius=1 + number).export(tmp_path / f"{number}.ply")
         jobs.append((tmp_path / f"{number}.ply", tmp_path / f"{number}.npz"))
-    settings = Settings(
-        resolution=8,
-        spacing=None,
-        like=None,
-        like_image=None,
-        margin=0.05,
-        device=torch.device("cpu"),
-        orient="keep",
-        resume=False,
-    )
+    settings = map_settings(8)
     seen: dict[str, set[bool]] = {"read": set(), "measure": set(), "write": set()}
     for name in seen:
 

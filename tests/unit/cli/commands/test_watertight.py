@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -17,6 +12,7 @@ from sdm.cli import main
 from sdm.cli.surfaces import closing, closing_stages, journal
 from sdm.core.mesh import TriangleMesh
 from tests.helpers.closed_surface import assert_edges_cancel
+from tests.helpers.killed_command import killed_after
 
 
 @pytest.fixture
@@ -120,15 +116,7 @@ def test_kill_9_leaves_no_broken_surface_and_is_resumed_to_the_same_bytes(roof, 
         (roof.parent / f"roof{number}.obj").write_bytes(roof.read_bytes())
     out, whole = tmp_path / "out", tmp_path / "whole.ply"
     words = ["watertight", str(roof.parent), "-o", str(out), "--resolution", "16", "--device", "cpu"]
-    program = "import sys; from sdm.cli import main; sys.exit(main())"
-    child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, *words], stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 90
-    while len(list(out.glob("[a-z]*.ply"))) < 3:
-        assert time.monotonic() < deadline
-        assert child.poll() is None
-        time.sleep(0.005)
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
+    killed_after(words, out, "[a-z]*.ply")
     assert main(["watertight", str(roof), "-o", str(whole), "--resolution", "16", "--device", "cpu"]) == 0
     there = sorted(out.glob("[a-z]*.ply"))
     assert all(path.read_bytes() == whole.read_bytes() for path in there)

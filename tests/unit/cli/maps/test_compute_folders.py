@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
 import sdm
 from sdm.cli import main
 from sdm.cli.common.output_files import inputs_of, places_in
-from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.run import run as run_jobs
 from sdm.core.normalization import Normalization
+from tests.helpers.killed_command import killed_after
+from tests.helpers.map_settings import map_settings
 
 SMALL = ["--resolution", "12", "--device", "cpu"]
 BALL = trimesh.creation.icosphere(1)
@@ -94,20 +90,6 @@ def test_a_link_that_leads_back_ends(shapenet):
     assert len(sdm.io.mesh_tree(shapenet)) == 5
 
 
-def settings(**more: object) -> Settings:
-    return Settings(
-        resolution=10,
-        spacing=None,
-        like=None,
-        like_image=None,
-        margin=0.05,
-        device=torch.device("cpu"),
-        orient="keep",
-        resume=False,
-        **more,
-    )
-
-
 @pytest.mark.parametrize("ending", ["nii.gz", "zarr"])
 def test_the_number_of_workers_changes_no_byte(shapenet, tmp_path, ending, capsys):
     sources = sorted(shapenet.glob("*/*/models/*.obj")) * 2
@@ -116,7 +98,7 @@ def test_the_number_of_workers_changes_no_byte(shapenet, tmp_path, ending, capsy
         out = tmp_path / f"{workers}"
         out.mkdir()
         jobs = [(source, out / f"{number}.{ending}") for number, source in enumerate(sources)]
-        assert run_jobs(jobs, settings(), workers=workers) is None
+        assert run_jobs(jobs, map_settings(10), workers=workers) is None
         contents.append({path.relative_to(out): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()})
     assert contents[0] == contents[1]
     said = capsys.readouterr().out.splitlines()
@@ -182,17 +164,7 @@ def test_kill_9_leaves_no_broken_map_and_is_resumed_to_the_same_bytes(tmp_path):
     for number in range(80):
         BALL.export(folder / f"{number}.stl")
     words = ["compute", str(folder), "--resolution", "40", "--device", "cpu", "--format", "npz", "-o"]
-    program = "import sys; from sdm.cli import main; sys.exit(main())"
-    child = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", program, *words, str(out)], stdout=subprocess.DEVNULL
-    )
-    deadline = time.monotonic() + 90
-    while len(list(out.glob("[0-9]*.npz"))) < 3:
-        assert time.monotonic() < deadline
-        assert child.poll() is None
-        time.sleep(0.005)
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
+    killed_after([*words, str(out)], out, "[0-9]*.npz")
     there = sorted(out.glob("[0-9]*.npz"))
     expected = sdm.signed_distance_map(folder / "0.stl", resolution=40, device="cpu").numpy()
     for path in there:

@@ -6,11 +6,7 @@ import io
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import tarfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +22,7 @@ from sdm.core.normalization import Normalization
 from sdm.io.meshes.split_file import write_split
 from sdm.sampling import sample
 from sdm.sampling.layouts.zarr_samples import read_zarr
+from tests.helpers.killed_command import killed_after
 
 COUNT = 400
 PLACES = ("02691156/aa", "02691156/bb", "03001627/cc")
@@ -267,13 +264,6 @@ def test_bad_input_is_one_sentence(shapes, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-CHILD = """
-import sys
-from sdm.cli import main
-sys.exit(main())
-"""
-
-
 def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
     many = tmp_path / "many"
     many.mkdir()
@@ -281,14 +271,7 @@ def test_kill_9_loses_what_is_in_flight(shapes, tmp_path):
     for number in range(60):
         (many / f"{number:02}.obj").write_bytes(source.read_bytes())
     words = ["sample", str(many), "--device", "cpu", "--count", "3000", "-o"]
-    child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", CHILD, *words, str(tmp_path / "d")])
-    deadline = time.monotonic() + 90
-    while len(list((tmp_path / "d").glob("SdfSamples/*/*/*.npz"))) < 3:
-        assert time.monotonic() < deadline
-        assert child.poll() is None
-        time.sleep(0.005)
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
+    killed_after([*words, str(tmp_path / "d")], tmp_path / "d", "SdfSamples/*/*/*.npz")
     for path in (tmp_path / "d").glob("SdfSamples/*/*/[!.]*.npz"):
         assert len(np.load(path)["pos"]) > 0
     assert main([*words, str(tmp_path / "d"), "--resume"]) == 0
