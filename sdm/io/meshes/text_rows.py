@@ -44,7 +44,7 @@ class TextRows:
     def of_table(cls, table: np.ndarray) -> TextRows:
         """The rows (L,C) of lines that have as many numbers each."""
         rows, columns = table.shape
-        return cls(table.reshape(-1), np.arange(0, rows * columns, columns), np.full(rows, columns))
+        return cls(table.reshape(-1), columns * np.arange(rows), np.full(rows, columns))
 
     def columns(self, count: int) -> np.ndarray:
         """The first `count` numbers of every line, (L,count); no line may have fewer."""
