@@ -15,6 +15,7 @@ from sdm.engine.acceleration import (
     MOST_BOUNDARY_EDGES,
     AccelerationStructure,
     Sizes,
+    closed_by_faces,
     fill_boundary,
     fill_surface,
     kind_of,
@@ -24,6 +25,7 @@ from sdm.engine.acceleration import (
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.cap_triangles import turned_faces
 from sdm.topology.face_pairing import PairingUnderWay, remember
 
 # Boundary edges that a new mesh's block has room for: with more, it is copied into a larger one.
@@ -60,6 +62,8 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
         if edges == 0:
             return closed, topology
         sizes = Sizes(1, faces.shape[0], edges, kind_of(edges, faces.shape[0]))
+        if closed_by_faces(sizes.kind, edges, faces.shape[0]):
+            topology = topology._replace(caps=turned_faces(faces))
         length = layout(sizes)[0]
         if length <= block.shape[0]:
             structure = AccelerationStructure.in_block(sizes, device, block[:length])

@@ -17,7 +17,15 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine.acceleration import AccelerationStructure, Sizes, build, queue_build, topology_for
+from sdm.engine.acceleration import (
+    AccelerationStructure,
+    Sizes,
+    build,
+    closed_by_faces,
+    kind_of,
+    queue_build,
+    topology_for,
+)
 from sdm.engine.capacity.classes import class_of
 from sdm.engine.capacity.closed_maps import class_call, class_key, to_record
 from sdm.engine.first_build import build_first
@@ -32,6 +40,7 @@ from sdm.runtime.graphs.branches import Join, beside
 from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
+from sdm.topology.cap_triangles import turned
 from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
 
 # A launch's indices are 32 bits wide.
@@ -203,6 +212,9 @@ def _queue_guessed_map(
         topology = guesses.queue_guessed(guessed, vertices, faces, verify)
     # The kernels after this trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, vertices.shape[0] - 1)
+    edges, count = topology.boundary.shape[0], faces.shape[0]
+    if closed_by_faces(kind_of(edges, count), edges, count):
+        topology = topology._replace(caps=turned(within))
     found = _queue_maps(grid, verify, vertices[None], within, *topology, join=join)
     return found[0], topology.neighbours if guessed == guesses.CLOSED else found[1]
 

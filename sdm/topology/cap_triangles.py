@@ -34,7 +34,13 @@ def cap_triangles(edges: Tensor) -> Tensor:
 
 def turned_faces(faces: Tensor) -> Tensor:
     """Faces (F,3) int32 inside out: they close any mesh, of which nothing is left then."""
-    return cached(_known_turned, faces, faces[:, [0, 2, 1]].contiguous)
+    return cached(_known_turned, faces, lambda: turned(faces))
+
+
+def turned(faces: Tensor) -> Tensor:
+    """`turned_faces`, made anew by one operation, so that it may be recorded."""
+    # A list of columns would be copied to the device first.
+    return torch.stack([faces[:, 0], faces[:, 2], faces[:, 1]], 1)
 
 
 def remember_joined(pairing: Pairing, edges: Tensor, caps: Tensor) -> None:

@@ -7,10 +7,11 @@ import pytest
 import torch
 
 import sdm
-from sdm.bench.common.dirty_meshes.by_code import sheets, torn
+from sdm.bench.common.dirty_meshes.by_code import sheets, torn, turned
 from sdm.bench.common.meshes import cube, load_case, sphere, torus
 from sdm.engine.acceleration import build
 from sdm.engine.first_build import build_first
+from sdm.engine.maps import _queue_guessed_map
 from sdm.engine.ops import structure_slab
 from sdm.engine.plan_override import plan_override
 from sdm.errors import MeshError
@@ -90,6 +91,8 @@ NEW_MESHES = {
     "closed, loose": lambda: loose(sphere(9)),
     "a hole, loose": lambda: loose((cube()[0], cube()[1][1:])),
     "sheets": lambda: sheets(9),
+    # More boundary edges than faces, which are its caps then.
+    "half its faces turned": lambda: turned(torus(900), 0.5),
 }
 
 
@@ -107,5 +110,12 @@ def test_a_first_map_by_the_steps_of_a_gpu(monkeypatch, name):
             structure, topology = build_first(vertices, faces)
             values, ambiguous = structure_slab(structure, grid, 0, grid.shape[0])
             assert_same_bits(values[0], expected.values, name)
+            assert ambiguous.item() == expected.ambiguous_voxels
+        # And by those that are recorded, for meshes with as many of everything.
+        if (numbers := guesses.guess(faces, vertices.shape[0])) != guesses.CLOSED:
+            flags: list[torch.Tensor] = []
+            again, ambiguous = _queue_guessed_map(numbers, grid, flags.append, vertices, faces)
+            assert not flags[0].any()
+            assert_same_bits(again[0], expected.values, name)
             assert ambiguous.item() == expected.ambiguous_voxels
     assert (topology.boundary.shape[0] == 0) == name.startswith("closed")
