@@ -38,10 +38,36 @@ def entry_at(out: wp.array(dtype=wp.float32), at: int):
 
 
 @wp.func
+def part_of(ends: wp.array(dtype=wp.int32), kind: int, length: int):
+    """First place of a line that has a class, and the one after the last; (length, 0) where there is none."""
+    return length + ends[2 * kind], -ends[2 * kind + 1]
+
+
+@wp.func
+def height_above(
+    heights: wp.array(dtype=wp.float32),
+    has: wp.array(dtype=wp.int32),
+    first: int,
+    step: int,
+    base: int,
+    stride: int,
+    low: int,
+    high: int,
+    site: int,
+):
+    """`height_between`, infinite where there is none: where `first` is not below zero and `has` is zero."""
+    if first >= 0:
+        if has[first + site * step] == 0:
+            return float(wp.inf)
+    return height_between(heights, base, stride, low, high, site)
+
+
+@wp.func
 def fill_places(
     heights: wp.array(dtype=wp.float32),
     has: wp.array(dtype=wp.int32),
     first: int,
+    step: int,
     base: int,
     stride: int,
     low: int,
@@ -58,18 +84,23 @@ def fill_places(
 ):
     """Distances of the places from `low` to before `high`, by the sites from `low_site` to `high_site` - 1.
 
-    Sites whose `has`, from `first` on, is zero have no height. Squared distances where `scale` is zero; zeros become
+    Sites whose `has`, from `first` on, each `step` further, is zero have no height; all have where `first` is below
+    zero. Squared distances where `scale` is zero; zeros become
     minus what `own` has, from `own_base` on, unless that is below zero.
     """
     count = int(0)
     site = int(0)
     height = float(0.0)
     end = int(0)
+    ahead = float(wp.inf)
+    if low_site < high_site:
+        ahead = height_above(heights, has, first, step, base, stride, low, high, high_site - 1)
     for back in range(high_site - low_site):
         u = high_site - 1 - back
-        g = float(wp.inf)
-        if has[first + u] != 0:
-            g = height_between(heights, base, stride, low, high, u)
+        g = ahead
+        if u > low_site:
+            # Read before it is needed: this takes a GPU as long as all that follows.
+            ahead = height_above(heights, has, first, step, base, stride, low, high, u - 1)
         if g < wp.inf:
             popping = count > 0
             while popping:
@@ -116,7 +147,8 @@ def nearest_of_class_on_line(
     begin: int,
     heights: wp.array(dtype=wp.float32),
     has: wp.array(dtype=wp.int32),
-    wanted: wp.array(dtype=wp.int32),
+    step: int,
+    ends: wp.array(dtype=wp.int32),
     length: int,
     stride: int,
     weight: float,
@@ -129,12 +161,13 @@ def nearest_of_class_on_line(
 ):
     """Distances along the lines of each class: squared without a `scale`, with `has_sides` those of `own` inside.
 
-    `has`, (lines / stride, length), says where heights are. Without a scale, lines that are not `wanted`,
-    (lines / stride), are left alone.
+    `has`, (lines / stride, length, step), says where heights are, and `ends` (lines / stride, 2) between which places
+    (see `part_of`). Without a scale, lines without heights are left alone.
     """
     line = begin + wp.tid()
     outer = line / stride
-    if scale > 0.0 or wanted[outer] != 0:
+    first, after = part_of(ends, outer, length)
+    if scale > 0.0 or first < after:
         base = first_voxel(line, length, stride)
         own_base = int(-1)
         if has_sides != 0:
@@ -142,13 +175,14 @@ def nearest_of_class_on_line(
         fill_places(
             heights,
             has,
-            outer * length,
+            outer * length * step,
+            step,
             base,
             stride,
             0,
             length,
-            0,
-            length,
+            first,
+            after,
             weight,
             half,
             scale,
@@ -164,7 +198,7 @@ def nearest_other_label_on_line(
     begin: int,
     labels: wp.array(dtype=wp.uint8),
     heights: wp.array(dtype=wp.float32),
-    always: wp.array(dtype=wp.int32),
+    unread: wp.array(dtype=wp.int32),
     length: int,
     stride: int,
     weight: float,
@@ -175,7 +209,7 @@ def nearest_other_label_on_line(
 ):
     """Along each line the distances to other labels: of every run of equal labels by its own voxels and its two ends.
 
-    Squared without a `scale`. `always` has no zeros.
+    Squared without a `scale`.
     """
     line = begin + wp.tid()
     base = first_voxel(line, length, stride)
@@ -191,7 +225,8 @@ def nearest_other_label_on_line(
                 going = high < length
         fill_places(
             heights,
-            always,
+            unread,
+            -1,
             0,
             base,
             stride,

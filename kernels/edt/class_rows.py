@@ -1,7 +1,8 @@
 """First pass of the distance transform of many classes: along the rows, which are contiguous in memory.
 
-A row without a class is left alone and noted, so that a small class costs little. A voxel's distance to what is not of
-its own class needs no class: it is that to the nearest voxel with another label, one row for all.
+A group of lanes has a row and fills those of the classes that are in it, so that a small class costs little. A voxel's
+distance to what is not of its own class needs no class: it is that to the nearest voxel with another label, one row for
+all.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.edt.pass1_rows import NOWHERE, first_at_or_after, last_at_or_before, step_cost
-from sdm.kernels.primitives.lanes import ballot
+from sdm.kernels.primitives.atomics import fetch_least, keep_least
+from sdm.kernels.primitives.lanes import ballot, first_member, int_from_lane
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,47 +27,21 @@ def height_of(steps: int, weight: float, half: float):
     return value
 
 
-@wp.kernel
-def nearest_of_class(
-    begin: int,
+@wp.func
+def fill_row(
     labels: wp.array(dtype=wp.uint8),
-    first_value: int,
-    rows: int,
-    rows_of_slice: int,
+    base: int,
+    value: int,
     length: int,
+    lane: int,
     lanes: int,
     weight: float,
     half: float,
-    row_has: wp.array(dtype=wp.int32),
-    slice_has: wp.array(dtype=wp.int32),
     out: wp.array(dtype=wp.float32),
+    target: int,
 ):
-    """For each class and row that has it, squared distances (classes,rows,length) in the row to its nearest voxel.
-
-    Classes have the values from `first_value` on. `row_has` says which rows have them,
-    `slice_has`, zeros before, which slices along x.
-    """
-    thread = begin + wp.tid()
-    group = thread / lanes
-    lane = thread - group * lanes
-    kind = group / rows
-    value = first_value + kind
-    base = (group - kind * rows) * length
-    target = group * length
+    """Squared distances in the row of labels from `base` on to its nearest voxel of a value, from `out[target]` on."""
     words = (length + lanes - 1) / lanes
-    there = wp.uint32(0)
-    for word in range(words):
-        k = word * lanes + lane
-        found = bool(False)
-        if k < length:
-            found = int(labels[base + k]) == value
-        there = there | ballot(found)
-    if lane == 0:
-        row_has[group] = int(there != wp.uint32(0))
-        if there != wp.uint32(0):
-            slice_has[group / rows_of_slice] = 1
-    if there == wp.uint32(0):
-        return
     before = int(-NOWHERE)
     for word in range(words):
         k = word * lanes + lane
@@ -95,6 +71,67 @@ def nearest_of_class(
         first = first_at_or_after(bits, 0)
         if first >= 0:
             after = word * lanes + first
+
+
+@wp.func
+def stretch(ends: wp.array(dtype=wp.int32), kind: int, place: int, length: int):
+    """Bring a place into the part of a line that `ends`, zeros before, has for a class; True if it is the first one."""
+    before = fetch_least(ends, 2 * kind, place - length)
+    keep_least(ends, 2 * kind + 1, -(place + 1))
+    return before == 0
+
+
+@wp.kernel
+def nearest_of_classes(
+    begin: int,
+    labels: wp.array(dtype=wp.uint8),
+    first_value: int,
+    kinds: int,
+    rows: int,
+    rows_of_slice: int,
+    length: int,
+    lanes: int,
+    weight: float,
+    half: float,
+    row_has: wp.array(dtype=wp.int32),
+    row_ends: wp.array(dtype=wp.int32),
+    slice_ends: wp.array(dtype=wp.int32),
+    out: wp.array(dtype=wp.float32),
+):
+    """For each class and row that has it, squared distances (kinds,rows,length) in the row to its nearest voxel.
+
+    Classes have the values from `first_value` on. `row_has` (kinds,rows) says which rows have them; of each class
+    `row_ends` the part of the rows of each slice along x that has it, and `slice_ends` that of the slices (see
+    `class_lines.part_of`). All three are zeros before.
+    """
+    thread = begin + wp.tid()
+    row = thread / lanes
+    lane = thread - row * lanes
+    base = row * length
+    slices = rows / rows_of_slice
+    layer = row / rows_of_slice
+    across = row - layer * rows_of_slice
+    words = (length + lanes - 1) / lanes
+    latest = int(-1)
+    for word in range(words):
+        k = word * lanes + lane
+        kind = int(-1)
+        if k < length:
+            kind = int(labels[base + k]) - first_value
+        left = ballot(kind >= 0 and kind < kinds and kind != latest)
+        while left != wp.uint32(0):
+            latest = int_from_lane(kind, first_member(left))
+            left = left & ~ballot(kind == latest)
+            place = latest * rows + row
+            seen = int(0)
+            if lane == 0:
+                seen = row_has[place]
+                if seen == 0:
+                    row_has[place] = 1
+                    if stretch(row_ends, latest * slices + layer, across, rows_of_slice):
+                        stretch(slice_ends, latest, layer, slices)
+            if int_from_lane(seen, 0) == 0:
+                fill_row(labels, base, first_value + latest, length, lane, lanes, weight, half, out, place * length)
 
 
 @wp.kernel

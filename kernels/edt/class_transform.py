@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.edt.class_lines import nearest_of_class_on_line, nearest_other_label_on_line
-from sdm.kernels.edt.class_rows import nearest_of_class, nearest_other_label
+from sdm.kernels.edt.class_rows import nearest_of_classes, nearest_other_label
 from sdm.kernels.edt.transform import BLOCK_DIM
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES
@@ -22,7 +22,7 @@ def own_distances(
     spacing: tuple[float, float, float],
     half: float,
     missing: float,
-    always: wp.array,
+    unread: wp.array,
     between: wp.array,
     own: wp.array,
 ) -> None:
@@ -34,7 +34,7 @@ def own_distances(
         spacing: Size of a voxel along each axis.
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         missing: Distance where all labels are equal.
-        always: int32 ones, as many as the longest axis has voxels.
+        unread: int32, of any length.
         between: Workspace, float32, a number a voxel.
         own: float32, flat.
     """
@@ -42,8 +42,8 @@ def own_distances(
     device, unit, weights = labels.device, max(spacing), _weights(spacing)
     lanes = GPU_LANES if device.is_cuda else 1
     launch(nearest_other_label, nx * ny * lanes, [labels, nz, lanes, weights[2], half, own], device)
-    along_y = [labels, own, always, ny, nz, weights[1], half, 0.0, missing, between]
-    along_x = [labels, between, always, nx, ny * nz, weights[0], half, unit, missing, own]
+    along_y = [labels, own, unread, ny, nz, weights[1], half, 0.0, missing, between]
+    along_x = [labels, between, unread, nx, ny * nz, weights[0], half, unit, missing, own]
     launch(nearest_other_label_on_line, nx * nz, along_y, device, BLOCK_DIM)
     launch(nearest_other_label_on_line, ny * nz, along_x, device, BLOCK_DIM)
 
@@ -58,7 +58,8 @@ def transform_classes(
     missing: float,
     own: wp.array,
     row_has: wp.array,
-    slice_has: wp.array,
+    row_ends: wp.array,
+    slice_ends: wp.array,
     between: wp.array,
     out: wp.array,
 ) -> None:
@@ -73,18 +74,21 @@ def transform_classes(
         signed: Whether voxels of a class get minus their distance in `own`, rather than 0.
         missing: Distance where there is no voxel of the class.
         own: What `own_distances` found; not read if not `signed`.
-        row_has: Workspace, int32, C * nx * ny.
-        slice_has: Workspace, int32, C * nx zeros.
+        row_has: Workspace, int32, C * nx * ny zeros.
+        row_ends: Workspace, int32, 2 * C * nx zeros.
+        slice_ends: Workspace, int32, 2 * C zeros.
         between: Workspace, float32, C * nx * ny * nz.
         out: float32, flat.
     """
     kinds, nx, ny, nz = shape
     device, unit, weights = labels.device, max(spacing), _weights(spacing)
     lanes = GPU_LANES if device.is_cuda else 1
-    rows = [labels, first_value, nx * ny, ny, nz, lanes, weights[2], half, row_has, slice_has, out]
-    launch(nearest_of_class, kinds * nx * ny * lanes, rows, device)
-    along_y = [out, row_has, slice_has, ny, nz, weights[1], half, 0.0, missing, 0, own, between]
-    along_x = [between, slice_has, slice_has, nx, ny * nz, weights[0], half, unit, missing, int(signed), own, out]
+    ends = [row_has, row_ends, slice_ends]
+    rows = [labels, first_value, kinds, nx * ny, ny, nz, lanes, weights[2], half, *ends, out]
+    launch(nearest_of_classes, nx * ny * lanes, rows, device)
+    along_y = [out, row_has, 1, row_ends, ny, nz, weights[1], half, 0.0, missing, 0, own, between]
+    sides = [missing, int(signed), own, out]
+    along_x = [between, row_ends, 2, slice_ends, nx, ny * nz, weights[0], half, unit, *sides]
     launch(nearest_of_class_on_line, kinds * nx * nz, along_y, device, BLOCK_DIM)
     launch(nearest_of_class_on_line, kinds * ny * nz, along_x, device, BLOCK_DIM)
 

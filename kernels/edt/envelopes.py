@@ -10,9 +10,12 @@ Neighbouring threads have neighbouring lines, so that they read neighbouring add
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from sdm.kernels.edt.short_range import cost, first_of, first_voxel
+from sdm.kernels.primitives.lanes import on_cpu
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,33 +24,76 @@ LONGEST_LINE = (1 << 15) - 1
 _LOW = (1 << 16) - 1
 
 
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __fdividef(a, b);
+#else
+    return a / b;
+#endif
+"""
+)
+def quotient(a: float, b: float) -> float:
+    """a / b; on a GPU within two roundings, for 2^-126 <= b <= 2^126."""
+    ...
+
+
 @wp.func
-def first_won(site: int, height: float, later: int, later_height: float, weight: float, half: float):
-    """The first x at which the later voxel costs no more than the earlier one.
+def quotient(a: wp.float64, b: wp.float64):  # noqa: F811
+    return a / b
+
+
+@wp.func
+def first_after(x: Any):
+    """The first whole number from x on, of what may lie on a line."""
+    return int(wp.ceil(wp.clamp(x, type(x)(-2.0), type(x)(40000.0))))
+
+
+@wp.func
+def solved(site: int, later: int, rise: Any, weight: Any, half: Any):
+    """`first_won`, for a later voxel that is higher by `rise`, in the type of these numbers.
 
     The difference of the two costs grows with x. It is linear before both, between them and after both; at the two
     voxels themselves it is a value of its own, since there a cost is flat over a width of 2 * half.
     """
-    need = (wp.float64(later_height) - wp.float64(height)) / wp.float64(weight)
-    h = wp.float64(half)
-    gap = wp.float64(later - site)
-    if half == 0.0:
+    gap = type(rise)(later - site)
+    centre = type(rise)(later + site)
+    middle = type(rise)(0.5) * (quotient(rise, weight * gap) + centre)
+    if half == type(rise)(0.0):
         # The three pieces are one line.
-        centre = wp.float64(0.5) * (need / gap + wp.float64(later + site))
-        return int(wp.ceil(wp.clamp(centre, wp.float64(-2.0), wp.float64(40000.0))))
-    middle = wp.float64(0.5) * (need / gap + wp.float64(later + site))
-    before = int(wp.ceil(wp.clamp(middle - h, wp.float64(-2.0), wp.float64(40000.0))))
+        return first_after(middle)
+    before = first_after(middle - half)
     if before < site:
         return before
-    top = (gap - h) * (gap - h)
-    if -top >= need:
+    top = weight * ((gap - half) * (gap - half))
+    if -top >= rise:
         return site
-    if top < need:
-        return wp.max(int(wp.ceil(wp.clamp(middle + h, wp.float64(-2.0), wp.float64(40000.0)))), later + 1)
+    if top < rise:
+        return wp.max(first_after(middle + half), later + 1)
     if later - site == 1:
         return later
-    between = wp.float64(0.5) * (need / (gap - h - h) + wp.float64(later + site))
-    return int(wp.ceil(wp.clamp(between, wp.float64(site + 1), wp.float64(later))))
+    between = type(rise)(0.5) * (quotient(rise, weight * (gap - half - half)) + centre)
+    return wp.clamp(first_after(between), site + 1, later)
+
+
+@wp.func
+def first_won_by_costs(site: int, height: float, later: int, later_height: float, weight: float, half: float):
+    """`first_won` in float32, whose solution is within a tenth: the costs tell which whole number it is."""
+    x = solved(site, later, later_height - height, weight, half)
+    if cost(x - 1, later, later_height, weight, half) <= cost(x - 1, site, height, weight, half):
+        return x - 1
+    if cost(x, later, later_height, weight, half) > cost(x, site, height, weight, half):
+        return x + 1
+    return x
+
+
+@wp.func
+def first_won(site: int, height: float, later: int, later_height: float, weight: float, half: float):
+    """The first x at which the later voxel costs no more than the earlier one."""
+    if on_cpu():
+        rise = wp.float64(later_height) - wp.float64(height)
+        return solved(site, later, rise, wp.float64(weight), wp.float64(half))
+    return first_won_by_costs(site, height, later, later_height, weight, half)
 
 
 @wp.func

@@ -115,15 +115,15 @@ def _fill_kinds(
     voxels = nx * ny * nz
     between = torch.empty(chunk * voxels, dtype=torch.float32, device=device)
     own = torch.empty(voxels if signed else 0, dtype=torch.float32, device=device)
-    row_has = torch.empty(chunk * nx * ny, dtype=torch.int32, device=device)
-    slice_has = torch.zeros(out.shape[0] * nx, dtype=torch.int32, device=device)
+    kinds = out.shape[0]
+    counts = kinds * nx * ny, 2 * kinds * nx, 2 * kinds
+    row_has, row_ends, slice_ends = torch.zeros(sum(counts), dtype=torch.int32, device=device).split(counts)
     with on_current_stream(labels, labels):
         source, inside = as_warp(labels.view(-1), wp.uint8), as_warp(own, wp.float32)
         if signed:
-            always = torch.ones(max(nx, ny), dtype=torch.int32, device=device)
-            room = as_warp(always, wp.int32), as_warp(between[:voxels], wp.float32)
+            room = as_warp(row_has, wp.int32), as_warp(between[:voxels], wp.float32)
             class_transform.own_distances(source, (nx, ny, nz), sizes, half, missing, *room, inside)
-        for begin in range(0, out.shape[0], chunk):
+        for begin in range(0, kinds, chunk):
             some = out[begin : begin + chunk]
             class_transform.transform_classes(
                 source,
@@ -134,8 +134,9 @@ def _fill_kinds(
                 signed,
                 missing,
                 inside,
-                as_warp(row_has, wp.int32),
-                as_warp(slice_has[begin * nx :], wp.int32),
+                as_warp(row_has[begin * nx * ny :], wp.int32),
+                as_warp(row_ends[2 * begin * nx :], wp.int32),
+                as_warp(slice_ends[2 * begin :], wp.int32),
                 as_warp(between, wp.float32),
                 as_warp(some.view(-1), wp.float32),
             )
