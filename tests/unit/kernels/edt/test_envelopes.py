@@ -1,4 +1,4 @@
-"""The place from which one voxel of a line is nearer than another: in float32, as on a GPU, and in float64, as on a CPU."""
+"""The place from which one voxel of a line is nearer than another, in float32, as on a GPU, and in float64."""
 
 from __future__ import annotations
 
