@@ -1,50 +1,15 @@
-"""Lists made from the blocks of a band: the regions that have some, the blocks that are kept, the gaps between them."""
+"""Lists made from the blocks of a band: those that are kept, and the gaps between them."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.geometry.block_table import VOXELS, BlockTable, place_of
+from sdm.kernels.band.block_bits import KEPT, RUNS
+from sdm.kernels.geometry.block_table import VOXELS
 from sdm.kernels.launch import launch
-from sdm.kernels.primitives.atomics import fetch_add
+from sdm.kernels.primitives.vector_loads import load4, write4
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def _list_regions(
-    begin: int, table: BlockTable, bits: int, regions: wp.array(dtype=wp.vec4i), counts: wp.array(dtype=wp.int32)
-):
-    """The first block of each region lists it, with a bit for each of its cells of 2^bits blocks that has a block."""
-    place = begin + wp.tid()
-    mine = table.blocks[place]
-    edge = 2 << bits
-    region = wp.vec3i(mine[0] >> (bits + 1), mine[1] >> (bits + 1), mine[2] >> (bits + 1))
-    cells = int(0)
-    for number in range(edge * edge * edge):
-        i = number / (edge * edge)
-        j = (number / edge) % edge
-        k = number % edge
-        if ((cells >> (4 * (i >> bits) + 2 * (j >> bits) + (k >> bits))) & 1) == 0:
-            other = place_of(table, edge * region + wp.vec3i(i, j, k))
-            if other >= 0:
-                # Somebody else is the first.
-                if cells == 0 and other != place:
-                    return
-                cells = cells | (1 << (4 * (i >> bits) + 2 * (j >> bits) + (k >> bits)))
-    regions[fetch_add(counts, 0, 1)] = wp.vec4i(region[0], region[1], region[2], cells)
-
-
-def list_regions_of(table: BlockTable, bits: int, regions: wp.array, counts: wp.array) -> None:
-    """List the regions of 2^3 cells of 2^bits blocks that have a block, in any order.
-
-    Args:
-        table: The blocks (N,).
-        bits: 0 or 1.
-        regions: (N,) vec4i, as many are filled as there are: place of the region, and a bit for each cell with a block.
-        counts: (1,) int32, zero; how many there are.
-    """
-    launch(_list_regions, regions.size, [table, bits, regions, counts], regions.device)
 
 
 @wp.kernel
@@ -96,93 +61,180 @@ def unpack_keys(keys: wp.array, along: tuple[int, int, int], blocks: wp.array, l
 
 
 @wp.kernel
+def _keep(begin: int, ends: wp.array(dtype=wp.int32), kept: wp.array(dtype=wp.int32), counts: wp.array(dtype=wp.int32)):
+    place = begin + wp.tid()
+    before = int(0)
+    if place > 0:
+        before = ends[place - 1]
+    if ends[place] > before:
+        kept[before] = place
+    if place + 1 == ends.shape[0]:
+        counts[KEPT] = ends[place]
+
+
+def keep_near(near: wp.array, ends: wp.array, kept: wp.array, counts: wp.array) -> None:
+    """List the blocks with a voxel in the band, in their order.
+
+    Args:
+        near: (N,) int32, 1 for these and 0 for others.
+        ends: (N,) int32, workspace.
+        kept: (N,) int32, as many places are filled as there are.
+        counts: `KEPT` is set to how many.
+    """
+    wp.utils.array_scan(near, ends, inclusive=True)
+    launch(_keep, near.size, [ends, kept, counts], near.device)
+
+
+@wp.kernel
 def _gather(
     begin: int,
-    table: BlockTable,
-    shape: wp.vec3i,
-    width: float,
-    kept: wp.array(dtype=wp.int64),
-    values: wp.array(dtype=wp.float32),
     blocks: wp.array(dtype=wp.vec3i),
+    shape: wp.vec3i,
+    first: int,
+    width: float,
+    kept: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    found_blocks: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.float32),
 ):
     thread = begin + wp.tid()
-    # One row of eight voxels.
-    number = thread >> 6
-    row = thread & 63
-    place = int(kept[number])
-    block = table.blocks[place]
-    if row == 0:
-        blocks[number] = block
+    # Four voxels of a row.
+    number = thread >> 7
+    quad = thread & 127
+    place = kept[number]
+    block = blocks[place]
+    if quad == 0:
+        found_blocks[number] = block + wp.vec3i(first, 0, 0)
+    four = load4(values, (VOXELS / 4) * place + quad)
+    row = quad >> 1
+    z = 8 * block[2] + 4 * (quad & 1)
     within = 8 * block[0] + (row >> 3) < shape[0] and 8 * block[1] + (row & 7) < shape[1]
-    for k in range(8):
-        value = values[VOXELS * place + 8 * row + k]
-        if not within or 8 * block[2] + k >= shape[2]:
-            value = width
-        found[VOXELS * number + 8 * row + k] = value
+    if not within or z + 4 > shape[2]:
+        for k in range(4):
+            if not within or z + k >= shape[2]:
+                four[k] = width
+    write4(found, (VOXELS / 4) * number + quad, four[0], four[1], four[2], four[3])
 
 
 def gather_blocks(
-    table: BlockTable,
+    blocks: wp.array,
     shape: tuple[int, int, int],
+    first: int,
     width: float,
     kept: wp.array,
     values: wp.array,
-    blocks: wp.array,
+    found_blocks: wp.array,
     found: wp.array,
 ) -> None:
     """Copy blocks and values of some places; voxels beyond a grid of this shape get the width.
 
     Args:
-        table: All blocks (N,).
+        blocks: (N,) vec3i, all.
         shape: Voxels of the grid.
+        first: Added to the x of those copied.
         width: See above.
-        kept: (M,) int64 places.
+        kept: (M,) int32 places.
         values: (N * 512) of all.
-        blocks: (M,) vec3i, filled.
+        found_blocks: (M,) vec3i, filled.
         found: (M * 512), filled.
     """
-    inputs = [table, wp.vec3i(*shape), width, kept, values, blocks, found]
-    launch(_gather, 64 * kept.size, inputs, found.device)
+    inputs = [blocks, wp.vec3i(*shape), first, width, kept, values, found_blocks, found]
+    launch(_gather, (VOXELS // 4) * kept.size, inputs, found.device)
 
 
-@wp.kernel
-def _list_gaps(
-    begin: int,
+@wp.func
+def inside_around(
+    at: int,
+    total: int,
     blocks: wp.array(dtype=wp.vec3i),
+    kept: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
     last: int,
-    runs: wp.array(dtype=wp.vec4i),
-    counts: wp.array(dtype=wp.int32),
 ):
-    place = begin + wp.tid()
-    mine = blocks[place]
+    """Whether what is before a kept block in its row is inside, and what comes after it, up to the third number."""
+    mine = blocks[kept[at]]
     first = bool(True)
-    if place > 0:
-        other = blocks[place - 1]
+    if at > 0:
+        other = blocks[kept[at - 1]]
         first = other[0] != mine[0] or other[1] != mine[1]
     end = int(last)
-    if place + 1 < blocks.shape[0]:
-        other = blocks[place + 1]
+    if at + 1 < total:
+        other = blocks[kept[at + 1]]
         if other[0] == mine[0] and other[1] == mine[1]:
             end = other[2]
     # The first voxels along x and y are within the grid, and the last along z if something comes after them.
-    if first and mine[2] > 0 and values[VOXELS * place] < 0.0:
-        runs[fetch_add(counts, 0, 1)] = wp.vec4i(mine[0], mine[1], 0, mine[2])
-    if mine[2] + 1 < end and values[VOXELS * place + 7] < 0.0:
-        runs[fetch_add(counts, 0, 1)] = wp.vec4i(mine[0], mine[1], mine[2] + 1, end)
+    before = int(0)
+    if first and mine[2] > 0 and values[VOXELS * kept[at]] < 0.0:
+        before = int(1)
+    after = int(0)
+    if mine[2] + 1 < end and values[VOXELS * kept[at] + 7] < 0.0:
+        after = int(1)
+    return wp.vec3i(before, after, end)
 
 
-def list_inside_gaps(blocks: wp.array, values: wp.array, last: int, runs: wp.array, counts: wp.array) -> None:
-    """List the runs of blocks along z, between those of a band, that lie inside a closed mesh.
+@wp.kernel
+def _count_gaps(
+    begin: int,
+    blocks: wp.array(dtype=wp.vec3i),
+    kept: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    last: int,
+    counts: wp.array(dtype=wp.int32),
+    gaps: wp.array(dtype=wp.int32),
+):
+    at = begin + wp.tid()
+    mine = int(0)
+    if at < counts[KEPT]:
+        found = inside_around(at, counts[KEPT], blocks, kept, values, last)
+        mine = found[0] + found[1]
+    gaps[at] = mine
+
+
+@wp.kernel
+def _write_gaps(
+    begin: int,
+    blocks: wp.array(dtype=wp.vec3i),
+    kept: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float32),
+    last: int,
+    ends: wp.array(dtype=wp.int32),
+    runs: wp.array(dtype=wp.vec4i),
+    counts: wp.array(dtype=wp.int32),
+):
+    at = begin + wp.tid()
+    if at + 1 == ends.shape[0]:
+        counts[RUNS] = ends[at]
+    if at < counts[KEPT]:
+        place = int(0)
+        if at > 0:
+            place = ends[at - 1]
+        if place < ends[at]:
+            found = inside_around(at, counts[KEPT], blocks, kept, values, last)
+            mine = blocks[kept[at]]
+            if found[0] != 0:
+                runs[place] = wp.vec4i(mine[0], mine[1], 0, mine[2])
+                place = place + 1
+            if found[1] != 0:
+                runs[place] = wp.vec4i(mine[0], mine[1], mine[2] + 1, found[2])
+
+
+def list_inside_gaps(
+    blocks: wp.array, kept: wp.array, values: wp.array, last: int, gaps: wp.array, runs: wp.array, counts: wp.array
+) -> None:
+    """List the runs of blocks along z, between those of a band, that lie inside a closed mesh, in their order.
 
     Next to a block that is not there such a mesh has no surface, so it is on the side of any voxel that faces it.
 
     Args:
-        blocks: (N,) vec3i, sorted.
-        values: (N * 512) their signed distances.
+        blocks: (N,) vec3i, of which those of a band are:
+        kept: (N,) int32 their places, sorted, as many as `counts` say.
+        values: (N * 512) the signed distances of all.
         last: Blocks along z.
-        runs: (2 * N,) vec4i, as many are filled as there are, in any order: x and y, the first z, one after the last.
-        counts: (1,) int32, zero; how many there are.
+        gaps: (2 * N,) int32, workspace.
+        runs: (2 * N,) vec4i, as many are filled as there are: x and y, the first z, one after the last.
+        counts: `KEPT` is read, and `RUNS` set to how many there are.
     """
-    launch(_list_gaps, blocks.size, [blocks, values, last, runs, counts], runs.device)
+    numbers, ends = gaps[: kept.size], gaps[kept.size :]
+    launch(_count_gaps, kept.size, [blocks, kept, values, last, counts, numbers], kept.device)
+    wp.utils.array_scan(numbers, ends, inclusive=True)
+    launch(_write_gaps, kept.size, [blocks, kept, values, last, ends, runs, counts], kept.device)

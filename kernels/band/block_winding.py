@@ -26,6 +26,10 @@ wp.set_module_options({"enable_backward": False})
 
 # Lanes of one triangle at most, on a GPU.
 MOST_LANES = 1 << 16
+# And of all together at least about as many, as a GPU runs so many at a time.
+FEWEST_LANES = 1 << 20
+# A column of voxels in a block.
+Column = wp.types.vector(length=8, dtype=wp.int32)
 
 
 @wp.kernel
@@ -84,6 +88,7 @@ def _sum_lines(
     slab: Slab,
     table: BlockTable,
     order: wp.array(dtype=wp.int32),
+    listed: wp.array(dtype=wp.int32),
     beyond: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
@@ -92,10 +97,13 @@ def _sum_lines(
     thread = begin + wp.tid()
     at = thread >> 6
     column = thread & 63
+    total_blocks = wp.min(listed[0], order.shape[0])
+    if at >= total_blocks:
+        return
     place = order[at]
     line = line_of(table, place)
     # Whoever is at the last block of a line sums all of it.
-    if at + 1 < order.shape[0]:
+    if at + 1 < total_blocks:
         if line_of(table, order[at + 1]) == line:
             return
     total = int(0)
@@ -106,15 +114,18 @@ def _sum_lines(
     going = bool(True)
     while going:
         first = VOXELS * place + column
-        for back in range(8):
-            index = first + 64 * (7 - back)
-            total = total + counts[index]
-            values[index] = float(total)
+        # All reads before the first write, which is to the same memory: so they are under way together.
+        crossings = Column()
+        for i in range(8):
+            crossings[i] = counts[first + 64 * i]
         at = at - 1
         going = False
         if at >= 0:
             place = order[at]
             going = line_of(table, place) == line
+        for back in range(8):
+            total = total + crossings[7 - back]
+            values[first + 64 * (7 - back)] = float(total)
 
 
 @wp.kernel
@@ -156,6 +167,7 @@ def whole_windings(
     slab: Slab,
     table: BlockTable,
     order: wp.array,
+    listed: wp.array,
     beyond: wp.array,
     values: wp.array,
     lost: wp.array,
@@ -168,6 +180,7 @@ def whole_windings(
         slab: The whole grid.
         table: The blocks (N,).
         order: (N,) their places, sorted by y, then z, then x.
+        listed: (1,) int32, how many there are: N, or less if the rest is room.
         beyond: (ny * nz,) zeros, or nothing if no triangle is beyond the last voxels along x.
         values: (N * 512) filled.
         lost: (1,) to which crossings in no block are added: there are none, if the blocks have all voxels whose
@@ -185,9 +198,11 @@ def whole_windings(
         launch(_count_at_block_voxels, values.size, [tree, caps, int(with_caps), slab, table, values], device)
     else:
         counts = values.view(wp.int32)
+        # About one column that a triangle covers for each lane of many.
+        columns = max(slab.shape[1] * slab.shape[2], FEWEST_LANES)
         for some in (tree, caps) if with_caps else (tree,):
             triangles, lanes = some.face.shape[0], 1
-            while device.is_cuda and lanes < MOST_LANES and lanes * triangles < 4 * slab.shape[1] * slab.shape[2]:
+            while device.is_cuda and lanes < MOST_LANES and lanes * triangles < columns:
                 lanes *= 2
             launch(_mark_crossings, triangles * lanes, [lanes, some, slab, table, counts, beyond, lost], device)
-        launch(_sum_lines, 64 * order.size, [slab, table, order, beyond, counts, values], device)
+        launch(_sum_lines, 64 * order.size, [slab, table, order, listed, beyond, counts, values], device)

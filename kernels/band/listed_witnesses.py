@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from sdm.kernels.band.block_bits import REGIONS
 from sdm.kernels.bvh.tree import Tree
-from sdm.kernels.culling.witness_bound import write_witness
+from sdm.kernels.culling.witness_bound import Witness, write_witness
 from sdm.kernels.dense.cell_cache import LEFT_OUT, CellCache, store_box
 from sdm.kernels.dense.counters import NEXT_WITNESS
 from sdm.kernels.dense.region_grid import RegionGrid, cell_start, make_cell
@@ -27,37 +28,45 @@ def _find_listed_witnesses(
     slab: Slab,
     grid: RegionGrid,
     regions: wp.array(dtype=wp.vec4i),
+    listed: wp.array(dtype=wp.int32),
     counters: wp.array(dtype=wp.int32),
     cache: CellCache,
 ):
     lane = (begin + wp.tid()) % lanes
     item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
     while item < grid.count:
-        listed = regions[grid.first + item * grid.step]
-        start = 2 * grid.cell * wp.vec3i(listed[0], listed[1], listed[2])
+        place = grid.first + item * grid.step
+        there = place < listed[REGIONS]
+        asked = wp.vec4i()
+        if there:
+            asked = regions[place]
+        start = 2 * grid.cell * wp.vec3i(asked[0], asked[1], asked[2])
         region = make_cell(tree, slab, 0, start, 2 * grid.cell)
-        known = region_witness(tree, frames, 0, region.centre, lane, lanes)
-        if lane == 0:
-            write_witness(cache.witnesses, item, known)
+        known = Witness()
+        if there:
+            known = region_witness(tree, frames, 0, region.centre, lane, lanes)
+            if lane == 0:
+                write_witness(cache.witnesses, item, known)
         octant = lane
         while octant < 8:
             number = 8 * item + octant
             first = cell_start(grid, start, octant)
-            wanted = ((listed[3] >> octant) & 1) != 0 and is_within(slab, first)
+            wanted = ((asked[3] >> octant) & 1) != 0 and is_within(slab, first)
             if wanted:
                 cell = make_cell(tree, slab, 0, first, grid.cell)
                 store_box(cache, number, 0, first, cell)
                 mine = cell_witness(tree, frames, 0, cell.centre, region.centre, known)
                 write_witness(cache.witnesses, grid.count + number, mine)
             else:
-                # Beyond the slab, for all that comes later.
-                store_box(cache, number, 0, first + wp.vec3i(LEFT_OUT, 0, 0), region)
+                # Beyond the slab, for all that comes later; and where there is room alone, so is the region.
+                store_box(cache, number, 0, first + wp.vec3i(LEFT_OUT, wp.where(there, 0, LEFT_OUT), 0), region)
             octant = octant + lanes
         item = fetch_add_once(counters, NEXT_WITNESS, 1, lane)
 
 
 def find_listed_witnesses(
     regions: wp.array,
+    listed: wp.array,
     tree: Tree,
     frames: wp.array,
     slab: Slab,
@@ -69,7 +78,8 @@ def find_listed_witnesses(
 ) -> None:
     """Write the cache of one pass over listed regions of one mesh's slab; see `stage1_witnesses.find_witnesses`.
 
-    `regions` (R,) vec4i: each one's place among all, and a bit for each of its eight cells that is wanted.
+    `regions` (R,) vec4i: each one's place among all, and a bit for each of its eight cells that is wanted. `listed`, see
+    `block_bits`, has how many there are as its number `REGIONS`: if they are less, the rest is room.
     """
-    inputs = [lanes, tree, frames, slab, grid, regions, counters, cache]
+    inputs = [lanes, tree, frames, slab, grid, regions, listed, counters, cache]
     launch(_find_listed_witnesses, workers * lanes, inputs, frames.device, smallest=1)

@@ -14,6 +14,7 @@ from typing import Any
 
 import warp as wp
 
+from sdm.kernels.band.block_bits import AMBIGUOUS
 from sdm.kernels.band.listed_witnesses import find_listed_witnesses
 from sdm.kernels.bvh.tree import Tree, slots_of
 from sdm.kernels.culling.voronoi_features import Features
@@ -109,7 +110,7 @@ def query_blocks(
     measured: Slab,
     to: Any,
     regions: wp.array,
-    ambiguous: wp.array,
+    counts: wp.array,
     plan: Plan,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
@@ -122,14 +123,15 @@ def query_blocks(
         to: A `BlockOutput`.
         regions: (R,) vec4i, the measured grid's regions of 2^3 cells that have voxels of blocks, see
             `find_listed_witnesses`.
-        ambiguous: (1,) int32, to which the near voxels with an unclear winding number are added.
+        counts: See `block_bits`: `REGIONS` is read, with fewer than R the rest is room; to `AMBIGUOUS` the near voxels
+            with an unclear winding number are added.
         plan: Of a dense query of the measured grid.
         empty: Allocates workspace.
     """
     device: Any = to.values.device
     out: Any = Output()
     set_array(out, "values", to.values)
-    set_array(out, "ambiguous", ambiguous)
+    set_array(out, "ambiguous", counts[AMBIGUOUS : AMBIGUOUS + 1])
     set_array(out, "address", empty(1, wp.int64))
     set_array(out, "winners", empty(0, wp.int32))
     set_array(out, "searched", empty(0, wp.int32))
@@ -139,7 +141,7 @@ def query_blocks(
         return
     plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda)
     own = OwnStages(
-        partial(find_listed_witnesses, regions),
+        partial(find_listed_witnesses, regions, counts),
         partial(measure_blocks, kernel=_measure_band, more=[to]),
         partial(_search_blocks, slab, to),
     )

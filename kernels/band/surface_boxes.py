@@ -7,12 +7,15 @@ bounds tell that a triangle is out of reach: its box, its plane, and its distanc
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import warp as wp
 
+from sdm.kernels.band.block_bits import BlockBits, mark_block
 from sdm.kernels.bvh.nearest_search import NodeStack
 from sdm.kernels.bvh.tree import SCALE, Tree, first_triangle, load_corners, node_box, nodes_of, slots_of
+from sdm.kernels.geometry.block_table import BITS as BLOCK_BITS
 from sdm.kernels.geometry.triangle_distance import nearest_part
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab
@@ -93,6 +96,35 @@ def is_near(tree: Tree, box: VoxelBox, reach: float):
     return False
 
 
+@wp.func
+def parent_of(item: int, known: wp.vec3i, parents: wp.array(dtype=wp.vec3i)):
+    """The parent that a box is an eighth of: one of all, of which there are `known` along each axis, or of a list."""
+    if known[0] == 0:
+        return parents[item / 8]
+    number = item / 8
+    row = number / known[2]
+    return wp.vec3i(row / known[1], row % known[1], number % known[2])
+
+
+@wp.func
+def eighths_of_parents(level: int, known: wp.vec3i, parents: wp.array(dtype=wp.vec3i), counts: wp.array(dtype=wp.int32)):
+    """How many boxes are to be looked at; of a list, as many as were counted, and are there."""
+    if known[0] == 0:
+        return 8 * wp.min(counts[STRIDE * level + LENGTH], parents.shape[0])
+    return 8 * known[0] * known[1] * known[2]
+
+
+@wp.func
+def box_is_near(tree: Tree, slab: Slab, reach: float, bits: int, at: wp.vec3i):
+    """True for a box of 2^bits voxels that has some of the slab, and may be near."""
+    start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+    near = bool(False)
+    if is_within(slab, start):
+        scale = float(tree.frame[SCALE])
+        near = is_near(tree, box_of_voxels(slab, start, 1 << bits, scale), reach * scale)
+    return near
+
+
 @wp.kernel
 def _find_boxes(
     begin: int,
@@ -103,24 +135,49 @@ def _find_boxes(
     bits: int,
     level: int,
     room: int,
+    known: wp.vec3i,
     parents: wp.array(dtype=wp.vec3i),
     boxes: wp.array(dtype=wp.vec3i),
     counts: wp.array(dtype=wp.int32),
 ):
     """List the eighths of parents, boxes of 2^bits voxels, that may be near; those without room are counted alone."""
-    scale = float(tree.frame[SCALE])
     item = begin + wp.tid()
-    total = 8 * wp.min(counts[STRIDE * level + LENGTH], parents.shape[0])
+    total = eighths_of_parents(level, known, parents, counts)
     while item < total:
-        at = 2 * parents[item / 8] + octant_at(item)
-        start = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
-        if is_within(slab, start):
-            box = box_of_voxels(slab, start, 1 << bits, scale)
-            if is_near(tree, box, reach * scale):
-                place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
-                if place < room:
-                    boxes[place] = at
+        at = 2 * parent_of(item, known, parents) + octant_at(item)
+        if box_is_near(tree, slab, reach, bits, at):
+            place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
+            if place < room:
+                boxes[place] = at
         item = item + workers
+
+
+@wp.kernel
+def _mark_boxes(
+    begin: int,
+    workers: int,
+    tree: Tree,
+    slab: Slab,
+    reach: float,
+    level: int,
+    known: wp.vec3i,
+    parents: wp.array(dtype=wp.vec3i),
+    bits: BlockBits,
+    counts: wp.array(dtype=wp.int32),
+):
+    """Set the bits of the eighths of parents, which are blocks, that may be near."""
+    item = begin + wp.tid()
+    total = eighths_of_parents(level, known, parents, counts)
+    while item < total:
+        at = 2 * parent_of(item, known, parents) + octant_at(item)
+        if box_is_near(tree, slab, reach, BLOCK_BITS, at):
+            mark_block(bits, at)
+        item = item + workers
+
+
+def _workers(parents: int, device: Any) -> int:
+    # Of a list that is not full, only those at its begin find something to do.
+    return min(8 * parents, MOST_THREADS) if device.is_cuda else 8 * parents
 
 
 def find_boxes(
@@ -129,6 +186,7 @@ def find_boxes(
     reach: float,
     bits: int,
     level: int,
+    known: tuple[int, int, int],
     parents: wp.array,
     boxes: wp.array,
     counts: wp.array,
@@ -141,15 +199,28 @@ def find_boxes(
         reach: A length.
         bits: See above.
         level: Which of the lists the parents are.
+        known: The parents are all boxes twice as large, so many along each axis; zeros if they are listed.
         parents: (n,) vec3i, boxes twice as large, by their place among all of that size; as many as were counted, of
             which those without room are left out.
         boxes: Filled in any order, as far as there is room.
         counts: Of all levels, see `STRIDE`; the length of the next is counted from 0.
     """
-    device: Any = boxes.device
-    workers = 8 * parents.shape[0]
-    if device.is_cuda:
-        # Of a list that is not full, only those at its begin find something to do.
-        workers = min(workers, MOST_THREADS)
-    inputs = [workers, tree, slab, reach, bits, level, boxes.shape[0], parents, boxes, counts]
-    launch(_find_boxes, workers, inputs, device, smallest=8)
+    workers = _workers(math.prod(known) or parents.shape[0], boxes.device)
+    inputs = [workers, tree, slab, reach, bits, level, boxes.shape[0], wp.vec3i(*known), parents, boxes, counts]
+    launch(_find_boxes, workers, inputs, boxes.device, smallest=8)
+
+
+def mark_boxes(
+    tree: Tree,
+    slab: Slab,
+    reach: float,
+    level: int,
+    known: tuple[int, int, int],
+    parents: wp.array,
+    bits: Any,
+    counts: wp.array,
+) -> None:
+    """`find_boxes` of the last level, whose boxes are blocks: set their bits in `bits`, see `BlockBits`."""
+    workers = _workers(math.prod(known) or parents.shape[0], counts.device)
+    inputs = [workers, tree, slab, reach, level, wp.vec3i(*known), parents, bits, counts]
+    launch(_mark_boxes, workers, inputs, counts.device, smallest=8)

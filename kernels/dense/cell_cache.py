@@ -67,6 +67,12 @@ def cached_region(cache: CellCache, region: int):
 
 
 @wp.func
+def is_left_out(start: wp.vec3i):
+    """True for a region, by its first voxel, that is no more than room for one."""
+    return start[1] >= LEFT_OUT
+
+
+@wp.func
 def cached_half2(cache: CellCache, number: int):
     """The square of its half-diagonal."""
     return cache.boxes[BOX_FLOATS * number + 3]

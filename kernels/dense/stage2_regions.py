@@ -11,7 +11,7 @@ from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import node_matters, push
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness
-from sdm.kernels.dense.cell_cache import CellCache, cached_region
+from sdm.kernels.dense.cell_cache import CellCache, cached_region, is_left_out
 from sdm.kernels.dense.chunk_pool import CandidateLists, Chain, ChunkPool, append
 from sdm.kernels.dense.counters import NEXT_REGION
 from sdm.kernels.dense.region_grid import RegionGrid, make_cell, own_shares
@@ -68,8 +68,8 @@ def _list_regions(
         # The level of the tree that is as wide as the lanes of all shares are many is where the descent begins.
         top = wp.min(lanes * shares, leaves)
         first = top * share / shares
-        # Beyond the mesh's own shares there is nothing to do.
-        waiting = wp.where(share < shares, top * (share + 1) / shares - first, 0)
+        # Beyond the mesh's own shares there is nothing to do, nor without a region.
+        waiting = wp.where(share < shares and not is_left_out(start), top * (share + 1) / shares - first, 0)
         ripe = int(0)
         if lane < waiting:
             if top < leaves:

@@ -2,33 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
-from jaxtyping import Int32, Int64
+from jaxtyping import Int64
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure
-from sdm.engine.band.block_distances import refuse_too_many, slab_blocks
+from sdm.engine.band.band_slab import BandSlab
+from sdm.engine.band.block_distances import BandBlocks, measured_slab, refuse_too_many
+from sdm.engine.band.inside_runs import gaps_inside
+from sdm.engine.band.listed_blocks import (
+    MOST_BLOCKS,
+    STEP_ROOM,
+    fits,
+    has_bits,
+    list_keys,
+    narrowed,
+    queue_list,
+    room_for_all,
+)
 from sdm.engine.band.near_blocks import keys_near
-from sdm.engine.ops import slab_view
 from sdm.errors import GridError
+from sdm.kernels.band.block_bits import BLOCKS
 from sdm.runtime.torch_warp import on_current_stream
 
-# Of one slab, as voxels are counted with 32 bits.
-MOST_BLOCKS = (1 << 22) - 1
 # Slabs begin at multiples of so many blocks: a GPU's regions have 32 voxels along an edge.
 SLAB_BLOCKS = 4
-# More than the spacing along x, at which a crossing is from the voxel that it is marked at.
-STEP_ROOM = 1.01
 
 
 def measured_blocks(
-    structure: AccelerationStructure, grid: Grid, width: float, *, signed: bool, beyond: bool
-) -> tuple[Int32[Tensor, "n 3"], Tensor, int]:
-    """Blocks (N,3) with a voxel nearer than `width`, their clamped values (N,8,8,8), and how many are ambiguous.
+    structure: AccelerationStructure, grid: Grid, width: float, *, signed: bool, beyond: bool, gaps: bool = False
+) -> BandBlocks:
+    """Blocks with a voxel nearer than `width`, and their clamped values.
 
     Args:
         structure: Of one mesh.
@@ -36,29 +46,43 @@ def measured_blocks(
         width: In the mesh's unit.
         signed: False for distances of at least 0.
         beyond: Whether triangles may be beyond the grid's last voxels along x.
+        gaps: Whether to list the runs of blocks inside, next to these: of closed meshes with a sign.
 
     Raises:
         GridError: They do not fit into memory, or there are very many in one slab of the grid.
     """
-    device = structure.device
-    direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
-    slab = slab_view(grid.origin, grid.spacing, grid.shape, 0, direction)
+    band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed, beyond)
     with on_current_stream(structure.memory[0], structure.memory[0]):
-        tree, winding = structure.view[:2]
-        keys = keys_near(tree, slab, grid, width, device)
-        if signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
-            caps = keys_near(winding.caps.tree, slab, grid, STEP_ROOM * grid.spacing[0], device)
-            keys = torch.unique(torch.cat([keys, caps]))
+        if has_bits(band):
+            room = room_for_all(band)
+            listed, boxes = queue_list(band, room)
+            counts = listed.counts.tolist()
+            refuse_too_many(counts[BLOCKS], structure.device)
+            if fits(counts, room, boxes) and counts[BLOCKS] <= MOST_BLOCKS:
+                return measured_slab(band, narrowed(band, listed, counts), gaps=gaps)
+        return _by_keys(band, gaps)
+
+
+def _by_keys(band: BandSlab, gaps: bool) -> BandBlocks:
+    """The same, for any number of blocks and any grid."""
+    grid, structure, device = band.whole, band.structure, band.structure.device
+    tree, winding = structure.view[:2]
+    keys = keys_near(tree, band.slab, grid, band.width, device)
+    if band.signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
+        caps = keys_near(winding.caps.tree, band.slab, grid, STEP_ROOM * grid.spacing[0], device)
+        keys = torch.unique(torch.cat([keys, caps]))
     refuse_too_many(len(keys), device)
     if len(keys) <= MOST_BLOCKS:
-        return slab_blocks(structure, grid, width, keys, (0, grid.shape[0]), signed=signed, beyond=beyond)
+        return measured_slab(band, list_keys(band, keys), gaps=gaps)
     parts = []
     for layers, theirs in slabs_of_blocks(keys, grid):
         # What is beyond a slab's last voxels is in the next.
-        more = beyond or layers[1] < grid.shape[0]
-        parts.append(slab_blocks(structure, grid, width, theirs, layers, signed=signed, beyond=more))
-    blocks, values, ambiguous = zip(*parts, strict=True)
-    return torch.cat(blocks), torch.cat(values), sum(ambiguous)
+        slab = replace(band, layers=layers, beyond=band.beyond or layers[1] < grid.shape[0])
+        before = layers[0] // BLOCK * math.prod(blocks_along(grid.shape)[1:])
+        parts.append(measured_slab(slab, list_keys(slab, theirs - before), gaps=False))
+    blocks, values = torch.cat([part.blocks for part in parts]), torch.cat([part.values for part in parts])
+    runs = gaps_inside(blocks, values, blocks_along(grid.shape)[2]) if gaps else None
+    return BandBlocks(blocks, values, sum(part.ambiguous for part in parts), runs)
 
 
 def slabs_of_blocks(keys: Int64[Tensor, " n"], grid: Grid) -> Iterator[tuple[tuple[int, int], Int64[Tensor, " m"]]]:

@@ -125,12 +125,15 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod)
         band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
         return _looked_at(band, index)
     signed, beyond = sign == "winding" and index._repeated is None, reaches_beyond(index, grid)
-    blocks, values, ambiguous = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond)
+    gaps = signed and index.closed
+    found = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond, gaps=gaps)
+    blocks, values = found.blocks, found.values
+    ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
     if sign == "none":
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
-    inside = inside_runs(index, grid, blocks, values, beyond=beyond)
+    inside = inside_runs(index, grid, blocks, found.runs, beyond=beyond)
     return _looked_at(SparseSDM(blocks, values, inside, grid, width, ambiguous, sign), index)
 
 

@@ -16,7 +16,7 @@ from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, find_blocks, j
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.band.band_slabs import measured_blocks
-from sdm.engine.band.block_distances import block_table
+from sdm.engine.band.listed_blocks import block_table
 from sdm.engine.band.inside_runs import all_gaps, inner_parts, middle_voxels, runs_between
 from sdm.engine.flood import Frame, frame_of
 from sdm.errors import GridError
@@ -91,13 +91,13 @@ def flood_band(
     flood = frame.as_struct(hole_size / 2)
     reach = (float(flood.deep) + math.hypot(*grid.spacing) + 4 * float(flood.slack)) * (1 + SAFETY)
     reach = max(float(np.float32(reach)), width)
-    blocks, wide, _ = measured_blocks(index._structure, frame.grid, reach, signed=False, beyond=False)
+    blocks, wide = measured_blocks(index._structure, frame.grid, reach, signed=False, beyond=False)[:2]
     found = _flooded(index, frame, flood, reach, blocks, wide, hole_size)
     if frame.grid is grid:
         near = (wide < width).flatten(1).any(1).nonzero()[:, 0]
         blocks, values = blocks[near].contiguous(), wide[near].clamp(max=width)
     else:
-        blocks, values, _ = measured_blocks(index._structure, grid, width, signed=False, beyond=False)
+        blocks, values = measured_blocks(index._structure, grid, width, signed=False, beyond=False)[:2]
     if len(blocks):
         found.negate(blocks, values, grid)
     return blocks, values, _inside_runs(found, grid, blocks)
@@ -120,7 +120,7 @@ def _flooded(
     keys, to_caps = keys_of(blocks, count), wide
     if caps.shape[0]:
         closing = build(mesh.vertices.detach()[None], caps, caps.new_empty((0, 2)))
-        beside, their, _ = measured_blocks(closing, frame.grid, reach, signed=False, beyond=False)
+        beside, their = measured_blocks(closing, frame.grid, reach, signed=False, beyond=False)[:2]
         mesh_keys, cap_keys = keys, keys_of(beside, count)
         keys = torch.unique(torch.cat([mesh_keys, cap_keys]))
         blocks = blocks_of(keys, count)

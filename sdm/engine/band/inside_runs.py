@@ -15,30 +15,35 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, gaps_of, keys_of
 from sdm.core.grid import Grid
 from sdm.core.voxel_points import voxel_points
-from sdm.kernels.band.block_lists import list_inside_gaps, pack_keys
-from sdm.runtime.torch_warp import as_warp, on_current_stream
+from sdm.kernels.band.block_bits import COUNTS, KEPT, RUNS
+from sdm.kernels.band.block_lists import list_inside_gaps
+from sdm.runtime.torch_warp import as_warp, workspace
 
 if TYPE_CHECKING:
     from sdm.engine.mesh_index import MeshIndex
 
 
 def inside_runs(
-    index: MeshIndex, grid: Grid, blocks: Int32[Tensor, "n 3"], values: Float[Tensor, "n 8 8 8"], *, beyond: bool
+    index: MeshIndex,
+    grid: Grid,
+    blocks: Int32[Tensor, "n 3"],
+    gaps: Int32[Tensor, "g 4"] | None,
+    *,
+    beyond: bool,
 ) -> Int32[Tensor, "r 4"]:
     """Runs (R,4) along z of blocks that are not stored and lie inside, sorted: x and y, first z, one after the last.
 
-    Next to a block that is not stored a closed mesh has no surface, so it is on the side of any voxel that faces it. Of
-    other meshes winding numbers tell, in the first and the last block of a run; where these differ, a bisection finds
-    where they change. Rows without a block are outside, unless the mesh reaches `beyond` the grid; then a voxel of each
-    is asked.
+    Next to a block that is not stored a closed mesh has no surface, so it is on the side of any voxel that faces it:
+    `gaps` are those of its runs, in rows that have a block. Of other meshes winding numbers tell, in the first and the
+    last block of a run; where these differ, a bisection finds where they change. Rows without a block are outside,
+    unless the mesh reaches `beyond` the grid; then a voxel of each is asked.
     """
     count = blocks_along(grid.shape)
-    if index.closed:
-        runs = _gaps_inside(blocks, values, count)
+    if gaps is not None:
         if not beyond:
-            return runs
-        keys, begin = keys_of(blocks, count), keys_of(runs[:, :3], count)
-        end = begin + (runs[:, 3] - runs[:, 2])
+            return gaps
+        keys, begin = keys_of(blocks, count), keys_of(gaps[:, :3], count)
+        end = begin + (gaps[:, 3] - gaps[:, 2])
     else:
         keys = keys_of(blocks, count)
         begin, end = inner_parts(partial(_are_inside, index, grid), *gaps_of(keys, count))
@@ -52,24 +57,24 @@ def inside_runs(
     return runs_between(begin, end, count)
 
 
-def _gaps_inside(
-    blocks: Int32[Tensor, "n 3"], values: Float[Tensor, "n 8 8 8"], count: tuple[int, int, int]
-) -> Int32[Tensor, "r 4"]:
-    """Runs (R,4) between blocks of a closed mesh that lie inside, sorted."""
-    runs = torch.empty((2 * len(blocks), 4), dtype=torch.int32, device=blocks.device)
-    found = torch.zeros(1, dtype=torch.int32, device=blocks.device)
-    with on_current_stream(values, values, blocks):
-        list_inside_gaps(
-            as_warp(blocks, wp.vec3i),
-            as_warp(values.view(-1), wp.float32),
-            count[2],
-            as_warp(runs, wp.vec4i),
-            as_warp(found, wp.int32),
-        )
-        runs = runs[: int(found)]
-        begin = torch.empty(len(runs), dtype=torch.int64, device=runs.device)
-        pack_keys(as_warp(runs.view(-1), wp.int32), 4, count, as_warp(begin, wp.int64))
-    return runs[begin.argsort()]
+def gaps_inside(blocks: Int32[Tensor, "n 3"], values: Float[Tensor, "n 8 8 8"], last: int) -> Int32[Tensor, "r 4"]:
+    """Runs (R,4) between all blocks of a closed mesh's band that lie inside, sorted; `last` blocks are along z.
+
+    To be called on the current stream.
+    """
+    runs, kept = blocks.new_empty((2 * len(blocks), 4)), torch.arange(len(blocks), device=blocks.device).int()
+    counts, empty = torch.zeros(COUNTS, dtype=torch.int32, device=blocks.device), workspace(blocks.device)
+    counts[KEPT] = len(blocks)
+    list_inside_gaps(
+        as_warp(blocks, wp.vec3i),
+        as_warp(kept, wp.int32),
+        as_warp(values.view(-1), wp.float32),
+        last,
+        empty(2 * len(blocks), wp.int32),
+        as_warp(runs, wp.vec4i),
+        as_warp(counts, wp.int32),
+    )
+    return runs[: int(counts[RUNS])]
 
 
 def inner_parts(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Int32, Int64
@@ -14,52 +13,72 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, keys_of
 from sdm.core.grid import Grid
 from sdm.kernels.band.block_lists import pack_keys
-from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes
+from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes, mark_boxes
 from sdm.kernels.geometry.block_table import BITS
 from sdm.runtime.torch_warp import as_warp
 
-# The largest boxes are so large that there are no more of them.
-MOST_FIRST = 512
-# On a GPU, where lengths of lists are read at the end alone, boxes and blocks that there is room for; with more, they
-# are read one after the other.
-MOST_BOXES, MOST_BLOCKS = 1 << 20, 1 << 22
+# The largest boxes are so large that there are no more of them. A GPU looks at many in the time that a list takes.
+MOST_FIRST = {"cpu": 512, "cuda": 1 << 15}
+# Boxes that there is room for where lengths of lists are not read in between.
+MOST_BOXES = 1 << 20
+LISTED = (0, 0, 0)
+
+
+def levels_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
+    """Boxes of 2^this voxels that are tried, from large ones to blocks."""
+    top = BITS
+    while math.prod(_boxes_of(shape, top + 1)) > MOST_FIRST[device.type]:
+        top += 1
+    return list(range(top, BITS - 1, -1))
+
+
+def mark_near(
+    tree: Any, slab: Any, shape: tuple[int, int, int], reach: float, bits: Any, counts: Int32[Tensor, " c"]
+) -> list[int]:
+    """Set the bits of the blocks of a slab with a voxel that may be within `reach` of a mesh's triangles.
+
+    To be called on the current stream. Waits for nothing.
+
+    Args:
+        tree: Of the mesh.
+        slab: The voxels.
+        shape: How many along each axis.
+        reach: In the mesh's unit.
+        bits: See `sdm.kernels.band.block_bits`.
+        counts: Zeros, two for each level and for what is before the first: see `surface_boxes`.
+
+    Returns:
+        Boxes that there was room for at each level but the last: where more were counted, bits are missing.
+    """
+    device, levels = counts.device, levels_of(shape, counts.device)
+    # Kept until all is queued.
+    lists: list[Tensor] = []
+    known, numbers = _boxes_of(shape, levels[0] + 1), as_warp(counts, wp.int32)
+    parents = as_warp(counts[:0].view(0, 3), wp.vec3i)
+    for level, size in enumerate(levels[:-1]):
+        room = min(math.prod(_boxes_of(shape, size)), MOST_BOXES)
+        lists.append(torch.empty((room, 3), dtype=torch.int32, device=device))
+        found = as_warp(lists[-1], wp.vec3i)
+        find_boxes(tree, slab, reach, size, level, known, parents, found, numbers)
+        known, parents = LISTED, found
+    mark_boxes(tree, slab, reach, len(levels) - 1, known, parents, bits, numbers)
+    return [len(boxes) for boxes in lists]
 
 
 def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.device) -> Int64[Tensor, " n"]:
     """Keys, ascending, of the blocks of a grid with a voxel that may be within `reach` of a mesh's triangles.
 
-    To be called on the current stream. Waits for a GPU once, unless there are very many blocks.
+    For any number of them: to be called on the current stream; waits for a GPU at each level.
     """
-    top = BITS
-    while math.prod(_boxes_of(grid, top + 1)) > MOST_FIRST:
-        top += 1
-    levels = range(top, BITS - 1, -1)
-    # Counts and the first boxes, by one copy.
-    begun = np.zeros((len(levels) + 1, STRIDE), np.int32)
-    begun[0, LENGTH] = math.prod(_boxes_of(grid, top + 1))
-    boxes_there = np.indices(_boxes_of(grid, top + 1), np.int32).reshape(3, -1).T
-    both = torch.from_numpy(np.concatenate([begun.ravel(), boxes_there.ravel()])).to(device, non_blocking=True)
-    counts, first = both[: begun.size].view(begun.shape), both[begun.size :].view(-1, 3)
-
-    def look(level: int, bits: int, parents: Tensor, room: int) -> Tensor:
-        boxes = torch.empty((room, 3), dtype=torch.int32, device=device)
-        lists = as_warp(parents, wp.vec3i), as_warp(boxes, wp.vec3i)
-        find_boxes(tree, slab, reach, bits, level, *lists, as_warp(counts.view(-1), wp.int32))
-        return boxes
-
-    if device.type != "cpu":
-        boxes, rooms = first, [len(first)]
-        for level, bits in enumerate(levels):
-            most = MOST_BOXES if bits > BITS else MOST_BLOCKS
-            rooms.append(min(math.prod(_boxes_of(grid, bits)), most))
-            boxes = look(level, bits, boxes, rooms[-1])
-        lengths = counts[:, LENGTH].tolist()
-        if all(length <= room for length, room in zip(lengths, rooms, strict=True)):
-            return sorted_keys(boxes[: lengths[-1]], blocks_along(grid.shape))
-        counts[1:].zero_()
-    boxes = first
-    for level, bits in enumerate(levels):
-        boxes = look(level, bits, boxes, 8 * len(boxes))[: int(counts[level + 1, LENGTH])]
+    levels = levels_of(grid.shape, device)
+    counts = torch.zeros((len(levels) + 1, STRIDE), dtype=torch.int32, device=device)
+    known, boxes = _boxes_of(grid.shape, levels[0] + 1), counts.new_empty((0, 3))
+    for level, size in enumerate(levels):
+        room = 8 * (math.prod(known) or len(boxes))
+        found = torch.empty((room, 3), dtype=torch.int32, device=device)
+        lists = as_warp(boxes, wp.vec3i), as_warp(found, wp.vec3i)
+        find_boxes(tree, slab, reach, size, level, known, *lists, as_warp(counts.view(-1), wp.int32))
+        boxes, known = found[: int(counts[level + 1, LENGTH])], LISTED
     return sorted_keys(boxes, blocks_along(grid.shape))
 
 
@@ -70,9 +89,8 @@ def sorted_keys(boxes: Int32[Tensor, "n 3"], count: tuple[int, int, int]) -> Int
     return keys.sort().values
 
 
-def _boxes_of(grid: Grid, bits: int) -> tuple[int, int, int]:
-    nx, ny, nz = grid.shape
-    return -(-nx >> bits), -(-ny >> bits), -(-nz >> bits)
+def _boxes_of(shape: tuple[int, int, int], bits: int) -> tuple[int, int, int]:
+    return -(-shape[0] >> bits), -(-shape[1] >> bits), -(-shape[2] >> bits)
 
 
 def regions_with(
