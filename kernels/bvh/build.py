@@ -7,6 +7,8 @@ arrays that it is given. Meshes that differ are built at once too: `tree_of` say
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from sdm.kernels.bvh.tree import (
@@ -226,6 +228,18 @@ def _bound_levels(begin: int, lanes: int, tree: Tree, lowest: int, width: int, m
         wait_for_lanes()
 
 
+def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.array) -> None:
+    """Fill `bounds` (6 * meshes,) float32 with each mesh's lowest coordinates, and its highest ones with a minus.
+
+    The rest as for `build_tree`.
+    """
+    device: Any = vertices.device
+    meshes, lanes = vertices.shape[0], GPU_LANES if device.is_cuda else 1
+    launch(_reset_bounds, 6 * meshes, [bounds], device)
+    groups = meshes * -(-tree.count // (RUN * lanes))
+    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, RUN, bounds], device)
+
+
 def build_tree(
     tree: Tree,
     vertices: wp.array,
@@ -246,13 +260,9 @@ def build_tree(
         slots: (2 * slots) int32, workspace.
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
     """
-    device = vertices.device
     meshes = vertices.shape[0]
-    lanes = GPU_LANES if device.is_cuda else 1
-    launch(_reset_bounds, 6 * meshes, [bounds], device)
-    groups = meshes * -(-tree.count // (RUN * lanes))
-    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, RUN, bounds], device)
-    launch(_make_frames, meshes, [bounds, tree.frame], device)
+    reduce_bounds(tree, vertices, faces, bounds)
+    launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals)
 
 

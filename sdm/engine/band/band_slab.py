@@ -8,6 +8,7 @@ from typing import Any
 
 from sdm.core.block_lookup import blocks_along
 from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.gradients import IDENTITY
 from sdm.engine.ops import slab_view
@@ -27,6 +28,7 @@ class BandSlab:
         width: How far the band reaches, in the mesh's unit.
         layers: The first, a multiple of the edge of any region of voxels, and the one after the last.
         signed: False for distances of at least 0.
+        mesh: The mesh, if it is to be found out whether it reaches beyond the grid.
         beyond: Whether triangles may be beyond the last of the layers along x.
     """
 
@@ -35,7 +37,8 @@ class BandSlab:
     width: float
     layers: tuple[int, int]
     signed: bool
-    beyond: bool
+    mesh: TriangleMesh | None = None
+    beyond: bool = False
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK, blocks_along
 from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.block_distances import BandBlocks, measured_slab, refuse_too_many
@@ -21,9 +22,11 @@ from sdm.engine.band.listed_blocks import (
     STEP_ROOM,
     fits,
     has_bits,
+    is_beyond,
     list_keys,
     narrowed,
     queue_list,
+    reaches_beyond,
     room_for_all,
 )
 from sdm.engine.band.near_blocks import keys_near
@@ -36,7 +39,13 @@ SLAB_BLOCKS = 4
 
 
 def measured_blocks(
-    structure: AccelerationStructure, grid: Grid, width: float, *, signed: bool, beyond: bool, gaps: bool = False
+    structure: AccelerationStructure,
+    grid: Grid,
+    width: float,
+    *,
+    signed: bool,
+    mesh: TriangleMesh | None = None,
+    gaps: bool = False,
 ) -> BandBlocks:
     """Blocks with a voxel nearer than `width`, and their clamped values.
 
@@ -45,21 +54,27 @@ def measured_blocks(
         grid: The voxels.
         width: In the mesh's unit.
         signed: False for distances of at least 0.
-        beyond: Whether triangles may be beyond the grid's last voxels along x.
+        mesh: The mesh, where it matters whether it reaches beyond the grid.
         gaps: Whether to list the runs of blocks inside, next to these: of closed meshes with a sign.
 
     Raises:
         GridError: They do not fit into memory, or there are very many in one slab of the grid.
     """
-    band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed, beyond)
-    with on_current_stream(structure.memory[0], structure.memory[0]):
+    band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed)
+    if mesh is not None:
+        mesh = TriangleMesh(mesh.vertices.detach().contiguous(), mesh.faces.contiguous(), mesh.name, check=False)
+        band = replace(band, mesh=mesh)
+    reads = structure.memory if mesh is None else (*structure.memory, mesh.vertices, mesh.faces)
+    with on_current_stream(structure.memory[0], *reads):
         if has_bits(band):
             room = room_for_all(band)
             listed, boxes = queue_list(band, room)
             counts = listed.counts.tolist()
             refuse_too_many(counts[BLOCKS], structure.device)
             if fits(counts, room, boxes) and counts[BLOCKS] <= MOST_BLOCKS:
+                band = replace(band, beyond=mesh is not None and is_beyond(counts, grid))
                 return measured_slab(band, narrowed(band, listed, counts), gaps=gaps)
+        band = replace(band, beyond=mesh is not None and reaches_beyond(*mesh.bounds, grid))
         return _by_keys(band, gaps)
 
 
@@ -82,7 +97,7 @@ def _by_keys(band: BandSlab, gaps: bool) -> BandBlocks:
         parts.append(measured_slab(slab, list_keys(slab, theirs - before), gaps=False))
     blocks, values = torch.cat([part.blocks for part in parts]), torch.cat([part.values for part in parts])
     runs = gaps_inside(blocks, values, blocks_along(grid.shape)[2]) if gaps else None
-    return BandBlocks(blocks, values, sum(part.ambiguous for part in parts), runs)
+    return BandBlocks(blocks, values, sum(part.ambiguous for part in parts), runs, band.beyond)
 
 
 def slabs_of_blocks(keys: Int64[Tensor, " n"], grid: Grid) -> Iterator[tuple[tuple[int, int], Int64[Tensor, " m"]]]:

@@ -52,12 +52,14 @@ class BandBlocks(NamedTuple):
         values: (N,8,8,8) clamped distances.
         ambiguous: Voxels with an unclear winding number.
         runs: (R,4) runs of others that are inside a closed mesh, sorted; None if nobody asked.
+        beyond: Whether the mesh reaches beyond the grid, if it was given.
     """
 
     blocks: Int32[Tensor, "n 3"]
     values: Float32[Tensor, "n 8 8 8"]
     ambiguous: int
     runs: Int32[Tensor, "r 4"] | None
+    beyond: bool = False
 
 
 def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
@@ -128,7 +130,7 @@ def taken(band: BandSlab, listed: Listed, measured: Measured, counts: list[int],
         as_warp(values.view(-1), wp.float32),
     )
     runs = measured.runs[: counts[RUNS]].clone() if gaps else None
-    return BandBlocks(found, values, counts[AMBIGUOUS], runs)
+    return BandBlocks(found, values, counts[AMBIGUOUS], runs, band.beyond)
 
 
 def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
@@ -139,7 +141,8 @@ def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
     if not len(listed.blocks):
         device = band.structure.device
         values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
-        return BandBlocks(listed.blocks, values, 0, listed.blocks.new_empty((0, 4)) if gaps else None)
+        runs = listed.blocks.new_empty((0, 4)) if gaps else None
+        return BandBlocks(listed.blocks, values, 0, runs, band.beyond)
     measured = queue_measure(band, listed, gaps=gaps)
     return taken(band, listed, measured, listed.counts[:COUNTS].tolist(), gaps=gaps)
 

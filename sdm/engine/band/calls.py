@@ -17,7 +17,7 @@ from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign, SignMethod
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.flood_bands import flood_band
-from sdm.engine.band.inside_runs import inside_runs, reaches_beyond
+from sdm.engine.band.inside_runs import inside_runs
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.mesh_lists import are_meshes
 from sdm.errors import GridError
@@ -124,16 +124,16 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod)
         hole = method.hole_on(grid)
         band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
         return _looked_at(band, index)
-    signed, beyond = sign == "winding" and index._repeated is None, reaches_beyond(index, grid)
+    signed = sign == "winding" and index._repeated is None
     gaps = signed and index.closed
-    found = measured_blocks(index._structure, grid, width, signed=signed, beyond=beyond, gaps=gaps)
+    found = measured_blocks(index._structure, grid, width, signed=signed, mesh=index._measured, gaps=gaps)
     blocks, values = found.blocks, found.values
     ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
     if sign == "none":
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
-    inside = inside_runs(index, grid, blocks, found.runs, beyond=beyond)
+    inside = inside_runs(index, grid, blocks, found.runs, beyond=found.beyond)
     return _looked_at(SparseSDM(blocks, values, inside, grid, width, ambiguous, sign), index)
 
 

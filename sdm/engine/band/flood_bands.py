@@ -91,13 +91,13 @@ def flood_band(
     flood = frame.as_struct(hole_size / 2)
     reach = (float(flood.deep) + math.hypot(*grid.spacing) + 4 * float(flood.slack)) * (1 + SAFETY)
     reach = max(float(np.float32(reach)), width)
-    blocks, wide = measured_blocks(index._structure, frame.grid, reach, signed=False, beyond=False)[:2]
+    blocks, wide = measured_blocks(index._structure, frame.grid, reach, signed=False)[:2]
     found = _flooded(index, frame, flood, reach, blocks, wide, hole_size)
     if frame.grid is grid:
         near = (wide < width).flatten(1).any(1).nonzero()[:, 0]
         blocks, values = blocks[near].contiguous(), wide[near].clamp(max=width)
     else:
-        blocks, values = measured_blocks(index._structure, grid, width, signed=False, beyond=False)[:2]
+        blocks, values = measured_blocks(index._structure, grid, width, signed=False)[:2]
     if len(blocks):
         found.negate(blocks, values, grid)
     return blocks, values, _inside_runs(found, grid, blocks)
@@ -120,7 +120,7 @@ def _flooded(
     keys, to_caps = keys_of(blocks, count), wide
     if caps.shape[0]:
         closing = build(mesh.vertices.detach()[None], caps, caps.new_empty((0, 2)))
-        beside, their = measured_blocks(closing, frame.grid, reach, signed=False, beyond=False)[:2]
+        beside, their = measured_blocks(closing, frame.grid, reach, signed=False)[:2]
         mesh_keys, cap_keys = keys, keys_of(beside, count)
         keys = torch.unique(torch.cat([mesh_keys, cap_keys]))
         blocks = blocks_of(keys, count)

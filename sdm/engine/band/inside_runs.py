@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Int32, Int64
@@ -122,14 +121,6 @@ def all_gaps(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> tuple[In
 def _are_inside(index: MeshIndex, grid: Grid, keys: Int64[Tensor, " m"]) -> Bool[Tensor, " m"]:
     """True for blocks a voxel of which, near its middle, has a winding number of more than a half."""
     return index.winding_number(voxel_points(grid, middle_voxels(keys, grid))) > 0.5
-
-
-def reaches_beyond(index: MeshIndex, grid: Grid) -> bool:
-    """True if a corner of the mesh's box is outside the grid, so that rows far from its surface may be inside."""
-    low, high = index.mesh.bounds
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
-    place = (corners - grid.origin) @ np.asarray(grid.direction) / grid.spacing
-    return bool(((place < 0) | (place > np.asarray(grid.shape) - 1)).any())
 
 
 def _empty_rows(keys: Int64[Tensor, " n"], count: tuple[int, int, int]) -> Int64[Tensor, " m"]:

@@ -8,18 +8,21 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Int32, Int64
 from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK
+from sdm.core.grid import Grid
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.near_blocks import levels_of, mark_near, regions_with
 from sdm.engine.thick_slices import AS_IT_IS
 from sdm.kernels.band.block_bits import BLOCKS, COUNTS, REGIONS, block_bits, list_bits, words_of
 from sdm.kernels.band.block_lists import unpack_keys
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE
+from sdm.kernels.bvh.build import reduce_bounds
 from sdm.kernels.geometry.block_table import BlockTable
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp
@@ -30,6 +33,8 @@ MOST_BLOCKS = (1 << 22) - 1
 MOST_ROWS, MOST_BITS = 1 << 20, 1 << 28
 # More than the spacing along x, at which a crossing is from the voxel that it is marked at.
 STEP_ROOM = 1.01
+# Numbers of a mesh's box.
+BOUNDS = 6
 
 
 class Room(NamedTuple):
@@ -48,7 +53,8 @@ class Listed(NamedTuple):
         rows: Where each row begins; `table` has both, as kernels take them.
         table: See above.
         regions: (R,4) regions of the measured grid, see `find_listed_witnesses`, in any order.
-        counts: See `sdm.kernels.band.block_bits`, and after these numbers those of `mark_near`.
+        counts: See `sdm.kernels.band.block_bits`, and after these numbers those of `mark_near` and, if a mesh was given
+            with the layers, the bits of its lowest coordinates and of its highest ones with a minus.
     """
 
     blocks: Int32[Tensor, "n 3"]
@@ -82,17 +88,21 @@ def queue_list(band: BandSlab, room: Room) -> tuple[Listed, list[int]]:
     device, along = band.structure.device, band.along
     size, rows = words_of(along)
     levels = STRIDE * (len(levels_of(band.shape, device)) + 1)
-    zeros = torch.zeros(COUNTS + levels + size, dtype=torch.int32, device=device)
-    counts, words = zeros.split([COUNTS + levels, size])
+    zeros = torch.zeros(COUNTS + levels + BOUNDS + size, dtype=torch.int32, device=device)
+    counts, words = zeros.split([COUNTS + levels + BOUNDS, size])
+    numbers = counts[COUNTS : COUNTS + levels]
     bits = block_bits(along)
     set_array(bits, "words", as_warp(words, wp.int32))
     tree, winding = band.structure.view[:2]
-    rooms = mark_near(tree, band.slab, band.shape, band.width, bits, counts[COUNTS:])
+    rooms = mark_near(tree, band.slab, band.shape, band.width, bits, numbers)
     if band.signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
         # What is counted of both is less than what there is room for, or some is left out.
         more = torch.zeros(levels, dtype=torch.int32, device=device)
         mark_near(winding.caps.tree, band.slab, band.shape, STEP_ROOM * band.whole.spacing[0], bits, more)
-        torch.maximum(counts[COUNTS:], more, out=counts[COUNTS:])
+        torch.maximum(numbers, more, out=numbers)
+    if band.mesh is not None:
+        corners, faces = as_warp(band.mesh.vertices[None], wp.vec3), as_warp(band.mesh.faces, wp.int32)
+        reduce_bounds(tree, corners, faces, as_warp(counts[-BOUNDS:].view(torch.float32), wp.float32))
     ends = torch.empty(2 * rows, dtype=torch.int32, device=device)
     blocks = torch.empty((room.blocks, 3), dtype=torch.int32, device=device)
     order = torch.empty(room.blocks, dtype=torch.int32, device=device)
@@ -117,6 +127,19 @@ def fits(counts: list[int], room: Room, boxes: list[int]) -> bool:
     lengths = counts[COUNTS + STRIDE + LENGTH :: STRIDE]
     there = all(length <= most for length, most in zip(lengths, boxes, strict=False))
     return there and counts[BLOCKS] <= room.blocks and counts[REGIONS] <= room.regions
+
+
+def is_beyond(counts: list[int], grid: Grid) -> bool:
+    """True if the mesh of the layers, of whose lists these are the counts, reaches beyond their grid."""
+    bounds = np.array(counts[-BOUNDS:], np.int32).view(np.float32).astype(np.float64)
+    return reaches_beyond(bounds[:3], -bounds[3:], grid)
+
+
+def reaches_beyond(low: np.ndarray, high: np.ndarray, grid: Grid) -> bool:
+    """True if a corner of a mesh's box is outside the grid, so that rows far from its surface may be inside."""
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
+    place = (corners - grid.origin) @ np.asarray(grid.direction) / grid.spacing
+    return bool(((place < 0) | (place > np.asarray(grid.shape) - 1)).any())
 
 
 def narrowed(band: BandSlab, listed: Listed, counts: list[int]) -> Listed:
