@@ -28,6 +28,7 @@ from sdm.kernels.dense.query import OwnStages, Surface, run_stages
 from sdm.kernels.dense.region_grid import RegionGrid
 from sdm.kernels.dense.stage6_measure import measure_blocks, measure_scheduled
 from sdm.kernels.dense.voxel_search import searched_distance
+from sdm.kernels.dense.workspace import size_for
 from sdm.kernels.geometry.block_table import VOXELS, voxel_of
 from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Output, Slab, voxel
@@ -172,6 +173,11 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
         chunks=chunks,
         blocks=8 * most,
     )
+
+
+def bytes_for(plan: Plan, regions: int, triangles: int) -> int:
+    """Bytes of workspace that a GPU's query of so many regions takes, by the plan of a dense one."""
+    return size_for(band_plan(plan, regions, triangles, gpu=True))
 
 
 def _nothing() -> None:

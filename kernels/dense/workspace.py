@@ -67,12 +67,12 @@ class Workspace:
 def make_workspace(plan: Plan, empty: Callable[[int, Any], wp.array]) -> Workspace:
     """The workspace of a query, in one piece of memory; `empty(length, dtype)` allocates."""
     # Counted by eights: bytes may be more than an array counts.
-    block = empty(_size_for(plan) // 8, wp.int64)
+    block = empty(size_for(plan) // 8, wp.int64)
     return _workspace_at(plan, block.ptr, block.device.alias)
 
 
 @lru_cache(maxsize=64)
-def _size_for(plan: Plan) -> int:
+def size_for(plan: Plan) -> int:
     """Bytes of a workspace."""
     places = _Places(0, "cpu")
     _workspace(plan, places)

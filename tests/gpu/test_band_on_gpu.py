@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from unittest import mock
+
 import numpy as np
 import pytest
 import torch
 
 import sdm
 from sdm.bench.common.meshes import load_case
+from sdm.engine.band import repeated_bands
+from sdm.runtime import graphs
 
 pytestmark = pytest.mark.gpu
 
@@ -71,3 +76,55 @@ def test_a_volume_of_warp():
     assert there.shape == here.shape
     # Leaves may lie in another order; what is active is not another.
     assert np.array_equal(there[672 + 56 : 672 + 64], here[672 + 56 : 672 + 64])
+
+
+def moved(made: sdm.TriangleMesh, seed: int) -> sdm.TriangleMesh:
+    """The mesh in new memory, a little smaller."""
+    share = np.random.default_rng(seed).uniform(0.93, 1.0, 3)
+    vertices = made.vertices * torch.tensor(share, dtype=torch.float32, device="cuda")
+    return sdm.TriangleMesh(vertices, made.faces.clone(), check=False)
+
+
+def assert_same_bands(one: sdm.SparseSDM, other: sdm.SparseSDM) -> None:
+    for name in ("blocks", "values", "inside"):
+        assert torch.equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("name", ["torus", "touching cubes", "torus-90000"])
+@pytest.mark.parametrize("resolution", [40, 200])
+def test_bands_of_a_kind_are_replayed(name, resolution):
+    """With the bits of those made step by step, of meshes that are not those that were recorded."""
+    graphs.clear()
+    made = mesh(name)
+    grid = sdm.Grid.around(made, resolution)
+    with replay_count() as count:
+        for seed in range(6):
+            one = moved(made, seed)
+            found = sdm.narrow_band(one, grid)
+            with graphs.paused():
+                assert_same_bands(found, sdm.narrow_band(one, grid))
+    assert len(count) == 6 - graphs.CALLS
+    # A wrong guess: more blocks than there is room for, an open mesh, and one that reaches beyond the grid.
+    larger = sdm.TriangleMesh(1.04 * made.vertices, made.faces.clone(), check=False)
+    opened = sdm.TriangleMesh(made.vertices, torch.cat([made.faces[1:], made.faces[1:2]]), check=False)
+    for one in (larger, opened):
+        found = sdm.narrow_band(one, grid)
+        with graphs.paused():
+            assert_same_bands(found, sdm.narrow_band(one, grid))
+    graphs.clear()
+
+
+@contextmanager
+def replay_count():
+    """A list that has an entry for each band that was replayed."""
+    found: list[int] = []
+    plain = repeated_bands.finish_band
+
+    def finish(*given):
+        made = plain(*given)
+        if made is not None:
+            found.append(1)
+        return made
+
+    with mock.patch.object(repeated_bands, "finish_band", finish):
+        yield found

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import torch
+
 from sdm.core.block_lookup import blocks_along
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure
-from sdm.engine.gradients import IDENTITY
 from sdm.engine.ops import slab_view
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, Triple, finer, scales_of
+from sdm.kernels.bvh.tree import depth_for
 from sdm.kernels.dense.plan import Plan, Workload, make_plan, memory_of
 from sdm.runtime.torch_warp import warp_name
 
@@ -96,7 +98,11 @@ class BandSlab:
     @cached_property
     def plan(self) -> Plan:
         """The plan of a dense query of the measured layers."""
-        fine, sizes = self.measured, self.structure.sizes
-        depth = self.structure.view.tree.depth
-        work = Workload(sizes.faces, depth, 1, fine.shape, fine.spacing, self.direction != IDENTITY)
-        return make_plan(work, memory_of(warp_name(self.structure.device)), OPTIONS.get())
+        return plan_for(self.structure.sizes.faces, self.measured, self.whole, self.structure.device)
+
+
+def plan_for(triangles: int, measured: Slices, grid: Grid, device: torch.device) -> Plan:
+    """The plan of a dense query of the measured layers of a grid, for a mesh of so many triangles."""
+    turned = not grid.is_axis_aligned
+    work = Workload(triangles, depth_for(triangles), 1, measured.shape, measured.spacing, turned)
+    return make_plan(work, memory_of(warp_name(device)), OPTIONS.get())

@@ -29,7 +29,7 @@ from sdm.engine.band.listed_blocks import (
     reaches_beyond,
     room_for_all,
 )
-from sdm.engine.band.near_blocks import keys_near
+from sdm.engine.band.near_blocks import keys_near, rooms_of
 from sdm.errors import GridError
 from sdm.kernels.band.block_bits import BLOCKS
 from sdm.runtime.torch_warp import on_current_stream
@@ -68,10 +68,10 @@ def measured_blocks(
     with on_current_stream(structure.memory[0], *reads):
         if has_bits(band):
             room = room_for_all(band)
-            listed, boxes = queue_list(band, room)
+            listed = queue_list(band, room)
             counts = listed.counts.tolist()
             refuse_too_many(counts[BLOCKS], structure.device)
-            if fits(counts, room, boxes) and counts[BLOCKS] <= MOST_BLOCKS:
+            if fits(counts, room, rooms_of(band.shape, structure.device)) and counts[BLOCKS] <= MOST_BLOCKS:
                 band = replace(band, beyond=mesh is not None and is_beyond(counts, grid))
                 return measured_slab(band, narrowed(band, listed, counts), gaps=gaps)
         band = replace(band, beyond=mesh is not None and reaches_beyond(*mesh.bounds, grid))

@@ -12,9 +12,9 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK
 from sdm.core.device import SHARE_UNASKED, free_memory
 from sdm.engine.band.band_slab import BandSlab
-from sdm.engine.band.listed_blocks import Listed
+from sdm.engine.band.listed_blocks import Listed, Room
 from sdm.errors import GridError
-from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, COUNTS, KEPT, LOST, RUNS
+from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, COUNTS, KEPT, LOST, REGIONS, RUNS
 from sdm.kernels.band.block_lists import gather_blocks, keep_near, list_inside_gaps
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
@@ -53,6 +53,7 @@ class BandBlocks(NamedTuple):
         ambiguous: Voxels with an unclear winding number.
         runs: (R,4) runs of others that are inside a closed mesh, sorted; None if nobody asked.
         beyond: Whether the mesh reaches beyond the grid, if it was given.
+        room: What was needed; None if there was more than one list, or none.
     """
 
     blocks: Int32[Tensor, "n 3"]
@@ -60,6 +61,7 @@ class BandBlocks(NamedTuple):
     ambiguous: int
     runs: Int32[Tensor, "r 4"] | None
     beyond: bool = False
+    room: Room | None = None
 
 
 def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
@@ -112,25 +114,40 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
     return Measured(values, kept, runs)
 
 
-def taken(band: BandSlab, listed: Listed, measured: Measured, counts: list[int], *, gaps: bool) -> BandBlocks:
+def taken(
+    shape: tuple[int, int, int],
+    first: int,
+    width: float,
+    blocks: Int32[Tensor, "n 3"],
+    measured: Measured,
+    counts: list[int],
+) -> BandBlocks:
     """The blocks that are kept, in memory of their own, given the counts as numbers.
 
     To be called on the current stream.
+
+    Args:
+        shape: Voxels of the layers.
+        first: Of these.
+        width: See `BandSlab`.
+        blocks: All that were listed.
+        measured: What was measured of them.
+        counts: As numbers.
     """
-    found = listed.blocks.new_empty((counts[KEPT], 3))
+    found = blocks.new_empty((counts[KEPT], 3))
     values = measured.values.new_empty((counts[KEPT], BLOCK, BLOCK, BLOCK))
     gather_blocks(
-        as_warp(listed.blocks, wp.vec3i),
-        band.shape,
-        band.layers[0] // BLOCK,
-        band.width,
+        as_warp(blocks, wp.vec3i),
+        shape,
+        first // BLOCK,
+        width,
         as_warp(measured.kept[: counts[KEPT]], wp.int32),
         as_warp(measured.values.view(-1), wp.float32),
         as_warp(found, wp.vec3i),
         as_warp(values.view(-1), wp.float32),
     )
-    runs = measured.runs[: counts[RUNS]].clone() if gaps else None
-    return BandBlocks(found, values, counts[AMBIGUOUS], runs, band.beyond)
+    runs = measured.runs[: counts[RUNS]].clone()
+    return BandBlocks(found, values, counts[AMBIGUOUS], runs, room=Room(counts[BLOCKS], counts[REGIONS]))
 
 
 def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
@@ -138,13 +155,14 @@ def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
 
     To be called on the current stream.
     """
-    if not len(listed.blocks):
-        device = band.structure.device
-        values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
-        runs = listed.blocks.new_empty((0, 4)) if gaps else None
-        return BandBlocks(listed.blocks, values, 0, runs, band.beyond)
-    measured = queue_measure(band, listed, gaps=gaps)
-    return taken(band, listed, measured, listed.counts[:COUNTS].tolist(), gaps=gaps)
+    if len(listed.blocks):
+        measured = queue_measure(band, listed, gaps=gaps)
+        counts = listed.counts[:COUNTS].tolist()
+        found = taken(band.shape, band.layers[0], band.width, listed.blocks, measured, counts)
+    else:
+        values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=band.structure.device)
+        found = BandBlocks(listed.blocks, values, 0, listed.blocks.new_empty((0, 4)))
+    return found._replace(runs=found.runs if gaps else None, beyond=band.beyond)
 
 
 def refuse_too_many(blocks: int, device: torch.device) -> None:

@@ -11,16 +11,19 @@ import numpy as np
 import torch
 
 from sdm.core.as_mesh import MeshLike, as_mesh
+from sdm.core.device import choose_device
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign, SignMethod
+from sdm.engine.band import repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.mesh_lists import are_meshes
 from sdm.errors import GridError
+from sdm.runtime.torch_warp import refuse_forward_mode
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.
 BandGrid: TypeAlias = Grid | float | Sequence[float]
@@ -113,13 +116,30 @@ def narrow_band(
     if not isinstance(mesh, TriangleMesh):
         mesh = as_mesh(mesh)
     chosen = band_grid(mesh, grid, half_width=half_width, **sized)
-    return band_of(MeshIndex(mesh, device, orient=orient), chosen, half_width, method)
+    refuse_forward_mode(mesh.vertices)
+    there = mesh.to(choose_device(device, mesh.vertices))
+    if sign != "winding" or orient != "keep" or not repeated_bands.is_recordable(there):
+        return band_of(MeshIndex(there, there.device, orient=orient), chosen, half_width, method)
+    width = band_width(chosen, half_width)
+    found = repeated_bands.replayed(there, chosen, width)
+    if found is not None and found.runs is not None:
+        return SparseSDM(found.blocks, found.values, found.runs, chosen, width, 0, sign)
+    return band_of(MeshIndex(there, there.device), chosen, half_width, method, there)
 
 
-def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod) -> SparseSDM:
-    """The band of an index on a grid, whose options were checked."""
-    # In float32, as the values are.
-    width, sign = float(np.float32(half_width * max(grid.spacing))), method.sign
+def band_width(grid: Grid, half_width: float) -> float:
+    """How far a band reaches, in the mesh's unit: in float32, as its values are."""
+    return float(np.float32(half_width * max(grid.spacing)))
+
+
+def band_of(
+    index: MeshIndex, grid: Grid, half_width: float, method: SignMethod, repeated: TriangleMesh | None = None
+) -> SparseSDM:
+    """The band of an index on a grid, whose options were checked.
+
+    `repeated`: the mesh, if bands of its kind may be recorded.
+    """
+    width, sign = band_width(grid, half_width), method.sign
     if sign == "flood":
         hole = method.hole_on(grid)
         band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
@@ -128,6 +148,8 @@ def band_of(index: MeshIndex, grid: Grid, half_width: float, method: SignMethod)
     gaps = signed and index.closed
     found = measured_blocks(index._structure, grid, width, signed=signed, mesh=index._measured, gaps=gaps)
     blocks, values = found.blocks, found.values
+    if repeated is not None and gaps:
+        repeated_bands.note(repeated, grid, width, found)
     ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)

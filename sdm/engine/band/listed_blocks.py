@@ -80,8 +80,8 @@ def room_for_all(band: BandSlab) -> Room:
     return Room(blocks, min(blocks, math.prod(-(-n // edge) for n in band.along)))
 
 
-def queue_list(band: BandSlab, room: Room) -> tuple[Listed, list[int]]:
-    """Blocks that may be near, without a wait, and how many boxes there was room for: see `fits`.
+def queue_list(band: BandSlab, room: Room) -> Listed:
+    """Blocks that may be near, without a wait: if there are more than there is room for, `fits` says so.
 
     To be called on the current stream.
     """
@@ -94,7 +94,7 @@ def queue_list(band: BandSlab, room: Room) -> tuple[Listed, list[int]]:
     bits = block_bits(along)
     set_array(bits, "words", as_warp(words, wp.int32))
     tree, winding = band.structure.view[:2]
-    rooms = mark_near(tree, band.slab, band.shape, band.width, bits, numbers)
+    mark_near(tree, band.slab, band.shape, band.width, bits, numbers)
     if band.signed and winding.caps.tree.count > 0 and not winding.caps.are_faces:
         # What is counted of both is less than what there is room for, or some is left out.
         more = torch.zeros(levels, dtype=torch.int32, device=device)
@@ -119,11 +119,14 @@ def queue_list(band: BandSlab, room: Room) -> tuple[Listed, list[int]]:
         as_warp(regions, wp.vec4i),
         as_warp(counts, wp.int32),
     )
-    return Listed(blocks, order, begins, table, regions, counts), rooms
+    return Listed(blocks, order, begins, table, regions, counts)
 
 
 def fits(counts: list[int], room: Room, boxes: list[int]) -> bool:
-    """True if nothing is missing in what `queue_list` gave, of whose counts these are the numbers."""
+    """True if nothing is missing in what `queue_list` gave, of whose counts these are the numbers.
+
+    `boxes`: see `near_blocks.rooms_of`.
+    """
     lengths = counts[COUNTS + STRIDE + LENGTH :: STRIDE]
     there = all(length <= most for length, most in zip(lengths, boxes, strict=False))
     return there and counts[BLOCKS] <= room.blocks and counts[REGIONS] <= room.regions

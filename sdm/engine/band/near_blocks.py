@@ -32,9 +32,14 @@ def levels_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
     return list(range(top, BITS - 1, -1))
 
 
+def rooms_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
+    """Boxes that `mark_near` has room for at each level but the last."""
+    return [min(math.prod(_boxes_of(shape, size)), MOST_BOXES) for size in levels_of(shape, device)[:-1]]
+
+
 def mark_near(
     tree: Any, slab: Any, shape: tuple[int, int, int], reach: float, bits: Any, counts: Int32[Tensor, " c"]
-) -> list[int]:
+) -> None:
     """Set the bits of the blocks of a slab with a voxel that may be within `reach` of a mesh's triangles.
 
     To be called on the current stream. Waits for nothing.
@@ -45,24 +50,20 @@ def mark_near(
         shape: How many along each axis.
         reach: In the mesh's unit.
         bits: See `sdm.kernels.band.block_bits`.
-        counts: Zeros, two for each level and for what is before the first: see `surface_boxes`.
-
-    Returns:
-        Boxes that there was room for at each level but the last: where more were counted, bits are missing.
+        counts: Zeros, two for each level and for what is before the first: see `surface_boxes`. Where more boxes were
+            counted than `rooms_of` says, bits are missing.
     """
     device, levels = counts.device, levels_of(shape, counts.device)
     # Kept until all is queued.
     lists: list[Tensor] = []
     known, numbers = _boxes_of(shape, levels[0] + 1), as_warp(counts, wp.int32)
     parents = as_warp(counts[:0].view(0, 3), wp.vec3i)
-    for level, size in enumerate(levels[:-1]):
-        room = min(math.prod(_boxes_of(shape, size)), MOST_BOXES)
+    for level, room in enumerate(rooms_of(shape, device)):
         lists.append(torch.empty((room, 3), dtype=torch.int32, device=device))
         found = as_warp(lists[-1], wp.vec3i)
-        find_boxes(tree, slab, reach, size, level, known, parents, found, numbers)
+        find_boxes(tree, slab, reach, levels[level], level, known, parents, found, numbers)
         known, parents = LISTED, found
     mark_boxes(tree, slab, reach, len(levels) - 1, known, parents, bits, numbers)
-    return [len(boxes) for boxes in lists]
 
 
 def keys_near(tree: Any, slab: Any, grid: Grid, reach: float, device: torch.device) -> Int64[Tensor, " n"]:

@@ -20,6 +20,8 @@ Verify: TypeAlias = Callable[[Tensor], None]
 Tensors: TypeAlias = tuple[Tensor, ...]
 # Takes a `Verify` and tensors, gives tensors.
 Work: TypeAlias = Callable[..., Tensors]
+# Takes a recording's own tensors, gives new ones, or None if they are not what was wanted.
+Finish: TypeAlias = Callable[[Tensors], "Tensors | None"]
 
 MOST_FLAGS = 4
 PENDING = -1
@@ -93,8 +95,11 @@ class CapturedCall:
         self._flags[: self._count].copy_(flags, non_blocking=True)
         self._verified.record()
 
-    def launch(self, inputs: Tensors) -> Tensors:
-        """Queue the work for these inputs on the current stream of their device: new tensors."""
+    def launch(self, inputs: Tensors, finish: Finish | None = None) -> Tensors | None:
+        """Queue the work for these inputs on the current stream of their device: new tensors.
+
+        Or what `finish` makes of the recording's own, which the next launch of any recording may write over.
+        """
         last = self._pool.last
         if last is None:
             raise RuntimeError("a pool without a recording")
@@ -103,11 +108,11 @@ class CapturedCall:
             stream = torch.cuda.current_stream(self._device.index)
             stream.wait_event(last)
             try:
-                return self._queue(inputs, stream)
+                return self._queue(inputs, stream, finish)
             finally:
                 last.record(stream)
 
-    def _queue(self, inputs: Tensors, stream: torch.cuda.Stream) -> Tensors:
+    def _queue(self, inputs: Tensors, stream: torch.cuda.Stream, finish: Finish | None) -> Tensors | None:
         self._held.begin()
         for index, given in enumerate(inputs):
             if given.numel() and not self._held.holds(index, given):
@@ -122,6 +127,8 @@ class CapturedCall:
         # The first result, if it is a map, is written to the slot's new tensor; the others are copied.
         values = self._slot.new_output()
         self._graph.replay()
+        if finish is not None:
+            return finish(self._results)
         first = () if values is None else (values,)
         return *first, *(result.clone() for result in self._results[len(first) :])
 

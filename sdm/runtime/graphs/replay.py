@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from sdm.runtime.graphs.captured_call import Tensors, Work, unverified
+from sdm.runtime.graphs.captured_call import Finish, Tensors, Work, unverified
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
 
@@ -62,11 +62,15 @@ class Call:
         work: `work(verify, *inputs)` gives tensors. It queues kernels and does nothing else: it neither waits, nor
             remembers its inputs, nor looks at them. What it guesses about them it hands to `verify`, see `speculate`.
         inputs: Tensors on one GPU. Nobody writes into those of whole numbers but by torch.
+        finish: Makes new tensors of what a recording's work gave, on the current stream: of results whose lengths the
+            host has to read first, which it may do here, while no other recording of the device is launched. None says
+            that the work rested on a wrong guess.
     """
 
     key: Hashable
     work: Work
     inputs: Tensors
+    finish: Finish | None = None
 
 
 def supports(tensor: Tensor) -> bool:
@@ -123,8 +127,8 @@ def replay(call: Call, keep: bool = False) -> Tensors | None:
             return None
     with captured.lock:
         with _lock:
-            results = captured.launch(call.inputs)
-        if captured.guessed_right():
+            results = captured.launch(call.inputs, call.finish)
+        if results is not None and captured.guessed_right():
             return results
     if not keep:
         with _lock:

@@ -1,0 +1,125 @@
+"""Bands of closed meshes of a kind that comes again: recorded as CUDA graphs, build and all, and read once.
+
+How many blocks there are is known only on the device. So a recording has room for an eighth more than the last band of
+its kind had, and what it found is copied from there once the host has read how much it is. If the mesh turns out to be
+open, to reach beyond the grid, or to have more blocks, the band is made anew, step by step.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from functools import partial
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from sdm.core.grid import Grid
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, fill_surface, layout
+from sdm.engine.band.band_slab import BandSlab, plan_for
+from sdm.engine.band.block_distances import BLOCK_BYTES, BandBlocks, Measured, queue_measure, taken
+from sdm.engine.band.listed_blocks import Room, fits, is_beyond, queue_list
+from sdm.engine.band.near_blocks import rooms_of
+from sdm.engine.plan_override import OPTIONS
+from sdm.engine.repeated_faces import CROWDED
+from sdm.engine.thick_slices import Slices
+from sdm.kernels.band.query import bytes_for
+from sdm.kernels.dense.plan import memory_of
+from sdm.kernels.topology.edge_pairing import FLAGS
+from sdm.runtime import graphs
+from sdm.runtime.graphs import Call, Verify
+from sdm.runtime.graphs.branches import beside
+from sdm.runtime.torch_warp import as_warp, on_current_stream, warp_name
+from sdm.topology.face_pairing import queue_pairing
+
+# A recording may take this part of its device's memory: larger ones would drive others out, and save less.
+SHARE = 64
+# Kinds that are remembered, and room beside an eighth more than was needed.
+MOST_KEPT, ROOM = 64, 64
+_rooms: OrderedDict[Hashable, Room] = OrderedDict()
+
+
+def is_recordable(mesh: TriangleMesh) -> bool:
+    """True if bands of this mesh, which is on its device, may be recorded and replayed."""
+    # Of many copies of a face the sign is not found here.
+    return graphs.supports(mesh.vertices) and len(mesh) < CROWDED * len(mesh.vertices)
+
+
+def replayed(mesh: TriangleMesh, grid: Grid, width: float) -> BandBlocks | None:
+    """The band of a recordable mesh, if one of its kind was recorded, and it is as the last of its kind was."""
+    room = _rooms.get(_kind(mesh, grid, width))
+    if room is None:
+        return None
+    found, guessed_right = graphs.speculate(band_call(mesh, grid, width, room), lambda: ((), None))
+    if not guessed_right:
+        return None
+    blocks, values, runs = found
+    return BandBlocks(blocks, values, 0, runs)
+
+
+def note(mesh: TriangleMesh, grid: Grid, width: float, found: BandBlocks) -> None:
+    """Count a band of a recordable mesh that is closed and was made step by step, to be recorded if it comes often."""
+    needed, kind = found.room, _kind(mesh, grid, width)
+    if needed is None or found.beyond or needed.blocks == 0:
+        return
+    room = _rooms.pop(kind, Room(0, 0))
+    if not all(least <= there <= 2 * least + 2 * ROOM for least, there in zip(needed, room, strict=True)):
+        room = Room(*(least + least // 8 + ROOM for least in needed))
+    _rooms[kind] = room
+    while len(_rooms) > MOST_KEPT:
+        _rooms.popitem(last=False)
+    plan = plan_for(len(mesh), Slices(grid.spacing, grid.shape, 0), grid, mesh.device)
+    nbytes = room.blocks * BLOCK_BYTES + layout(_sizes(len(mesh)))[0] + bytes_for(plan, room.regions, len(mesh))
+    if plan.method == "cells" and nbytes <= (memory_of(warp_name(mesh.device)) or 0) // SHARE:
+        graphs.note(band_call(mesh, grid, width, room))
+
+
+def _kind(mesh: TriangleMesh, grid: Grid, width: float) -> Hashable:
+    return mesh.device, len(mesh.vertices), len(mesh), grid, width, OPTIONS.get()
+
+
+def _sizes(faces: int) -> Sizes:
+    return Sizes(1, faces, 0, MeshKind.CLOSED)
+
+
+def band_call(mesh: TriangleMesh, grid: Grid, width: float, room: Room) -> Call:
+    """The call that makes the blocks (N,3), values (N,8,8,8) and runs (R,4) of a band, if nothing is as not guessed."""
+    key = "band", _kind(mesh, grid, width), room
+    inputs = mesh.vertices.detach().contiguous(), mesh.faces.contiguous()
+    work = partial(queue_band, grid, width, room)
+    return Call(key, work, inputs, partial(finish_band, grid, width, room))
+
+
+def queue_band(
+    grid: Grid, width: float, room: Room, verify: Verify, vertices: Tensor, faces: Tensor
+) -> tuple[Tensor, ...]:
+    """Numbers, the blocks that may be near, and what was measured of them, all with room: see `finish_band`."""
+    with beside(faces.device) as join:
+        flags, _, neighbours = queue_pairing(faces, vertices.shape[0])
+    # The kernels after this trust the faces, which only later turn out to be out of range.
+    within = faces.clamp(0, vertices.shape[0] - 1)
+    structure = AccelerationStructure.in_block(_sizes(faces.shape[0]), vertices.device)
+    band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed=True)
+    bounds = torch.empty(6, dtype=torch.float32, device=vertices.device)
+    with on_current_stream(vertices, vertices, within, neighbours):
+        fill_surface(structure.view, vertices[None], within, neighbours, as_warp(bounds, wp.float32), join)
+        listed = queue_list(band, room)
+        measured = queue_measure(band, listed, gaps=True)
+    # The highest coordinates with a minus, as counts have them.
+    bounds[3:].neg_()
+    numbers = torch.cat([flags, listed.counts[: -len(bounds)], bounds.view(torch.int32)])
+    return numbers, listed.blocks, *measured
+
+
+def finish_band(grid: Grid, width: float, room: Room, made: tuple[Tensor, ...]) -> tuple[Tensor, ...] | None:
+    """The band in memory of its own, of what `queue_band` made; None if that was guessed wrong. Waits for the device."""
+    numbers, blocks, *rest = made
+    said = numbers.tolist()
+    counts = said[FLAGS:]
+    if any(said[:FLAGS]) or is_beyond(counts, grid) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
+        return None
+    with on_current_stream(blocks):
+        found = taken(grid.shape, 0, width, blocks, Measured(*rest), counts)
+    return found[:2] if found.runs is None else (found.blocks, found.values, found.runs)
