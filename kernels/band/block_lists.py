@@ -151,7 +151,7 @@ def inside_around(
     values: wp.array(dtype=wp.float32),
     last: int,
 ):
-    """Whether what is before a kept block in its row is inside, and what comes after it, up to the third number."""
+    """Sides of what is before a kept block in its row and of what comes after it, 1 for inside; and where that ends."""
     mine = blocks[kept[at]]
     first = bool(True)
     if at > 0:

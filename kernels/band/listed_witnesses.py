@@ -78,8 +78,8 @@ def find_listed_witnesses(
 ) -> None:
     """Write the cache of one pass over listed regions of one mesh's slab; see `stage1_witnesses.find_witnesses`.
 
-    `regions` (R,) vec4i: each one's place among all, and a bit for each of its eight cells that is wanted. `listed`, see
-    `block_bits`, has how many there are as its number `REGIONS`: if they are less, the rest is room.
+    `regions` (R,) vec4i: each one's place among all, and a bit for each of its eight cells that is wanted.
+    `listed`, see `block_bits`, has how many there are as its number `REGIONS`: if they are less, the rest is room.
     """
     inputs = [lanes, tree, frames, slab, grid, regions, listed, counters, cache]
     launch(_find_listed_witnesses, workers * lanes, inputs, frames.device, smallest=1)

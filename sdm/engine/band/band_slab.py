@@ -22,7 +22,7 @@ from sdm.runtime.torch_warp import warp_name
 
 @dataclass(frozen=True, eq=False)
 class BandSlab:
-    """What is asked of some layers of a grid, for one mesh.
+    """Query of the blocks of some layers of a grid that are near one mesh.
 
     Args:
         structure: Of the mesh.

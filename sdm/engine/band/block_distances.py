@@ -82,6 +82,7 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
     # Few launches: the host takes most of a small band's time.
     near, layer = torch.zeros(room + beside, dtype=torch.int32, device=device).split([room, beside])
     flat, counts = as_warp(values.view(-1), wp.float32), as_warp(listed.counts, wp.int32)
+    blocks, lost = (as_warp(listed.counts[number : number + 1], wp.int32) for number in (BLOCKS, LOST))
     if band.signed:
         whole_windings(
             tree,
@@ -89,10 +90,10 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
             band.slab,
             listed.table,
             as_warp(listed.order, wp.int32),
-            counts[BLOCKS : BLOCKS + 1],
+            blocks,
             as_warp(layer, wp.int32),
             flat,
-            counts[LOST : LOST + 1],
+            lost,
         )
         if winding.caps.tree.count > 0:
             open_blocks(tree, winding.boundary, winding.caps, band.slab, listed.table, flat, empty)
@@ -109,8 +110,8 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
     keep_near(to.near, empty(room, wp.int32), places, counts)
     runs = kept.new_empty((2 * room if gaps else 0, 4))
     if gaps:
-        blocks, gone = as_warp(listed.blocks, wp.vec3i), as_warp(runs, wp.vec4i)
-        list_inside_gaps(blocks, places, flat, band.along[2], empty(2 * room, wp.int32), gone, counts)
+        places_of, gone = as_warp(listed.blocks, wp.vec3i), as_warp(runs, wp.vec4i)
+        list_inside_gaps(places_of, places, flat, band.along[2], empty(2 * room, wp.int32), gone, counts)
     return Measured(values, kept, runs)
 
 

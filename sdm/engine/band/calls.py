@@ -128,7 +128,7 @@ def narrow_band(
 
 
 def band_width(grid: Grid, half_width: float) -> float:
-    """How far a band reaches, in the mesh's unit: in float32, as its values are."""
+    """Reach of a band in the mesh's unit: in float32, as its values are."""
     return float(np.float32(half_width * max(grid.spacing)))
 
 

@@ -16,8 +16,8 @@ from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, find_blocks, j
 from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.band.band_slabs import measured_blocks
-from sdm.engine.band.listed_blocks import block_table
 from sdm.engine.band.inside_runs import all_gaps, inner_parts, middle_voxels, runs_between
+from sdm.engine.band.listed_blocks import block_table
 from sdm.engine.flood import Frame, frame_of
 from sdm.errors import GridError
 from sdm.kernels.flood.block_flood import are_inside, flood_blocks, negate_in_blocks

@@ -7,6 +7,7 @@ open, to reach beyond the grid, or to have more blocks, the band is made anew, s
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Hashable
 from functools import partial
@@ -15,6 +16,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.block_lookup import blocks_along
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, fill_surface, layout
@@ -64,13 +66,13 @@ def note(mesh: TriangleMesh, grid: Grid, width: float, found: BandBlocks) -> Non
     needed, kind = found.room, _kind(mesh, grid, width)
     if needed is None or found.beyond or needed.blocks == 0:
         return
-    room = _rooms.pop(kind, Room(0, 0))
+    plan = plan_for(len(mesh), Slices(grid.spacing, grid.shape, 0), grid, mesh.device)
+    room, most = _rooms.pop(kind, Room(0, 0)), Room(math.prod(blocks_along(grid.shape)), plan.total)
     if not all(least <= there <= 2 * least + 2 * ROOM for least, there in zip(needed, room, strict=True)):
-        room = Room(*(least + least // 8 + ROOM for least in needed))
+        room = Room(*(min(least + least // 8 + ROOM, all_) for least, all_ in zip(needed, most, strict=True)))
     _rooms[kind] = room
     while len(_rooms) > MOST_KEPT:
         _rooms.popitem(last=False)
-    plan = plan_for(len(mesh), Slices(grid.spacing, grid.shape, 0), grid, mesh.device)
     nbytes = room.blocks * BLOCK_BYTES + layout(_sizes(len(mesh)))[0] + bytes_for(plan, room.regions, len(mesh))
     if plan.method == "cells" and nbytes <= (memory_of(warp_name(mesh.device)) or 0) // SHARE:
         graphs.note(band_call(mesh, grid, width, room))
@@ -114,7 +116,7 @@ def queue_band(
 
 
 def finish_band(grid: Grid, width: float, room: Room, made: tuple[Tensor, ...]) -> tuple[Tensor, ...] | None:
-    """The band in memory of its own, of what `queue_band` made; None if that was guessed wrong. Waits for the device."""
+    """The band of what `queue_band` made, in memory of its own; None if that was guessed wrong. Waits once."""
     numbers, blocks, *rest = made
     said = numbers.tolist()
     counts = said[FLAGS:]

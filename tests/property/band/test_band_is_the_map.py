@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import torch
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 import sdm
 from sdm.bench.common.meshes import sphere
+from sdm.engine.band import band_slabs, listed_blocks
 from sdm.engine.plan_override import plan_override
 from tests.helpers import strategies
 
@@ -43,8 +46,9 @@ efforts = st.fixed_dictionaries(
     turned=st.booleans(),
     even=st.booleans(),
     effort=efforts,
+    by_bits=st.booleans(),
 )
-def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, effort):
+def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, effort, by_bits):
     rng = np.random.default_rng(seed)
     used = mesh.vertices[mesh.faces].astype(np.float64)
     low, high = used.min((0, 1)), used.max((0, 1))
@@ -56,7 +60,9 @@ def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, ef
     middle = rng.uniform(low, high + 1e-3 * size)
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu", warn=False)
-    with plan_override(**effort):
+    # As of grids with very many blocks.
+    most = band_slabs.MOST_BLOCKS if by_bits else 0
+    with plan_override(**effort), mock.patch.object(listed_blocks, "MOST_BITS", most):
         band = index.narrow_band(grid, half_width=half_width, sign=sign)
         dense = index.signed_distance_map(grid, sign=sign)
     clamped = dense.values.clamp(-band.width, band.width)
