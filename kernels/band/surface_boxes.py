@@ -110,7 +110,7 @@ def parent_of(item: int, known: wp.vec3i, parents: wp.array(dtype=wp.vec3i)):
 def eighths_of_parents(
     level: int, known: wp.vec3i, parents: wp.array(dtype=wp.vec3i), counts: wp.array(dtype=wp.int32)
 ):
-    """How many boxes are to be looked at; of a list, as many as were counted, and are there."""
+    """Number of boxes to look at; of a list, as many as were counted, and are there."""
     if known[0] == 0:
         return 8 * wp.min(counts[STRIDE * level + LENGTH], parents.shape[0])
     return 8 * known[0] * known[1] * known[2]
