@@ -7,6 +7,7 @@ each voxel and no blur it is their model itself.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 
@@ -33,6 +34,21 @@ class Rendered:
     by_step: Tensor | None
 
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Shares of inside at all sample points, before any blur: another one costs no further distances.
+
+    Args:
+        share: (mx,my,mz) float64.
+        outward: (mx,my,mz) float32 its derivative as the whole surface moves outwards [1/mm], or None.
+        by_step: (P+6,mx,my,mz) float32 its derivatives by the increments of `State.moved`, or None.
+    """
+
+    share: Tensor
+    outward: Tensor | None
+    by_step: Tensor | None
+
+
 class Renderer:
     """Renders shapes on one grid.
 
@@ -47,36 +63,51 @@ class Renderer:
 
     def __init__(self, grid: Grid, backend: Backend, *, blur: float, length: float, fine: float) -> None:
         self.grid, self.backend, self.length = grid, backend, length
+        device = backend.device
         self.parts = [max(1, math.ceil(s / fine - 1e-9)) for s in grid.spacing]
-        # The logistic blurs a little by itself: the point spread function does the rest.
-        rest = math.sqrt(max(0.0, blur**2 - LOGISTIC_VARIANCE * length**2))
-        pads = [math.ceil(3 * rest / s) for s in grid.spacing]
+        pads = [math.ceil(3 * self._rest(blur) / s) for s in grid.spacing]
         blocks = [math.ceil((n + 2 * p) / BLOCK) for n, p in zip(grid.shape, pads, strict=True)]
         self.count = [b * BLOCK * n for b, n in zip(blocks, self.parts, strict=True)]
         self.first = [0.5 / n - 0.5 - p for n, p in zip(self.parts, pads, strict=True)]
-        device = backend.device
         self._steps = torch.tensor([s / n for s, n in zip(grid.spacing, self.parts, strict=True)], device=device)
         self._steps = self._steps.double()
         axes = torch.tensor(grid.direction, dtype=torch.float64, device=device)
         start = torch.tensor([f * s for f, s in zip(self.first, grid.spacing, strict=True)], dtype=torch.float64)
         self._axes = axes * self._steps
         self._origin = torch.tensor(grid.origin, dtype=torch.float64, device=device) + axes @ start.to(device)
-        self._weights = [
-            _weights(grid.shape[a], self.count[a], self.parts[a], self.first[a], rest / grid.spacing[a]).to(device)
+        self._weights = self._weights_of(blur)
+        self._levels = _levels(self.parts)
+
+    def with_blur(self, blur: float) -> Renderer:
+        """The same sample points under a blur that differs by little: what lies further out is as it was."""
+        other = copy.copy(self)
+        other._weights = other._weights_of(blur)
+        return other
+
+    def _rest(self, blur: float) -> float:
+        # The logistic blurs a little by itself: the point spread function does the rest.
+        return math.sqrt(max(0.0, blur**2 - LOGISTIC_VARIANCE * self.length**2))
+
+    def _weights_of(self, blur: float) -> list[Tensor]:
+        grid, rest = self.grid, self._rest(blur)
+        return [
+            _weights(grid.shape[a], self.count[a], self.parts[a], self.first[a], rest / grid.spacing[a]).to(
+                self.backend.device
+            )
             for a in range(3)
         ]
-        # Blocks, voxels, sample points: each level's edge in sample points.
-        self._levels = [[BLOCK * n for n in self.parts], self.parts, [1, 1, 1]]
-        if max(self.parts) == 1:
-            del self._levels[1]
-
-    @property
-    def samples(self) -> int:
-        """Sample points in all; only those near the surface are looked up one by one."""
-        return math.prod(self.count)
 
     def __call__(self, state: State, *, derivatives: bool = True) -> Rendered:
         """The share of inside in each voxel, and how it changes with the increments of `State.moved`."""
+        return self.rendered(self.sampled(state, derivatives=derivatives))
+
+    def rendered(self, samples: Samples) -> Rendered:
+        """Voxels of sample points."""
+        by_step = None if samples.by_step is None else self.blurred(samples.by_step)
+        return Rendered(self.blurred(samples.share), by_step)
+
+    def sampled(self, state: State, *, derivatives: bool = True) -> Samples:
+        """The share of inside at each sample point; only those near the surface are looked up one by one."""
         theta, reach = state.theta, REACH * self.length
         device = self.backend.device
         edge = self._levels[0]
@@ -88,37 +119,61 @@ class Renderer:
             at = state.to_shape(self._points(near, edge))
             distance = self.backend.distances(theta, at)
             inside[tuple(near.T)] = distance < 0
-            half = float((self._steps * torch.tensor(edge, device=device)).norm()) / 2
+            # From the middle to the furthest of its points, not to the box's corner.
+            half = float((self._steps * (torch.tensor(edge, device=device) - 1)).norm()) / 2
             near = near[distance.abs() < half + reach + self.backend.slack]
             split = [e // f for e, f in zip(edge, finer, strict=True)]
             inside = _repeat(inside, split)
             within = torch.cartesian_prod(*[torch.arange(s, device=device) for s in split])
             near = (near[:, None] * torch.tensor(split, device=device) + within).reshape(-1, 3)
-        return self._average(state, near, inside, derivatives)
+        return self._looked_up(state, near, inside, derivatives)
 
-    def _average(self, state: State, near: Tensor, inside: Tensor, derivatives: bool) -> Rendered:
+    def _looked_up(self, state: State, near: Tensor, inside: Tensor, derivatives: bool) -> Samples:
         share = inside.double()
         at = state.to_shape(self._points(near, [1, 1, 1]))
         if not derivatives:
             share[tuple(near.T)] = torch.sigmoid(self.backend.distances(state.theta, at) / -self.length)
-            return Rendered(self._blurred(share), None)
+            return Samples(share, None, None)
         found = self.backend.with_derivatives(state.theta, at)
         p = torch.sigmoid(found.values / -self.length)
         share[tuple(near.T)] = p
-        by_step = state.chain(at, found.by_theta, found.by_point) * (p * (p - 1) / self.length)[:, None]
+        slope = p * (1 - p) / self.length
+        by_step = state.chain(at, found.by_theta, found.by_point) * -slope[:, None]
         # Derivatives of 1e-7 relative accuracy are plenty, at half the memory.
         dense = torch.zeros(by_step.shape[1], *share.shape, device=share.device)
         dense[(slice(None), *near.T)] = by_step.T.float()
-        return Rendered(self._blurred(share), self._blurred(dense))
+        outward = torch.zeros(share.shape, device=share.device)
+        outward[tuple(near.T)] = slope.float()
+        return Samples(share, outward, dense)
 
     def _points(self, index: Tensor, edge: list[int]) -> Tensor:
         size = torch.tensor(edge, dtype=torch.float64, device=index.device)
         return (index * size + (size - 1) / 2) @ self._axes.T + self._origin
 
-    def _blurred(self, values: Tensor) -> Tensor:
+    def blurred(self, values: Tensor) -> Tensor:
+        """Values (...,mx,my,mz) at sample points, averaged to those of voxels (...,nx,ny,nz)."""
         x, y, z = (w.to(values.dtype) for w in self._weights)
         values = y @ (values @ z.T)
         return (x @ values.flatten(-2)).unflatten(-1, (y.shape[0], z.shape[0]))
+
+
+def _levels(parts: list[int]) -> list[list[int]]:
+    """Edges, in sample points, of the boxes that the search for the surface looks at: blocks, voxels, parts, points."""
+    levels = [[BLOCK * n for n in parts]]
+    if max(parts) > 1:
+        levels.append(parts)
+    # Parts of a voxel of more than three points an edge, by its least factor: in a voxel of 8 by 8 by 8 most are far.
+    while max(levels[-1]) > 3 and len(levels) > 1:
+        finer = [n // _least_factor(n) for n in levels[-1]]
+        if max(finer) == 1:
+            break
+        levels.append(finer)
+    return [*levels, [1, 1, 1]]
+
+
+def _least_factor(number: int) -> int:
+    """The least prime factor; 1 of 1."""
+    return next((k for k in range(2, number + 1) if number % k == 0), 1)
 
 
 def _weights(voxels: int, samples: int, parts: int, first: float, blur: float) -> Tensor:

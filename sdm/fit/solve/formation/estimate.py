@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -32,9 +32,8 @@ MOST_STEPS, STILL, HALVINGS = 15, 0.02, 5
 ROUGHNESS = 0.01
 # Prior of the logarithm of the blur about the one that is named, and relative change for its derivative.
 BLUR_SPREAD, BLUR_STEP = 0.7, 0.02
-# Surface that the meshes' facets and the sample points leave uncertain, along its normal [mm], and the step for its
-# derivative.
-SURFACE_ERROR, LEVEL_STEP = 0.001, 0.01
+# Surface that the meshes' facets and the sample points leave uncertain, along its normal [mm].
+SURFACE_ERROR = 0.001
 # The model does not describe the image where the check's p is below the one, and the residuals at the surface that
 # noise does not explain are beyond the other, as a share of the contrast: facets alone leave less.
 LEAST_P, MATERIAL = 1e-3, 0.05
@@ -42,14 +41,42 @@ LEAST_P, MATERIAL = 1e-3, 0.05
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """A state with its objective and, where asked for, derivatives."""
+    """A state with its objective and the derivatives of the shares of inside."""
 
     state: State
     log_blur: float
-    share: Tensor
+    seen: _Seen
     intensities: Intensities
     objective: float
-    rows: Tensor | None = None  # (P+7,N) derivatives in standard deviations of the noise
+
+    @property
+    def share(self) -> Tensor:
+        """(N,) share of inside."""
+        return self.seen.share
+
+    def rows(self) -> Tensor:
+        """(P+7,N) derivatives of the expected intensities by shape, pose and log blur."""
+        return self.seen.by_unknown * self.intensities.contrast()
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Voxels' shares of inside under a blur, and their derivatives."""
+
+    share: Tensor  # (N,)
+    by_unknown: Tensor  # (P+7,N) by shape, pose and log blur
+    outward: Tensor  # (N,) by the whole surface as it moves outwards [1/mm]
+
+
+def _seen(renderer: Renderer, blur: float, state: State) -> _Seen:
+    """What a renderer of this blur sees of a state: its sample points are looked up once for all derivatives."""
+    samples = renderer.sampled(state)
+    rendered = renderer.rendered(samples)
+    assert rendered.by_step is not None and samples.outward is not None  # noqa: S101, PT018 - for the type checker
+    more, less = (renderer.with_blur(blur * math.exp(s)).blurred(samples.share) for s in (BLUR_STEP, -BLUR_STEP))
+    by_blur = ((more - less) / (2 * BLUR_STEP)).flatten()
+    by_unknown = torch.cat([rendered.by_step.flatten(1).double(), by_blur[None]])
+    return _Seen(rendered.share.flatten(), by_unknown, renderer.blurred(samples.outward).double().flatten())
 
 
 def estimate_formation(
@@ -89,9 +116,6 @@ def estimate_formation(
     prior = prior_of(grid, backend, options)
     voxels, named = values.flatten(), math.log(options.blur)
 
-    def make(log_blur: float) -> Renderer:
-        return renderer_of(grid, backend, replace(options, blur=math.exp(log_blur)))
-
     basis = polynomials(grid.shape, degree, values.device)
     means = torch.zeros(2 * basis.shape[1], dtype=torch.float64, device=values.device)
     means[0], means[basis.shape[1]] = result.appearance.inside.mean, result.appearance.outside.mean
@@ -99,12 +123,20 @@ def estimate_formation(
     begun = Intensities(basis, means, noise, result.appearance.least)
     start = math.log(result.blur[0]) if result.blur is not None else named
 
-    def evaluate(state: State, log_blur: float, intensities: Intensities, *, held: bool = False) -> _At:
-        share = make(log_blur)(state, derivatives=False).share.flatten()
-        intensities = intensities.fitted(voxels, share)
-        for _ in range(0 if held else 2):
-            intensities = intensities.with_noise(voxels, share).fitted(voxels, share)
-        return _At(state, log_blur, share, intensities, _objective(voxels, share, intensities, state, log_blur))
+    def evaluate(state: State, log_blur: float, seen: _Seen, intensities: Intensities) -> _At:
+        objective = _objective(voxels, seen.share, intensities, state, log_blur)
+        return _At(state, log_blur, seen, intensities, objective)
+
+    def with_noise(at: _At) -> _At:
+        it = at.intensities
+        for _ in range(2):
+            it = it.with_noise(voxels, at.share).fitted(voxels, at.share)
+        return evaluate(at.state, at.log_blur, at.seen, it)
+
+    def tried(state: State, log_blur: float, intensities: Intensities) -> _At:
+        blur = math.exp(log_blur)
+        seen = _seen(renderer_of(grid, backend, replace(options, blur=blur)), blur, state)
+        return evaluate(state, log_blur, seen, intensities.fitted(voxels, seen.share))
 
     def _objective(voxels: Tensor, share: Tensor, it: Intensities, state: State, log_blur: float) -> float:
         variance = it.variance(share)
@@ -112,68 +144,42 @@ def estimate_formation(
         uneven = 0.5 * float((it.precision() * it.coefficients**2).sum())
         return fit + uneven + prior.penalty(state) + 0.5 * ((log_blur - named) / BLUR_SPREAD) ** 2
 
-    at, steps, length, full, step = evaluate(result.state, start, begun), 0, math.inf, torch.empty(0), torch.empty(0)
-    converged = False
-    rows = torch.empty(0)
+    at, steps = with_noise(tried(result.state, start, begun)), 0
     while True:
-        rows = _rows(at, make)
-        full, gradient = _normal(at, rows, voxels, prior, named)
-        count = rows.shape[0]
+        full, gradient = _normal(at, voxels, prior, named)
         step = _step(full, gradient, at.state, prior)
         length = float((step @ full @ step).clamp_min(0).sqrt())
         converged = length < STILL
         if converged or steps >= MOST_STEPS:
             break
-        tried = _down(at, step[:count], prior, evaluate)
-        if tried is None:
+        lower = _down(at, step[: len(at.seen.by_unknown)], prior, tried)
+        if lower is None:
             break
-        at, steps = tried, steps + 1
-    moved = renderer_of(grid, cast("Backend", _Moved(backend)), replace(options, blur=math.exp(at.log_blur)))
-    return _finished(values, grid, result, prior, backend, at, rows, full, length, converged, steps, moved)
+        at, steps = with_noise(lower), steps + 1
+    return _finished(values, grid, result, prior, backend, at, full, length, converged, steps)
 
 
-def _down(at: _At, step: Tensor, prior: Prior, evaluate: Callable[..., _At]) -> _At | None:
-    """The step, or a half, quarter, ... of it, that does not go up."""
+def _down(at: _At, step: Tensor, prior: Prior, tried: Callable[[State, float, Intensities], _At]) -> _At | None:
+    """The step, or a half, quarter, ... of it, that does not go up by the noise as it was."""
     for halving in range(HALVINGS):
         part = step / 2**halving
         blur = at.log_blur + max(-0.5, min(0.5, float(part[-1])))
-        state = at.state.moved(prior.clip(at.state, part[:-1]))
-        found = evaluate(state, blur, at.intensities, held=True)
+        found = tried(at.state.moved(prior.clip(at.state, part[:-1])), blur, at.intensities)
         if found.objective < at.objective + ROUGHNESS:
-            return evaluate(state, blur, found.intensities)
+            return found
     return None
 
 
-class _Moved:
-    """A backend whose surface lies further out by `LEVEL_STEP`."""
-
-    def __init__(self, backend: Backend) -> None:
-        self.backend, self.device, self.slack = backend, backend.device, backend.slack + LEVEL_STEP
-
-    def distances(self, theta: Tensor, points: Tensor) -> Tensor:
-        return self.backend.distances(theta, points) - LEVEL_STEP
-
-
-def _systematic(at: _At, every: Tensor, inverse: Tensor, moved: Renderer) -> Tensor:
+def _systematic(at: _At, every: Tensor, inverse: Tensor) -> Tensor:
     """(K,K) covariance of the unknowns by `SURFACE_ERROR` all over the surface, which no number of voxels averages."""
-    outward = (moved(at.state, derivatives=False).share.flatten() - at.share) / LEVEL_STEP
-    own = outward * at.intensities.contrast() / at.intensities.variance(at.share)
+    own = at.seen.outward * at.intensities.contrast() / at.intensities.variance(at.share)
     shift = SURFACE_ERROR * (inverse @ (every @ own))
     return shift[:, None] * shift
 
 
-def _rows(at: _At, make: Callable[[float], Renderer]) -> Tensor:
-    """(P+7,N) derivatives of the expected intensities by shape, pose and log blur."""
-    rendered = make(at.log_blur)(at.state)
-    assert rendered.by_step is not None  # noqa: S101 - for the type checker
-    more, less = (make(at.log_blur + s)(at.state, derivatives=False).share for s in (BLUR_STEP, -BLUR_STEP))
-    by_blur = ((more - less) / (2 * BLUR_STEP)).flatten()
-    return torch.cat([rendered.by_step.flatten(1).double(), by_blur[None]]) * at.intensities.contrast()
-
-
-def _normal(at: _At, rows: Tensor, voxels: Tensor, prior: Prior, named: float) -> tuple[Tensor, Tensor]:
+def _normal(at: _At, voxels: Tensor, prior: Prior, named: float) -> tuple[Tensor, Tensor]:
     """Information (K,K) of all unknowns, intensities last, and the objective's gradient (K,)."""
-    design = at.intensities.design(at.share)
+    rows, design = at.rows(), at.intensities.design(at.share)
     every = torch.cat([rows, design.T])
     weight = 1 / at.intensities.variance(at.share)
     own = torch.cat([prior.precision, _number(1 / BLUR_SPREAD**2, rows), at.intensities.precision()])
@@ -204,9 +210,10 @@ def _step(full: Tensor, gradient: Tensor, state: State, prior: Prior) -> Tensor:
 
 
 def _finished(
-    values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At, rows: Tensor,
-    full: Tensor, length: float, converged: bool, steps: int, moved: Renderer,
+    values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At,
+    full: Tensor, length: float, converged: bool, steps: int,
 ) -> FitResult:  # fmt: skip
+    rows = at.rows()
     shape, count = values.shape, rows.shape[0]
     it = at.intensities
     design, deviation = it.design(at.share), it.variance(at.share).sqrt()
@@ -222,7 +229,7 @@ def _finished(
     inverse = torch.linalg.inv(full)
     covariance = inverse @ (correlated_information(scaled, lags) + white) @ inverse
     covariance = _not_narrower(covariance, inverse) if lags else covariance
-    covariance = (covariance + _systematic(at, torch.cat([rows, design.T]), inverse, moved))[:count, :count]
+    covariance = (covariance + _systematic(at, torch.cat([rows, design.T]), inverse))[:count, :count]
 
     # The image as it were with even intensities, for the checks that know of no others.
     inside, outside = (float((w * (it.basis @ c)).sum() / w.sum().clamp_min(1e-12)) for w, c in zip(
