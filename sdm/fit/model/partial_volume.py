@@ -8,6 +8,7 @@ each voxel and no blur it is their model itself.
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -20,8 +21,8 @@ from sdm.fit.model.pose import State
 
 # Further from the surface than this many reference lengths, the logistic is 0 or 1 to 4e-4.
 REACH = 8.0
-# Voxels along the edge of the blocks with which the search for the surface's band begins.
-BLOCK = 4
+# Edges, in sample points, of the boxes with which the search for the surface's band goes on to points.
+LEVELS = (8, 4, 2, 1)
 # Variance of the logistic distribution with scale 1.
 LOGISTIC_VARIANCE = math.pi**2 / 3
 
@@ -66,8 +67,8 @@ class Renderer:
         device = backend.device
         self.parts = [max(1, math.ceil(s / fine - 1e-9)) for s in grid.spacing]
         pads = [math.ceil(3 * self._rest(blur) / s) for s in grid.spacing]
-        blocks = [math.ceil((n + 2 * p) / BLOCK) for n, p in zip(grid.shape, pads, strict=True)]
-        self.count = [b * BLOCK * n for b, n in zip(blocks, self.parts, strict=True)]
+        wanted = [(n + 2 * p) * m for n, p, m in zip(grid.shape, pads, self.parts, strict=True)]
+        self.count = [math.ceil(n / LEVELS[0]) * LEVELS[0] for n in wanted]
         self.first = [0.5 / n - 0.5 - p for n, p in zip(self.parts, pads, strict=True)]
         self._steps = torch.tensor([s / n for s, n in zip(grid.spacing, self.parts, strict=True)], device=device)
         self._steps = self._steps.double()
@@ -76,7 +77,6 @@ class Renderer:
         self._axes = axes * self._steps
         self._origin = torch.tensor(grid.origin, dtype=torch.float64, device=device) + axes @ start.to(device)
         self._weights = self._weights_of(blur)
-        self._levels = _levels(self.parts)
 
     def with_blur(self, blur: float) -> Renderer:
         """The same sample points under a blur that differs by little: what lies further out is as it was."""
@@ -108,29 +108,26 @@ class Renderer:
 
     def sampled(self, state: State, *, derivatives: bool = True) -> Samples:
         """The share of inside at each sample point; only those near the surface are looked up one by one."""
-        theta, reach = state.theta, REACH * self.length
-        device = self.backend.device
-        edge = self._levels[0]
-        near = torch.cartesian_prod(
-            *[torch.arange(n // e, device=device) for n, e in zip(self.count, edge, strict=True)]
-        )
-        inside = torch.zeros([n // e for n, e in zip(self.count, edge, strict=True)], dtype=torch.bool, device=device)
-        for edge, finer in zip(self._levels, self._levels[1:], strict=False):
-            at = state.to_shape(self._points(near, edge))
-            distance = self.backend.distances(theta, at)
+        theta, reach, device = state.theta, REACH * self.length, self.backend.device
+        boxes = [n // LEVELS[0] for n in self.count]
+        near = torch.cartesian_prod(*[torch.arange(n, device=device) for n in boxes])
+        inside = torch.zeros(boxes, dtype=torch.bool, device=device)
+        for edge, finer in itertools.pairwise(LEVELS):
+            distance = self.backend.distances(theta, state.to_shape(self._points(near, edge)))
             inside[tuple(near.T)] = distance < 0
             # From the middle to the furthest of its points, not to the box's corner.
-            half = float((self._steps * (torch.tensor(edge, device=device) - 1)).norm()) / 2
+            half = float(self._steps.norm()) * (edge - 1) / 2
             near = near[distance.abs() < half + reach + self.backend.slack]
-            split = [e // f for e, f in zip(edge, finer, strict=True)]
-            inside = _repeat(inside, split)
-            within = torch.cartesian_prod(*[torch.arange(s, device=device) for s in split])
-            near = (near[:, None] * torch.tensor(split, device=device) + within).reshape(-1, 3)
+            times = edge // finer
+            within = torch.cartesian_prod(*[torch.arange(times, device=device)] * 3)
+            near = (near[:, None] * times + within).reshape(-1, 3)
+            for axis in range(3):
+                inside = inside.repeat_interleave(times, dim=axis)
         return self._looked_up(state, near, inside, derivatives)
 
     def _looked_up(self, state: State, near: Tensor, inside: Tensor, derivatives: bool) -> Samples:
         share = inside.double()
-        at = state.to_shape(self._points(near, [1, 1, 1]))
+        at = state.to_shape(self._points(near, 1))
         if not derivatives:
             share[tuple(near.T)] = torch.sigmoid(self.backend.distances(state.theta, at) / -self.length)
             return Samples(share, None, None)
@@ -146,34 +143,15 @@ class Renderer:
         outward[tuple(near.T)] = slope.float()
         return Samples(share, outward, dense)
 
-    def _points(self, index: Tensor, edge: list[int]) -> Tensor:
-        size = torch.tensor(edge, dtype=torch.float64, device=index.device)
-        return (index * size + (size - 1) / 2) @ self._axes.T + self._origin
+    def _points(self, index: Tensor, edge: int) -> Tensor:
+        """Middles (N,3) of boxes of sample points."""
+        return (index.double() * edge + (edge - 1) / 2) @ self._axes.T + self._origin
 
     def blurred(self, values: Tensor) -> Tensor:
         """Values (...,mx,my,mz) at sample points, averaged to those of voxels (...,nx,ny,nz)."""
         x, y, z = (w.to(values.dtype) for w in self._weights)
         values = y @ (values @ z.T)
         return (x @ values.flatten(-2)).unflatten(-1, (y.shape[0], z.shape[0]))
-
-
-def _levels(parts: list[int]) -> list[list[int]]:
-    """Edges, in sample points, of the boxes that the search for the surface looks at: blocks, voxels, parts, points."""
-    levels = [[BLOCK * n for n in parts]]
-    if max(parts) > 1:
-        levels.append(parts)
-    # Parts of a voxel of more than three points an edge, by its least factor: in a voxel of 8 by 8 by 8 most are far.
-    while max(levels[-1]) > 3 and len(levels) > 1:
-        finer = [n // _least_factor(n) for n in levels[-1]]
-        if max(finer) == 1:
-            break
-        levels.append(finer)
-    return [*levels, [1, 1, 1]]
-
-
-def _least_factor(number: int) -> int:
-    """The least prime factor; 1 of 1."""
-    return next((k for k in range(2, number + 1) if number % k == 0), 1)
 
 
 def _weights(voxels: int, samples: int, parts: int, first: float, blur: float) -> Tensor:
@@ -185,9 +163,3 @@ def _weights(voxels: int, samples: int, parts: int, first: float, blur: float) -
     else:
         weights = torch.special.ndtr((away + 0.5) / blur) - torch.special.ndtr((away - 0.5) / blur)
     return weights / weights.sum(1, keepdim=True)
-
-
-def _repeat(values: Tensor, times: list[int]) -> Tensor:
-    for axis, n in enumerate(times):
-        values = values.repeat_interleave(n, dim=axis)
-    return values
