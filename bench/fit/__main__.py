@@ -8,6 +8,10 @@
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
 
+Studies of many cases take `--processes 16` (a thread each) and `--budget-s`, and go on where they ended. Cases are
+drawn at random in a fixed order, and those count that were finished from the first on without a gap, so that a study
+which is interrupted is not one of quick cases.
+
 All but the last write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
 (these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's
 distances and finite differences, as a method without our derivatives has it: `libigl` is asked about the points near
@@ -62,7 +66,8 @@ def main() -> None:
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
     for name in ("coverage", "mismatch", "formation", "refusals"):
         each[name].add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
-        each[name].add_argument("--workers", type=int, default=1, help="processes, one thread each")
+        each[name].add_argument("--processes", type=int, default=1, help="how many at once, a thread each")
+        each[name].add_argument("--first", type=int, default=0, help="begin with this case: other machines do the rest")
     each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")
     each["mismatch"].add_argument("--folder", type=Path, default=Path("build/fit-mismatch"), help="one file a fit")
     for name, count in (("formation", 40), ("refusals", 500)):

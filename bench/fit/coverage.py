@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import multiprocessing
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
-from sdm.bench.fit.tools import backends_by_name, case, fit_case, truth_backend
+from sdm.bench.fit.tools import backends_by_name, case, counted, fit_case, run_cases, truth_backend
 
 LEVEL_SIGMAS = 1.6448536269514722
 # Truths are uniform over the ranges but for their ends, where no interval has two sides.
@@ -42,21 +40,10 @@ def coverage(options: argparse.Namespace) -> None:
         for number in range(options.count)
         for scanner in ("0.3", "0.2")
     ]
-    open_jobs = [job for job in jobs if not job.path.is_file()]
-    if options.workers > 1:
-        # One case here first, so that the workers find the kernels compiled.
-        if open_jobs:
-            _run(open_jobs.pop(0))
-        # One thread each; set before a worker imports anything.
-        os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
-        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
-            for _ in pool.imap_unordered(_run, open_jobs):
-                pass
-    else:
-        for job in open_jobs:
-            _run(job)
-    records = [json.loads(job.path.read_text()) for job in jobs if job.path.is_file()]
-    summary = {scanner: summarise([r for r in records if r["scanner"] == scanner]) for scanner in ("0.3", "0.2")}
+    open_jobs = [job for job in jobs if job.number >= options.first and not job.path.is_file()]
+    run_cases(_run, open_jobs, options.processes)
+    of = {scanner: counted(job.path for job in jobs if job.scanner == scanner) for scanner in ("0.3", "0.2")}
+    summary = {scanner: summarise(records) for scanner, records in of.items()}
     summary = {"backend": options.backend, "wanted": options.count, **summary, "machine": describe(options.device)}
     write(options.out, summary)
     print(json.dumps(summary, indent=1))

@@ -6,7 +6,6 @@ The fit is told a blur of 0.2 mm and no more. Each case is one shape under one n
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from dataclasses import dataclass, replace
@@ -17,10 +16,10 @@ import numpy as np
 import torch
 
 from sdm.bench.common.json_file import write
-from sdm.bench.common.machine import describe
+from sdm.bench.common.machine import commit, describe
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS, summarise
 from sdm.bench.fit.mismatch import CLINICAL, Condition, correlated, image_of
-from sdm.bench.fit.tools import exact_backends, run_cases
+from sdm.bench.fit.tools import counted, exact_backends, run_cases
 from sdm.core.grid import Grid
 from sdm.core.random import derive_seed
 from sdm.fit import FitOptions, Image, State, fit_shape, random_state, simulate
@@ -88,8 +87,13 @@ def formation(options: argparse.Namespace) -> None:
     """Fit every case under every condition that has no file yet, then sum up what there is."""
     options.folder.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + options.budget_s
-    jobs = [(number, options, deadline) for number in range(options.count) if _open(number, options)]
-    run_cases(_run, jobs, options.workers)
+    jobs = [
+        (name, number, options, deadline)
+        for number in range(options.first, options.count)
+        for name in CASES
+        if not _path(name, number, options).is_file()
+    ]
+    run_cases(_run, jobs, options.processes)
     report = {name: {"note": case.note, **_summary(name, options)} for name, case in CASES.items()}
     write(options.out, {"wanted": options.count, "named_blur_mm": NAMED_BLUR, "conditions": report,
                         "machine": describe(options.device)})  # fmt: skip
@@ -102,41 +106,36 @@ def _path(name: str, number: int, options: argparse.Namespace) -> Path:
     return options.folder / f"{name}-{number}.json"
 
 
-def _open(number: int, options: argparse.Namespace) -> list[str]:
-    return [name for name in CASES if not _path(name, number, options).is_file()]
-
-
-def _run(job: tuple[int, argparse.Namespace, float]) -> None:
-    number, options, deadline = job
+def _run(job: tuple[str, int, argparse.Namespace, float]) -> None:
+    name, number, options, deadline = job
+    if time.monotonic() > deadline:
+        return
     truth, backend = exact_backends(options.device)
-    for name in _open(number, options):
-        if time.monotonic() > deadline:
-            return
-        state, image = scene(truth, CASES[name], number)
-        own = FitOptions(blur=NAMED_BLUR, turn=1.0 if CASES[name].turned else 0.5)
-        first = fit_shape(image.values, image.grid, backend, options=own)
-        begin = time.perf_counter()
-        found = estimate_formation(image.values, image.grid, backend, first, own)
-        it = found.formation
-        write(_path(name, number, options), {
-            "number": number,
-            "z": found.posterior.standardised(state).tolist(),
-            "z_before": first.posterior.standardised(state).tolist(),
-            "deviations": found.posterior.deviations.tolist(),
-            "trusted": found.trusted,
-            "trusted_before": first.trusted,
-            "problems": list(found.diagnosis.problems),
-            "blur": None if it is None else it.blur,
-            "effective_share": None if it is None else it.effective_share,
-            "p_value": None if it is None else it.p_value,
-            "seconds": first.seconds,
-            "seconds_formation": time.perf_counter() - begin,
-        })  # fmt: skip
+    state, image = scene(truth, CASES[name], number)
+    own = FitOptions(blur=NAMED_BLUR, turn=1.0 if CASES[name].turned else 0.5)
+    first = fit_shape(image.values, image.grid, backend, options=own)
+    begin = time.perf_counter()
+    found = estimate_formation(image.values, image.grid, backend, first, own)
+    it = found.formation
+    write(_path(name, number, options), {
+        "number": number,
+        "z": found.posterior.standardised(state).tolist(),
+        "z_before": first.posterior.standardised(state).tolist(),
+        "deviations": found.posterior.deviations.tolist(),
+        "trusted": found.trusted,
+        "trusted_before": first.trusted,
+        "problems": list(found.diagnosis.problems),
+        "blur": None if it is None else it.blur,
+        "effective_share": None if it is None else it.effective_share,
+        "p_value": None if it is None else it.p_value,
+        "seconds": first.seconds,
+        "seconds_formation": time.perf_counter() - begin,
+        "commit": commit(),
+    })  # fmt: skip
 
 
 def _summary(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    paths = [_path(name, number, options) for number in range(options.count)]
-    records = [json.loads(path.read_text()) for path in paths if path.is_file()]
+    records = counted(_path(name, number, options) for number in range(options.count))
     summary = summarise(records)
     before = [r["z_before"][:4] for r in records if r["trusted_before"]]
     if before:

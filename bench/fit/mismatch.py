@@ -7,7 +7,6 @@ condition is a change of the image, or of what the fit takes for granted.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ import torch
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS, summarise
-from sdm.bench.fit.tools import exact_backends, run_cases
+from sdm.bench.fit.tools import counted, exact_backends, run_cases
 from sdm.core.random import derive_seed
 from sdm.fit import SCANNERS, FitOptions, Image, fit_shape, random_state, simulate
 
@@ -96,11 +95,8 @@ def mismatch(options: argparse.Namespace) -> None:
     """Fit every case under every condition that has no file yet, then sum up what there is."""
     options.folder.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + options.budget_s
-    jobs = [(number, options, deadline) for number in range(options.count) if _open(number, options)]
-    if options.workers > 1 and jobs:
-        # One fit here first, so that the workers find the kernels compiled.
-        _run(jobs[0], most=1)
-    run_cases(_run, jobs, options.workers)
+    jobs = [(number, options, deadline) for number in range(options.first, options.count) if _open(number, options)]
+    run_cases(_run, jobs, options.processes)
     report = {name: {"note": condition.note, **_summary(name, options)} for name, condition in CONDITIONS.items()}
     record = {"scanner": vars(CLINICAL), "wanted": options.count, "conditions": report}
     write(options.out, {**record, "machine": describe(options.device)})
@@ -116,13 +112,13 @@ def _open(number: int, options: argparse.Namespace) -> list[str]:
     return [name for name in CONDITIONS if not _path(name, number, options).is_file()]
 
 
-def _run(job: tuple[int, argparse.Namespace, float], most: int | None = None) -> None:
+def _run(job: tuple[int, argparse.Namespace, float]) -> None:
     """The fits of one case that are still to be made, while there is time."""
     number, options, deadline = job
     truth, backend = exact_backends(options.device)
     state = random_state(truth, number, edge=EDGE)
     clean = simulate(truth, state, replace(CLINICAL, noise=0.0), seed=number)
-    for name in _open(number, options)[:most]:
+    for name in _open(number, options):
         if time.monotonic() > deadline:
             return
         image = image_of(clean, CONDITIONS[name], number)
@@ -140,8 +136,7 @@ def _run(job: tuple[int, argparse.Namespace, float], most: int | None = None) ->
 
 
 def _summary(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    found = [_path(name, number, options) for number in range(options.count)]
-    records = [json.loads(path.read_text()) for path in found if path.is_file()]
+    records = counted(_path(name, number, options) for number in range(options.count))
     summary = summarise(records)
     trusted = [r for r in records if r["trusted"]]
     if trusted:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import json
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +61,25 @@ def exact_backends(device: str) -> tuple[Any, Any]:
     return truth_backend(device), backends_by_name("exact", device)[0]
 
 
-def run_cases(work: Callable[[Any], None], jobs: Sequence[Any], workers: int) -> None:
-    """Do each job, in processes of one thread each where several are wanted."""
-    if workers <= 1 or not jobs:
+def run_cases(work: Callable[[Any], None], jobs: Sequence[Any], processes: int) -> None:
+    """Do each job in order, in processes of one thread each where several are wanted."""
+    if processes <= 1 or not jobs:
         for job in jobs:
             work(job)
         return
-    # Set before a worker imports anything.
+    # The first one here, so that the others find the kernels compiled.
+    work(jobs[0])
+    # Set before a process imports anything.
     os.environ |= {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "SDM_NUM_THREADS": "1"}
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        pool.map(work, jobs, chunksize=1)
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for _ in pool.imap_unordered(work, jobs[1:]):
+            pass
+
+
+def counted(paths: Iterable[Path]) -> list[dict[str, Any]]:
+    """Records of a study's cases, from the first one up to the first that is missing.
+
+    Cases are drawn at random, in an order that is fixed. A study that is interrupted has its last cases in part: those
+    that were quick. Counting them would favour quick cases; these are the same whatever each one took.
+    """
+    return [json.loads(path.read_text()) for path in itertools.takewhile(Path.is_file, paths)]

@@ -78,7 +78,7 @@ class FitOptions:
     shift: float = 5.0
     starts: int = 3
     most_steps: int = 40
-    tolerance: float = 1e-4
+    tolerance: float = 5e-3
 
     def __post_init__(self) -> None:
         for name in ("fine", "turn", "shift", "length"):

@@ -59,8 +59,8 @@ def test_summary_counts_intervals_that_hold() -> None:
 
 def test_no_case_begins_after_the_budget(tmp_path: Path) -> None:
     options = Namespace(
-        folder=tmp_path / "cases", backend="exact", device="cpu", weights=None, count=2, budget_s=-1.0, workers=1,
-        out=tmp_path / "out.json",
+        folder=tmp_path / "cases", backend="exact", device="cpu", weights=None, count=2, budget_s=-1.0, processes=1,
+        first=0, out=tmp_path / "out.json",
     )  # fmt: skip
     coverage(options)
     assert list((tmp_path / "cases").iterdir()) == []

@@ -11,7 +11,9 @@ import torch
 
 from sdm.bench.fit import formation, refusals
 from sdm.bench.fit.formation import CASES, scene
-from sdm.fit import ExactBackend
+from sdm.bench.fit.tools import counted, run_cases
+from sdm.core.grid import Grid
+from sdm.fit import ExactBackend, random_state
 from sdm.fit.model.pose import vector_from_rotation
 from sdm.shapes import Cochlea
 
@@ -46,7 +48,9 @@ def test_a_study_is_summed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
             row = {"number": number, "z": [z] * 4 + [0.0] * 6, "z_before": [2.0] * 10, "deviations": [1.0] * 10}
             row |= {"trusted": True, "trusted_before": number == 0, "problems": [], "seconds": 1.0}
             (tmp_path / f"{name}-{number}.json").write_text(json.dumps(row))
-    options = Namespace(folder=tmp_path, device="cpu", count=2, workers=1, budget_s=60.0, out=tmp_path / "out.json")
+    options = Namespace(
+        folder=tmp_path, device="cpu", count=2, processes=1, first=0, budget_s=60.0, out=tmp_path / "out.json"
+    )
     formation.formation(options)
     found = json.loads(options.out.read_text())["conditions"]
     assert found["thick"]["coverage_90_shape"] == 0.5
@@ -57,11 +61,39 @@ def test_a_study_is_summed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 def test_refusals_of_images_with_an_answer_are_counted():
     row = {"noise": 0.0, "trusted": True, "trusted_plain": False, "problems": [], "problems_plain": ["no"]}
-    row["z"] = [0.0] * 10
-    cut = {**row, "trusted": False, "problems_plain": ["the shape reaches the image's border: take more"]}
+    row |= {"z": [0.0] * 10, "whole": True, "cpu_seconds": 1.0}
+    cut = {**row, "trusted": False, "whole": False}
     found = refusals.summary([row, {**row, "trusted": False, "noise": 200.0}, cut])
     assert (found["images"], found["with_an_answer"], found["refused"], found["refused_plain"]) == (3, 2, 1, 2)
     assert [r["refused"] for r in found["by_noise"]] == [0, 1]
+    assert refusals.at_most(0, 300) == pytest.approx(0.01, abs=1e-4)
+    assert refusals.at_most(3, 3) == 1
     scanners = [refusals.scanner_of(n) for n in range(40)]
     assert all(0.15 <= s.spacing <= 0.6 and 0.1 <= s.blur <= 0.4 for s in scanners)
     assert {s.noise for s in scanners} == set(refusals.NOISES)
+
+
+def test_an_image_has_an_answer_where_the_true_shape_lies_in_it(truth: ExactBackend):
+    state = random_state(truth, 2)
+    world = state.to_world(truth.surface(state.theta)[0])
+    low, high = world.min(0).values, world.max(0).values
+    spacing = 0.25
+    count = ((high - low) / spacing).ceil().int() + 1
+    around = Grid(low.tolist(), (spacing,) * 3, count.tolist())
+    cut = Grid((low + torch.tensor([0.0, 0.1, 0.0])).tolist(), (spacing,) * 3, count.tolist())
+    assert refusals.lies_whole(truth, state, around)
+    assert not refusals.lies_whole(truth, state, cut)
+
+
+def test_cases_after_a_gap_do_not_count(tmp_path: Path):
+    for number in (0, 1, 3):
+        (tmp_path / f"{number}.json").write_text(json.dumps({"number": number}))
+    assert [r["number"] for r in counted(tmp_path / f"{n}.json" for n in range(5))] == [0, 1]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_job_is_done_once(tmp_path: Path, processes: int, monkeypatch: pytest.MonkeyPatch):
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "SDM_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+    run_cases(Path.touch, [tmp_path / str(n) for n in range(5)], processes)
+    assert len(list(tmp_path.iterdir())) == 5

@@ -46,7 +46,9 @@ def test_a_study_is_resumed_and_summed_up(tmp_path: Path, monkeypatch: pytest.Mo
         for number, z in enumerate([0.0, 1.7 if name == "shading" else 1.0]):
             row = {"number": number, "z": [z] * 4 + [0.0] * 6, "deviations": [1.0] * 10, "trusted": True}
             (tmp_path / f"{name}-{number}.json").write_text(json.dumps({**row, "problems": [], "seconds": 1.0}))
-    options = Namespace(folder=tmp_path, device="cpu", count=2, workers=1, budget_s=60.0, out=tmp_path / "out.json")
+    options = Namespace(
+        folder=tmp_path, device="cpu", count=2, processes=1, first=0, budget_s=60.0, out=tmp_path / "out.json"
+    )
     mismatch.mismatch(options)
     found = json.loads(options.out.read_text())["conditions"]
     assert found["shading"]["coverage_90_shape"] == 0.5
