@@ -69,7 +69,7 @@ class _Seen:
 
 
 def _seen(renderer: Renderer, blur: float, state: State) -> _Seen:
-    """What a renderer of this blur sees of a state: its sample points are looked up once for all derivatives."""
+    """Voxels of a state by a renderer of this blur: its sample points are looked up once for all derivatives."""
     samples = renderer.sampled(state)
     rendered = renderer.rendered(samples)
     assert rendered.by_step is not None and samples.outward is not None  # noqa: S101, PT018 - for the type checker
