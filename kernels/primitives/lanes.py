@@ -276,3 +276,15 @@ def least_of_some(value: float, some: int) -> float:
 def wait_for_lanes():
     """Barrier of the group's lanes: what they wrote before is there for all of them afterwards."""
     ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+"""
+)
+def wait_for_block():
+    """The same barrier of all threads of a block, of which each has to come here."""
+    ...

@@ -18,17 +18,36 @@ import warp as wp
 
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
-from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_lanes
+from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_block
 from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
 
 wp.set_module_options({"enable_backward": False})
 
 # Places of the flags: a vertex out of range; by how many more edges than guessed are unmatched, and than bound the
-# mesh; edges that are followed by none, or meet too many others.
+# mesh, or if there is room for them, than there is room for; edges that are followed by none, or meet too many others.
+# Behind them how many are unmatched, and how many bound the mesh.
 WRONG_VERTEX, WRONG_UNMATCHED, WRONG_EDGES, TANGLED, FLAGS = 0, 1, 2, 3, 4
+ALL_UNMATCHED, ALL_EDGES, NUMBERS = 4, 5, 6
 _NONE = 0x7FFFFFFF
+# Threads that number the loops, a block; and numbers that each loads at once.
+BLOCK, AT_ONCE = 128, 4
+Numbers = wp.types.vector(length=AT_ONCE, dtype=wp.int64)
 # Edges that begin at one vertex, at most: each is looked for after the one before.
 MOST_MEETING = 32
+
+
+@wp.func
+def rows_of(found: wp.array(dtype=wp.int32), room: int):
+    """Unmatched edges, as far as they are guessed or have room; none if there is no room for all."""
+    rows = found[UNMATCHED]
+    return wp.where(rows <= room, rows, 0)
+
+
+@wp.func
+def edges_in(flags: wp.array(dtype=wp.int32), room: int):
+    """Boundary edges, in the same way."""
+    edges = flags[ALL_EDGES]
+    return wp.where(edges <= room, edges, 0)
 
 
 @wp.func
@@ -37,23 +56,21 @@ def end_of(unmatched: wp.array2d(dtype=wp.int32), end: int, vertices: int):
     return wp.clamp(unmatched[end / 2, end % 2], 0, vertices - 1)
 
 
-@wp.kernel
-def _join_ends(
-    begin: int,
-    lanes: int,
+@wp.func
+def first_of_ends(
     unmatched: wp.array2d(dtype=wp.int32),
     vertices: wp.array2d(dtype=wp.vec3),
-    same: wp.array(dtype=wp.int32),
+    ends: int,
+    end: int,
+    lane: int,
+    lanes: int,
 ):
-    """For each end the lowest vertex among all ends at its position."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    end = thread / lanes
+    """The lowest vertex among those of all ends that are where one is."""
     count = vertices.shape[1]
     mine = end_of(unmatched, end, count)
     least = mine
     other = lane
-    while other < same.shape[0]:
+    while other < ends:
         theirs = end_of(unmatched, other, count)
         if theirs < least:
             equal = bool(True)
@@ -62,9 +79,48 @@ def _join_ends(
             if equal:
                 least = theirs
         other = other + lanes
-    least = least_whole_of_lanes(least)
+    return least_whole_of_lanes(least)
+
+
+@wp.kernel
+def _join_ends(
+    begin: int,
+    lanes: int,
+    unmatched: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    found: wp.array(dtype=wp.int32),
+    same: wp.array(dtype=wp.int32),
+):
+    """For each end the lowest vertex among all ends at its position."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    end = thread / lanes
+    ends = same.shape[0]
+    if found.shape[0] > 0:
+        ends = 2 * rows_of(found, same.shape[0] / 2)
+    if end >= ends:
+        return
+    least = first_of_ends(unmatched, vertices, ends, end, lane, lanes)
     if lane == 0:
         same[end] = least
+
+
+@wp.kernel
+def _compare_ends(
+    begin: int,
+    lanes: int,
+    unmatched: wp.array2d(dtype=wp.int32),
+    vertices: wp.array2d(dtype=wp.vec3),
+    same: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+):
+    """Set a flag if `_join_ends` would find something else."""
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    end = thread / lanes
+    least = first_of_ends(unmatched, vertices, same.shape[0], end, lane, lanes)
+    if lane == 0 and least != same[end]:
+        flags[0] = 1
 
 
 @wp.func
@@ -90,7 +146,11 @@ def _add_up(
     thread = begin + wp.tid()
     lane = thread % lanes
     row = thread / lanes
-    rows = wp.min(balances.shape[0], found[UNMATCHED])
+    rows = rows_of(found, balances.shape[0])
+    if row >= rows:
+        if lane == 0:
+            balances[row] = 0
+        return
     key = key_of(same, row)
     first = row
     balance = int(0)
@@ -104,7 +164,7 @@ def _add_up(
     # Small numbers, which floats hold exactly.
     balance = int(sum_of_lanes(float(balance)))
     first = least_whole_of_lanes(first)
-    if row >= rows or same[2 * row] == same[2 * row + 1] or first != row:
+    if same[2 * row] == same[2 * row + 1] or first != row:
         balance = int(0)
     if lane == 0:
         balances[row] = balance
@@ -118,12 +178,24 @@ def _write_edges(
     balances: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
     edges: wp.array2d(dtype=wp.int32),
+    in_room: int,
     flags: wp.array(dtype=wp.int32),
 ):
     thread = begin + wp.tid()
     lane = thread % lanes
     row = thread / lanes
-    rows = balances.shape[0]
+    if row == 0 and lane == 0:
+        more = found[UNMATCHED] - balances.shape[0]
+        flags[WRONG_VERTEX] = flags[WRONG_VERTEX] | found[OUT_OF_RANGE]
+        flags[ALL_UNMATCHED] = found[UNMATCHED]
+        if in_room != 0:
+            flags[WRONG_UNMATCHED] = wp.max(more, 0)
+        else:
+            flags[WRONG_UNMATCHED] = more
+            fetch_add(flags, WRONG_EDGES, -edges.shape[0])
+    rows = rows_of(found, balances.shape[0])
+    if row >= rows:
+        return
     key = key_of(same, row)
     before = int(0)
     other = lane
@@ -138,11 +210,10 @@ def _write_edges(
         for i in range(at, wp.min(at + wp.abs(balances[row]), edges.shape[0])):
             edges[i, 0] = wp.where(balances[row] > 0, low, high)
             edges[i, 1] = wp.where(balances[row] > 0, high, low)
-        fetch_add(flags, WRONG_EDGES, wp.abs(balances[row]))
-        if row == 0:
-            flags[WRONG_VERTEX] = found[OUT_OF_RANGE]
-            flags[WRONG_UNMATCHED] = found[UNMATCHED] - rows
-            fetch_add(flags, WRONG_EDGES, -edges.shape[0])
+        number = wp.abs(balances[row])
+        fetch_add(flags, ALL_EDGES, number)
+        if in_room == 0:
+            fetch_add(flags, WRONG_EDGES, number)
 
 
 @wp.kernel
@@ -153,6 +224,7 @@ def _follow(
     ahead: wp.array(dtype=wp.int64),
     onward: wp.array(dtype=wp.int64),
     firsts: wp.array(dtype=wp.int32),
+    in_room: int,
     flags: wp.array(dtype=wp.int32),
 ):
     """The edge that follows each one, and its place in the order of first vertices, in one number.
@@ -162,6 +234,11 @@ def _follow(
     thread = begin + wp.tid()
     lane = thread % lanes
     edge = thread / lanes
+    count = edges_in(flags, edges.shape[0])
+    if in_room != 0 and edge == 0 and lane == 0:
+        flags[WRONG_EDGES] = wp.max(flags[ALL_EDGES] - edges.shape[0], 0)
+    if edge >= count:
+        return
     start = edges[edge, 0]
     end = edges[edge, 1]
     following = int(_NONE)
@@ -169,7 +246,7 @@ def _follow(
     earlier = int(0)
     place = int(0)
     other = lane
-    while other < edges.shape[0]:
+    while other < count:
         if edges[other, 0] == end:
             following = wp.min(following, other)
         if edges[other, 1] == end and other < edge:
@@ -187,7 +264,7 @@ def _follow(
         last = following
         following = int(_NONE)
         other = lane
-        while other < edges.shape[0]:
+        while other < count:
             if edges[other, 0] == end and other > last:
                 following = wp.min(following, other)
             other = other + lanes
@@ -207,50 +284,70 @@ def _follow(
 def _number_loops(
     begin: int,
     lanes: int,
-    steps: int,
+    flags: wp.array(dtype=wp.int32),
     ahead: wp.array(dtype=wp.int64),
     onward: wp.array(dtype=wp.int64),
     around: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
 ):
-    """One group of lanes: each edge's loop is known by its first edge in the order of first vertices, its place by the
-    edges from it to that.
+    """One block of threads: each edge's loop is known by its first edge in the order of first vertices, its place by
+    the edges from it to that.
 
     Each number tells of the edges up to another one, and which is the first of those, or how many they are; in each
     step it is joined with the number there. A number is read and written as a whole, so that it does not matter who is
     first.
     """
     lane = (begin + wp.tid()) % lanes
-    count = around.shape[0]
+    count = edges_in(flags, around.shape[0])
+    # Each step joins twice as many as the one before, until they are more than there are.
+    steps = int(0)
+    while (count >> steps) > 0:
+        steps = steps + 1
     low = wp.int64(0x7FFFFFFF)
-    for step in range(steps + 1):
+    for _step in range(steps):
         edge = lane
         while edge < count:
-            mine = ahead[edge]
-            if step < steps:
-                theirs = ahead[int(mine >> wp.int64(32))]
-                ahead[edge] = (theirs & ~low) | wp.min(mine & low, theirs & low)
-            else:
-                lowest = int(mine & low)
-                around[edge] = lowest
-                # From there none are left. Until now this is the edge's own place in the order.
-                if int(onward[edge] & low) == lowest:
-                    onward[edge] = wp.int64(edge) << wp.int64(32)
-                else:
-                    onward[edge] = (onward[edge] & ~low) | wp.int64(1)
-            edge = edge + lanes
-        wait_for_lanes()
-    for step in range(steps + 1):
+            mine = Numbers()
+            theirs = Numbers()
+            # All loads of a kind at once, as each takes long to arrive.
+            for k in range(AT_ONCE):
+                mine[k] = ahead[wp.min(edge + k * lanes, count - 1)]
+            for k in range(AT_ONCE):
+                theirs[k] = ahead[int(mine[k] >> wp.int64(32))]
+            for k in range(AT_ONCE):
+                if edge + k * lanes < count:
+                    ahead[edge + k * lanes] = (theirs[k] & ~low) | wp.min(mine[k] & low, theirs[k] & low)
+            edge = edge + AT_ONCE * lanes
+        wait_for_block()
+    edge = lane
+    while edge < count:
+        lowest = int(ahead[edge] & low)
+        around[edge] = lowest
+        # From there none are left. Until now this is the edge's own place in the order.
+        if int(onward[edge] & low) == lowest:
+            onward[edge] = wp.int64(edge) << wp.int64(32)
+        else:
+            onward[edge] = (onward[edge] & ~low) | wp.int64(1)
+        edge = edge + lanes
+    wait_for_block()
+    for _step in range(steps):
         edge = lane
         while edge < count:
-            mine = onward[edge]
-            if step < steps:
-                theirs = onward[int(mine >> wp.int64(32))]
-                onward[edge] = (theirs & ~low) | ((mine & low) + (theirs & low))
-            else:
-                left[edge] = int(mine & low)
-            edge = edge + lanes
-        wait_for_lanes()
+            mine = Numbers()
+            theirs = Numbers()
+            for k in range(AT_ONCE):
+                mine[k] = onward[wp.min(edge + k * lanes, count - 1)]
+            for k in range(AT_ONCE):
+                theirs[k] = onward[int(mine[k] >> wp.int64(32))]
+            for k in range(AT_ONCE):
+                if edge + k * lanes < count:
+                    onward[edge + k * lanes] = (theirs[k] & ~low) | ((mine[k] & low) + (theirs[k] & low))
+            edge = edge + AT_ONCE * lanes
+        wait_for_block()
+    edge = lane
+    while edge < count:
+        left[edge] = int(onward[edge] & low)
+        edge = edge + lanes
 
 
 @wp.kernel
@@ -258,6 +355,7 @@ def _write_caps(
     begin: int,
     lanes: int,
     edges: wp.array2d(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
     around: wp.array(dtype=wp.int32),
     left: wp.array(dtype=wp.int32),
     firsts: wp.array(dtype=wp.int32),
@@ -267,11 +365,14 @@ def _write_caps(
     thread = begin + wp.tid()
     lane = thread % lanes
     edge = thread / lanes
+    count = edges_in(flags, edges.shape[0])
+    if edge >= count:
+        return
     step = left[edge] & (-left[edge])
     before = int(_NONE)
     after = int(_NONE)
     other = lane
-    while other < edges.shape[0]:
+    while other < count:
         if around[other] == around[edge]:
             if left[other] == left[edge] - step:
                 before = edges[other, 0]
@@ -295,26 +396,46 @@ def join_edges(
     caps: wp.array,
     flags: wp.array,
     empty: Callable[[int, Any], wp.array],
+    in_room: bool = False,
 ) -> None:
     """Boundary edges and caps from what `sdm.kernels.topology.edge_pairing` found.
 
     Args:
-        unmatched: (N,3) int32, as many rows of the unmatched edges as are guessed to be.
+        unmatched: (N,3) int32, as many rows of the unmatched edges as are guessed to be, or have room.
         found: (2) int32, the flags of `edge_pairing.pair_edges`.
         vertices: (meshes, V) vec3.
         edges: (E,2) int32, zero; filled with what `sdm.topology.joining.join_on_host` returns. E is a guess.
         caps: (E,3) int32, filled with what `sdm.topology.cap_triangles.cap_triangles` returns, where no loops meet.
-        flags: (FLAGS) int32, zero; afterwards still zero if all guesses were right, else the rest has no meaning.
+        flags: (NUMBERS) int32, zero; afterwards the first FLAGS are still zero if all guesses were right, else the rest
+            has no meaning, but no index is out of range.
         empty: Allocates workspace: `empty(length, dtype)`.
+        in_room: N and E are not guesses, but room for any number: rows behind those that there are stay as they were.
     """
     device, rows, count = vertices.device, unmatched.shape[0], edges.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
     around, left, firsts = (empty(count, wp.int32) for _ in range(3))
-    launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, same], device)
+    launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, found, same], device)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
-    launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, flags], device)
-    launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, flags], device)
-    launch(_number_loops, lanes, [lanes, count.bit_length(), ahead, onward, around, left], device)
-    launch(_write_caps, count * lanes, [lanes, edges, around, left, firsts, caps], device)
+    launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
+    launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, int(in_room), flags], device)
+    block = BLOCK if device.is_cuda else 1
+    launch(_number_loops, block, [block, flags, ahead, onward, around, left], device)
+    launch(_write_caps, count * lanes, [lanes, edges, flags, around, left, firsts, caps], device)
+
+
+def join_ends(unmatched: wp.array, vertices: wp.array, same: wp.array) -> None:
+    """Fill `same` (2 * N) int32: for each end of the unmatched edges (N,3) the lowest vertex of all ends at its place.
+
+    `vertices` is (meshes, V) vec3. What bounds the mesh depends on positions by this alone.
+    """
+    lanes = GPU_LANES if vertices.device.is_cuda else 1
+    none = same[:0]
+    launch(_join_ends, same.shape[0] * lanes, [lanes, unmatched, vertices, none, same], vertices.device)
+
+
+def compare_ends(unmatched: wp.array, vertices: wp.array, same: wp.array, flags: wp.array) -> None:
+    """Set `flags` (1) to 1 if `join_ends` would fill `same` otherwise."""
+    lanes = GPU_LANES if vertices.device.is_cuda else 1
+    launch(_compare_ends, same.shape[0] * lanes, [lanes, unmatched, vertices, same, flags], vertices.device)

@@ -11,7 +11,20 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, LATTICE, LATTICE_STEPS, LOW_X, SCALE, Tree, to_lattice
+from sdm.kernels.bvh.tree import (
+    COUNT,
+    DEPTH,
+    FIRST,
+    FRAME_SIZE,
+    LATTICE,
+    LATTICE_STEPS,
+    LOW_X,
+    PART_SIZE,
+    ROOT,
+    SCALE,
+    Tree,
+    to_lattice,
+)
 from sdm.kernels.launch import launch
 from sdm.kernels.winding.ray_crossings import is_left
 
@@ -32,6 +45,40 @@ class Boundary:
     ends: wp.array(dtype=wp.vec3)  # (2 * meshes * count) first and last point, scaled
     lattice: wp.array(dtype=wp.vec2i)  # (2 * meshes * count) their (y,z) on the lattice
     count: wp.int32  # edges of each mesh
+    in_room: wp.int32  # 1 if `count` is room for those of the only mesh, of which there are:
+    counted: wp.array(dtype=wp.int32)  # (1) so many
+    parts: wp.array(dtype=wp.int32)  # (2 * PART_SIZE) then, those of the tree of caps
+
+
+@wp.func
+def edges_of(boundary: Boundary):
+    """Edges of each mesh."""
+    count = boundary.count
+    if boundary.in_room != 0:
+        found = boundary.counted[0]
+        # If there are more they have no room, and nobody wants what comes of it.
+        count = wp.where(found <= count, found, 0)
+    return count
+
+
+@wp.func
+def write_parts(parts: wp.array(dtype=wp.int32), count: int, room: int):
+    """Write the parts of a tree of so many caps, and of one of those behind them, up to a room: there is always one.
+
+    Both trees have a leaf for each, and the second one the nodes behind the room of the first.
+    """
+    depth = int(0)
+    while (1 << depth) < count:
+        depth = depth + 1
+    parts[COUNT] = count
+    parts[DEPTH] = depth
+    most = int(0)
+    while (1 << most) < room:
+        most = most + 1
+    parts[PART_SIZE + FIRST] = count
+    parts[PART_SIZE + COUNT] = room - count
+    parts[PART_SIZE + DEPTH] = most
+    parts[PART_SIZE + ROOT] = 2 << most
 
 
 @wp.kernel
@@ -39,6 +86,8 @@ def _gather(
     begin: int, vertices: wp.array2d(dtype=wp.vec3), edges: wp.array2d(dtype=wp.int32), tree: Tree, out: Boundary
 ):
     i = begin + wp.tid()
+    if i == 0 and out.in_room != 0:
+        write_parts(out.parts, edges_of(out), out.count + 1)
     mesh = i / out.count
     e = i - mesh * out.count
     scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
@@ -49,7 +98,10 @@ def _gather(
 
 
 def gather_boundary(out: Boundary, tree: Tree, vertices: wp.array, edges: wp.array) -> None:
-    """Fill `out` from the meshes' `vertices` (meshes, V) and their shared boundary `edges` (E, 2)."""
+    """Fill `out` from the meshes' `vertices` (meshes, V) and their shared boundary `edges` (E, 2).
+
+    Where those are in room, also the parts of the tree of caps, which have room for one more.
+    """
     launch(_gather, vertices.shape[0] * edges.shape[0], [vertices, edges, tree, out], vertices.device)
 
 
@@ -83,8 +135,9 @@ def boundary_part(boundary: Boundary, tree: Tree, mesh: int, p: wp.vec3d, lane: 
     re = one
     im = zero
     turns = int(0)
+    count = edges_of(boundary)
     e = lane
-    while e < boundary.count:
+    while e < count:
         at = 2 * (mesh * boundary.count + e)
         first = boundary.lattice[at]
         second = boundary.lattice[at + 1]

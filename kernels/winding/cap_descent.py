@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import nodes_of
+from sdm.kernels.bvh.tree import tree_of
 from sdm.kernels.primitives.lanes import (
     ballot,
     members,
@@ -111,8 +111,9 @@ def see_caps(
         lane: This lane's number.
         lanes: Their number.
     """
-    base = nodes_of(caps.tree, mesh)
-    leaves = 1 << caps.tree.depth
+    one = tree_of(caps.tree, mesh)
+    base = one.root
+    leaves = 1 << one.depth
     field = Field()
     steps = float(0.0)
     near = int(0)

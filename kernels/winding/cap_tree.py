@@ -15,7 +15,7 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.build import LEVELS_AT_ONCE, build_in_frame
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, nodes_of
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, tree_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
 from sdm.kernels.primitives.vector_loads import load4, read4, write4
@@ -202,14 +202,16 @@ def symmetric(v: wp.vec3d, t: wp.vec3d):
 @wp.kernel
 def _leaf_moments(begin: int, caps: Caps):
     i = begin + wp.tid()
-    tree = caps.tree
+    mesh = i >> caps.tree.depth
+    leaf = i - (mesh << caps.tree.depth)
+    tree = tree_of(caps.tree, mesh)
     leaves = 1 << tree.depth
-    mesh = i / leaves
-    leaf = i - mesh * leaves
+    if leaf >= leaves:
+        return
     slot = first_triangle(tree, leaf)
     s = Sums()
     if slot < first_triangle(tree, leaf + 1):
-        slot = mesh * tree.count + slot
+        slot = tree.first + slot
         a = wp.vec3d(tree.corners[4 * slot])
         b = wp.vec3d(tree.corners[4 * slot + 1])
         c = wp.vec3d(tree.corners[4 * slot + 2])
@@ -229,7 +231,7 @@ def _leaf_moments(begin: int, caps: Caps):
         s.square = s.area * wp.trace(yy) / wp.float64(12.0)
         s.m3 = symmetric_cubic(yy / wp.float64(12.0), s.m1)
         s.m4 = symmetric_quartic(mean_cubic(a, b, c), s.m1)
-    write_sums(caps.moments, nodes_of(tree, mesh) + leaves + leaf, s)
+    write_sums(caps.moments, tree.root + leaves + leaf, s)
 
 
 @wp.func
@@ -284,14 +286,22 @@ def join_children(caps: Caps, base: int, node: int):
 
 
 @wp.kernel
-def _join_levels(begin: int, lanes: int, caps: Caps, width: int, levels: int):
-    """Moments of `levels` levels, the highest of them `width` nodes wide: one group of lanes for what is below each."""
+def _join_levels(begin: int, lanes: int, caps: Caps, lowest: int, width: int, most: int):
+    """Moments of up to `most` levels, the lowest of them so many above the leaves: one group of lanes for what is below
+    each node of the highest, and `width` groups for each mesh.
+    """
     thread = begin + wp.tid()
     lane = thread % lanes
     group = thread / lanes
     mesh = group / width
-    top = width + group - mesh * width
-    base = nodes_of(caps.tree, mesh)
+    one = tree_of(caps.tree, mesh)
+    levels = wp.min(one.depth - lowest + 1, most)
+    highest = one.depth - lowest + 1 - levels
+    top = (1 << highest) + group - mesh * width
+    # Of meshes that differ, one with fewer levels takes fewer groups.
+    if levels <= 0 or top >= 2 << highest:
+        return
+    base = one.root
     for back in range(levels):
         down = levels - 1 - back
         node = (top << down) + lane
@@ -309,7 +319,7 @@ def build_caps(
     Args:
         caps: What to fill.
         vertices: (meshes, V) vec3.
-        triangles: (E, 3) int32, shared by the meshes.
+        triangles: (E, 3) int32, shared by the meshes; of meshes that differ one after the other.
         bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
         keys: (2 * meshes * E) int64, workspace.
         slots: (2 * meshes * E) int32, workspace.
@@ -322,7 +332,7 @@ def build_caps(
     level = tree.depth
     while level > 0:
         # A launch costs more than a few nodes one after the other.
-        levels = min(level, LEVELS_AT_ONCE)
+        lowest, levels = tree.depth + 1 - level, min(level, LEVELS_AT_ONCE)
         level -= levels
         groups = vertices.shape[0] << level
-        launch(_join_levels, groups * lanes, [lanes, caps, 1 << level, levels], device, smallest=8)
+        launch(_join_levels, groups * lanes, [lanes, caps, lowest, 1 << level, levels], device, smallest=8)

@@ -132,7 +132,7 @@ def _count_at_voxels(
     p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), at[0], at[1], at[2]))
     found = count_crossings(tree_of(tree, mesh), mesh, p)
     if with_caps != 0:
-        found = found + count_crossings(caps, mesh, p)
+        found = found + count_crossings(tree_of(caps, mesh), mesh, p)
     values[number] = float(found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import first_triangle
+from sdm.kernels.bvh.tree import first_triangle, tree_of
 from sdm.kernels.primitives.fast_math import about_quotient, about_root
 from sdm.kernels.primitives.lanes import sum_of_lanes
 from sdm.kernels.winding.cap_tree import Caps
@@ -69,7 +69,8 @@ def near_cap(a: wp.vec3, b: wp.vec3, c: wp.vec3):
 @wp.func
 def place_of_cap(caps: Caps, mesh: int, leaf: int):
     """The place of the first corner of the cap in a leaf of a mesh's tree, by which near caps are listed."""
-    return 4 * (mesh * caps.tree.count + first_triangle(caps.tree, leaf))
+    one = tree_of(caps.tree, mesh)
+    return 4 * (one.first + first_triangle(one, leaf))
 
 
 @wp.func

@@ -17,9 +17,9 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
 from sdm.kernels.geometry.voxel_box import box_of_voxels, is_within, octant_at
-from sdm.kernels.geometry.voxel_grid import Slab, unravel, voxel
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
@@ -179,7 +179,7 @@ def _open_boxes(
                 here = ((some >> octant) & 1) != 0
             if here:
                 start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
-                box = box_of_voxels(slab, start, size, scale)
+                box = box_of_voxels(slab_of(slab, mesh), start, size, scale)
                 radius = wp.sqrt(box.half2)
                 field = Field()
                 handed = int(-1)
@@ -252,7 +252,7 @@ def open_voxel(
     share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
     if caps.are_faces != 0:
         return float(count_crossings(tree, mesh, p)) + float(share)
-    return whole - float(count_crossings(caps.tree, mesh, p)) + float(share)
+    return whole - float(count_crossings(tree_of(caps.tree, mesh), mesh, p)) + float(share)
 
 
 @wp.kernel
@@ -276,7 +276,7 @@ def _open_exactly(
     while item < total:
         mesh, v = voxel_of_piece(pieces[item / 8], item, cells)
         if is_left(slab, values, mesh, v):
-            p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab, v[0], v[1], v[2]))
+            p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), v[0], v[1], v[2]))
             winding = open_voxel(tree, boundary, caps, mesh, p, values[mesh, v[0], v[1], v[2]], lane, lanes)
             # All lanes have read the whole number before it goes.
             wait_for_lanes()

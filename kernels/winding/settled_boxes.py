@@ -11,7 +11,7 @@ import warp as wp
 
 from sdm.kernels.geometry.block_table import VOXELS, inner_of
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
-from sdm.kernels.geometry.voxel_grid import Slab, voxel
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, voxel
 from sdm.kernels.primitives.lanes import bits_of_lanes, on_cpu, sum_of_four
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
 from sdm.kernels.winding.cap_tree import Caps
@@ -113,11 +113,11 @@ def settle_box(
         at = place_in_box(number, bits)
         v = start + at
         if together and (number & 7) == 0:
-            angles = eight_angles(caps, field.near, slab, start, bits, number, scale, stack)
+            angles = eight_angles(caps, field.near, slab_of(slab, mesh), start, bits, number, scale, stack)
         whole = float(0.5)
         if is_within(slab, v):
             whole = winding_at(values, mesh, v)
-        p = scale * voxel(slab, v[0], v[1], v[2])
+        p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
         angle = float(0.0)
         wrong = float(0.0)
         if is_whole(whole) and together:

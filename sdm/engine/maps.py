@@ -2,9 +2,10 @@
 
 Each call without gradients on a GPU is a function of a few tensors that queues kernels and does nothing else, so that
 `sdm.runtime.graphs` can record it. What a mesh's faces say by themselves is looked up beforehand, with one exception:
-as soon as such calls are recorded, faces never seen before are taken for those of a closed mesh, or of one with as many
-boundary edges as the last open one of as many vertices and faces. What they say is read while the map is under way; if
-the guess was wrong, the map is thrown away and made anew.
+as soon as such calls are recorded, faces never seen before are taken for those of a closed mesh, or of an open one with
+room for its edges (`sdm.engine.capacity`); where there are no such classes, of one with as many boundary edges as the
+last open one of as many vertices and faces. What they say is read while the map is under way; if the guess was wrong,
+the map is thrown away and made anew.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.engine.capacity.classes import class_of
-from sdm.engine.capacity.closed_maps import class_call, class_key, to_record
+from sdm.engine.capacity.first_maps import call_to_record, class_map, has_room
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
@@ -41,11 +42,12 @@ from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology
 from sdm.topology.cap_triangles import turned
-from sdm.topology.face_pairing import is_known, queue_pairing, remember_closed
+from sdm.topology.face_pairing import Pairing, is_known, pairing_of, queue_pairing, remember_closed
+from sdm.topology.same_boundary import can_be_told, note_ends, queue_comparison
 
 # A launch's indices are 32 bits wide.
 LARGEST_SLAB = 1 << 30
-# Whether closed meshes never seen before are replayed by capacity class.
+# Whether meshes never seen before are replayed by capacity class.
 USE_CLASSES = True
 # Larger results are not worth a recording: their kernels take longer than it takes to launch them.
 LARGEST_RECORDED = 1 << 29
@@ -96,29 +98,28 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     """The map (nx,ny,nz) of a recordable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
     vertices, count = vertices.detach(), vertices.shape[0]
     if is_known(faces, count):
-        return _unpacked(graphs.run(_known_call(vertices[None], faces, grid, None)))
-    guessed = guesses.guess(faces, count)
-    kind = None
-    if USE_CLASSES and guessed == guesses.CLOSED and not guesses.is_hopeless(faces, count):
+        return _unpacked(_known_map(vertices[None], faces, grid))
+    last, kind = guesses.last_numbers(faces, count), None
+    if USE_CLASSES and last is not None and has_room(last):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
-    if kind is not None and graphs.is_recorded(faces.device, class_key(kind)):
-        replayed = graphs.attempt(class_call(kind, vertices, faces, grid))
+    if kind is not None:
+        replayed = class_map(kind, vertices, faces, grid)
         if replayed is not None:
-            remember_closed(faces, count, replayed[1][: faces.shape[0]])
-            return replayed[0][0], None
+            return replayed
+    guessed = guesses.guess(faces, count)
 
     def settle() -> tuple[tuple[Tensor, ...], Call | None]:
-        if guesses.is_hopeless(faces, count):
+        if kind is None and guesses.is_hopeless(faces, count):
             topology = topology_for(vertices, faces)
             guesses.remember(faces, count, topology.boundary)
             return graphs.run(_known_call(vertices[None], faces, grid, topology.boundary)), None
         structure, topology = build_first(vertices, faces)
         found = structure_slab(structure, grid, 0, grid.shape[0])
         found = found if topology.boundary.shape[0] else found[:1]
-        better = guesses.guess(faces, count)
-        if kind is not None and topology.boundary.shape[0] == 0 and guesses.is_right(better, faces, count):
+        better, now = guesses.guess(faces, count), guesses.last_numbers(faces, count)
+        if kind is not None and now is not None and has_room(now):
             # All its meshes, of whatever counts, share a recording.
-            return found, to_record(kind, class_call(kind, vertices, faces, grid))
+            return found, call_to_record(kind, vertices, faces, grid, is_open=now != guesses.CLOSED)
         if guesses.is_right(better, faces, count):
             return found, _guessed_call(better, vertices, faces, grid)
         return found, _known_call(vertices[None], faces, grid, topology.boundary)
@@ -170,6 +171,38 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     )
 
 
+def _known_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, ...]:
+    """The map (1,nx,ny,nz) of a mesh whose faces were paired, and of an open one the ambiguous voxels (1,).
+
+    Of an open mesh that was here before, the device looks whether it still has the same boundary: the host would have
+    to wait for the vertices.
+    """
+    pairing = pairing_of(faces, vertices.shape[1])
+    if not can_be_told(pairing):
+        return graphs.run(_known_call(vertices, faces, grid, None))
+    if pairing.edges is not None and pairing.same is not None:
+        again = _unmoved_call(vertices, faces, grid, pairing, pairing.edges)
+        found, _ = graphs.attempt(again)
+        if found is not None:
+            return found
+        if graphs.is_recorded(faces.device, again.key):
+            return graphs.run(_known_call(vertices, faces, grid, None))
+    call = _known_call(vertices, faces, grid, None)
+    found = call.work(graphs.unverified, *call.inputs)
+    if pairing.edges is not None:
+        note_ends(pairing, vertices)
+        graphs.note(_unmoved_call(vertices, faces, grid, pairing, pairing.edges))
+    return found
+
+
+def _unmoved_call(vertices: Tensor, faces: Tensor, grid: Grid, pairing: Pairing, edges: Tensor) -> Call:
+    """`_known_call` of a mesh with these boundary edges, if it still has them."""
+    call = _known_call(vertices, faces, grid, edges)
+    key = "unmoved", pairing.unmatched.shape[0], call.key
+    ends = () if pairing.same is None else (pairing.unmatched, pairing.same)
+    return Call(key, partial(_queue_unmoved_maps, grid), (*call.inputs, *ends))
+
+
 def _unpacked(found: tuple[Tensor, ...]) -> tuple[Tensor, Tensor | None]:
     return found[0][0], found[1] if len(found) > 1 else None
 
@@ -202,6 +235,22 @@ def _queue_maps(
     structure = queue_build(vertices, faces, topology, join, for_maps=True)
     found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
     return found if boundary.shape[0] else found[:1]
+
+
+def _queue_unmoved_maps(
+    grid: Grid,
+    verify: Verify,
+    vertices: Tensor,
+    faces: Tensor,
+    neighbours: Tensor,
+    boundary: Tensor,
+    caps: Tensor,
+    unmatched: Tensor,
+    same: Tensor,
+) -> tuple[Tensor, ...]:
+    with beside(faces.device) as join:
+        verify(queue_comparison(unmatched, same, vertices))
+    return _queue_maps(grid, verify, vertices, faces, neighbours, boundary, caps, join=join)
 
 
 def _queue_guessed_map(

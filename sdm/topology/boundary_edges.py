@@ -70,7 +70,7 @@ def boundary_edges(vertices: Tensor, faces: Tensor) -> Tensor:
     paired.unmatched, found = _joined_on_host(paired.unmatched, batch)
     # As long as a mesh that moves keeps its boundary, so do those who remember something about it.
     if paired.edges is None or not np.array_equal(on_host(paired.edges), found):
-        paired.edges = torch.from_numpy(found).to(faces.device)
+        paired.edges, paired.same = torch.from_numpy(found).to(faces.device), None
         cached(_known_host, paired.edges, lambda: found)
     return paired.edges
 

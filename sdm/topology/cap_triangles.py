@@ -45,7 +45,7 @@ def turned(faces: Tensor) -> Tensor:
 
 def remember_joined(pairing: Pairing, edges: Tensor, caps: Tensor) -> None:
     """Remember boundary edges and their caps, which were found on the device, as those of a pairing."""
-    pairing.edges = edges
+    pairing.edges, pairing.same = edges, None
     cached(_known, edges, lambda: caps)
 
 

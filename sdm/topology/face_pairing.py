@@ -28,12 +28,14 @@ class Pairing:
             `sdm.kernels.topology.edge_pairing` gives them.
         neighbours: (F,4) int32, see the function of that name.
         edges: (E,2) int32, the last boundary found.
+        same: (2 * N,) int32, of the vertices that it was found for, see `sdm.topology.same_boundary`; or nobody knows.
         ready: When `neighbours` is written, if nobody has waited for that yet.
     """
 
     unmatched: Tensor
     neighbours: Tensor
     edges: Tensor | None = None
+    same: Tensor | None = None
     ready: torch.cuda.Event | None = None
 
 

@@ -19,7 +19,8 @@ from sdm.topology.face_pairing import Pairing, PairingUnderWay, pairing_of, queu
 
 # More unmatched edges are not compared with each other on the device; numbers of faces and vertices that are kept.
 MOST_GUESSED, MOST_KEPT = 1 << 10, 64
-
+# Of more it is not remembered whether the device could follow them.
+MOST_REMEMBERED = 1 << 11
 
 # Devices that join a mesh's unmatched edges themselves: a CPU's host does it in less time.
 JOINING_DEVICES = ("cuda",)
@@ -43,12 +44,21 @@ def guess(faces: Tensor, count: int) -> Guess:
 
     Nor if the kernels of `queue_guessed` are not made for so many.
     """
-    return _last_open.get((faces.shape[0], count)) or CLOSED
+    return CLOSED if is_hopeless(faces, count) else last_numbers(faces, count) or CLOSED
 
 
 def is_hopeless(faces: Tensor, count: int) -> bool:
     """True if the last open mesh with as many faces and vertices has numbers that are not to be guessed by."""
-    return _last_open.get((faces.shape[0], count), CLOSED) is None
+    last = last_numbers(faces, count)
+    return last is None or last.unmatched > MOST_GUESSED or (last.unmatched > 0 and last.boundary == 0)
+
+
+def last_numbers(faces: Tensor, count: int) -> Guess | None:
+    """The numbers of the last open mesh with as many faces and vertices, of a closed one if there was none.
+
+    None if the device does not join the edges of such meshes.
+    """
+    return _last_open.get((faces.shape[0], count), CLOSED)
 
 
 def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> None:
@@ -57,15 +67,21 @@ def remember(faces: Tensor, count: int, edges: Tensor, simple: bool = False) -> 
     If they are `simple`, they were followed on the device; else whether they can be is looked at on the host.
     """
     unmatched = pairing_of(faces, count).unmatched.shape[0]
+    if unmatched == 0:
+        _last_open.pop((faces.shape[0], count), None)
+        return
+    if not simple and unmatched <= MOST_REMEMBERED:
+        # Where too many begin at one vertex, they are not followed on the device.
+        meeting = np.unique(on_host(edges)[:, 0], return_counts=True)[1] if edges.shape[0] else np.zeros(1)
+        simple = int(meeting.max()) <= boundary_loops.MOST_MEETING
+    remember_numbers(faces, count, Guess(unmatched, edges.shape[0]) if simple else None)
+
+
+def remember_numbers(faces: Tensor, count: int, numbers: Guess | None) -> None:
+    """Remember the numbers of an open mesh, for the next guess; None if nobody should guess by them."""
     key = faces.shape[0], count
     _last_open.pop(key, None)
-    if unmatched == 0:
-        return
-    if not simple and unmatched <= MOST_GUESSED and edges.shape[0]:
-        # Where too many begin at one vertex, they are not followed on the device.
-        meeting = np.unique(on_host(edges)[:, 0], return_counts=True)[1]
-        simple = int(meeting.max()) <= boundary_loops.MOST_MEETING
-    _last_open[key] = Guess(unmatched, edges.shape[0]) if simple else None
+    _last_open[key] = numbers
     while len(_last_open) > MOST_KEPT:
         _last_open.popitem(last=False)
 
@@ -129,8 +145,8 @@ def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: G
         (E,3).
     """
     device, edges = vertices.device, guessed.boundary
-    flags, flat = torch.zeros(boundary_loops.FLAGS + 2 * edges, dtype=torch.int32, device=device).split(
-        [boundary_loops.FLAGS, 2 * edges]
+    numbers, flat = torch.zeros(boundary_loops.NUMBERS + 2 * edges, dtype=torch.int32, device=device).split(
+        [boundary_loops.NUMBERS, 2 * edges]
     )
     caps = torch.empty(edges, 3, dtype=torch.int32, device=device)
     bounds = flat.view(edges, 2)
@@ -141,7 +157,7 @@ def queue_joining(unmatched: Tensor, found: Tensor, vertices: Tensor, guessed: G
             as_warp(vertices, wp.vec3),
             as_warp(bounds, wp.int32),
             as_warp(caps, wp.int32),
-            as_warp(flags, wp.int32),
+            as_warp(numbers, wp.int32),
             workspace(device),
         )
-    return flags, bounds, caps
+    return numbers[: boundary_loops.FLAGS], bounds, caps

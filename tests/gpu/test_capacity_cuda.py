@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
 import sdm
-from sdm.bench.common.meshes import load_case
+from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
+from sdm.bench.common.mesh_formulas import torus
+from sdm.bench.common.meshes import Case, load_case
 from sdm.bench.dense.first import fresh, split
 from sdm.engine import maps
 from sdm.errors import MeshError
 from sdm.runtime import graphs
+from sdm.topology import guesses
+from sdm.topology.face_pairing import pairing_of
 
 pytestmark = pytest.mark.gpu
 
@@ -18,6 +23,7 @@ pytestmark = pytest.mark.gpu
 @pytest.fixture(autouse=True)
 def afresh(monkeypatch):
     monkeypatch.setattr(maps, "USE_CLASSES", True)
+    guesses._last_open.clear()
     graphs.clear()
     yield
     graphs.clear()
@@ -46,6 +52,100 @@ def test_the_same_bits_whatever_the_counts_and_grids(launches, name, shape):
         assert torch.equal(found.values, _expected(fresh(other, "cuda"), grid))
         assert found.ambiguous_voxels == 0
     assert len(launches) == 8 - graphs.CALLS
+
+
+def _arrays(case):
+    return case.vertices, case.faces
+
+
+def _dirt(name, number):
+    """Meshes with other counts for each number, vertices and faces."""
+    case = split(load_case("torus-5000"), 2 + number)
+    mesh = _arrays(case)
+    if name == "half spheres":
+        return half_spheres(4 + number)
+    if name == "sheets":
+        return sheets(20 + number)
+    if name == "flipped":
+        vertices, faces = torus(800 + 10 * number)
+        some = np.random.default_rng(number).random(len(faces)) < 0.5
+        return vertices, np.where(some[:, None], faces[:, [0, 2, 1]], faces)
+    if name == "equal positions":
+        vertices, faces = torn(mesh, 0.02)
+        own, faces = np.random.default_rng(number).random(len(faces)) < 0.05, faces.copy()
+        twice = vertices[faces[own, 0]]
+        faces[own, 0] = len(vertices) + np.arange(own.sum())
+        return np.concatenate([vertices, twice]), faces
+    return torn(mesh, {"torn": 0.01, "torn much": 0.08}[name])
+
+
+OPEN = ["torn", "torn much", "half spheres", "sheets", "flipped", "equal positions"]
+
+
+@pytest.mark.parametrize("name", OPEN)
+@pytest.mark.parametrize("direction", [None, [[0, 1, 0], [1, 0, 0], [0, 0, 1]]])
+def test_open_meshes_have_the_same_bits(launches, name, direction):
+    for number in range(7):
+        vertices, faces = _dirt(name, number)
+        case = Case(name, vertices.astype(np.float32), faces.astype(np.int32), frozenset())
+        grid = _grid(case, number, (48, 40, 56), direction)
+        found = sdm.signed_distance_map(fresh(case, "cuda"), grid)
+        with graphs.paused():
+            expected = sdm.MeshIndex(fresh(case, "cuda"), warn=False).signed_distance_map(grid)
+        assert torch.equal(found.values, expected.values)
+        assert found.ambiguous_voxels == expected.ambiguous_voxels > 0
+    assert len(launches) == 7 - graphs.CALLS
+
+
+def test_open_and_closed_meshes_by_turns(launches):
+    """Both recordings, guesses that are wrong, and what is known afterwards."""
+    case = load_case("torus-5000")
+    for number in range(16):
+        other = split(case, 2 + number)
+        vertices, faces = other.vertices, other.faces
+        if number % 2:
+            # One with as many faces as a closed mesh would have.
+            vertices, faces = torn((vertices, faces), 0.01) if number % 4 == 1 else (vertices, faces.copy())
+            faces[5] = faces[6]
+        case_ = Case("", vertices, faces, frozenset())
+        grid, mesh = _grid(case_, number, (48, 48, 48)), fresh(case_, "cuda")
+        with graphs.paused():
+            expected = sdm.MeshIndex(fresh(case_, "cuda"), warn=False).signed_distance_map(grid)
+        for again in range(3):
+            moved = sdm.TriangleMesh(mesh.vertices.clone() if again else mesh.vertices, mesh.faces, check=False)
+            found = sdm.signed_distance_map(moved, grid)
+            assert torch.equal(found.values, expected.values)
+            assert found.ambiguous_voxels == expected.ambiguous_voxels
+    assert len(launches) >= 16 - 2 * graphs.CALLS
+
+
+def test_meshes_without_room_for_their_boundary(launches):
+    """The class says so, and the map is made otherwise."""
+    for number in range(7):
+        share = 0.4 if number == 5 else 0.01
+        vertices, faces = torn(_arrays(split(load_case("torus-5000"), 2 + number)), share)
+        case = Case("", vertices, faces, frozenset())
+        grid = _grid(case, number, (48, 48, 48))
+        found = sdm.signed_distance_map(fresh(case, "cuda"), grid)
+        assert torch.equal(found.values, _expected(fresh(case, "cuda"), grid))
+
+
+def test_known_open_meshes_that_move_do_not_wait_for_their_vertices(launches):
+    vertices, faces = torn(_arrays(load_case("torus-5000")), 0.01)
+    case = Case("", vertices, faces, frozenset())
+    grid, mesh = _grid(case, 0, (48, 48, 48)), fresh(case, "cuda")
+    for step in range(8):
+        moved = sdm.TriangleMesh((1 - 0.02 * step) * mesh.vertices, mesh.faces, check=False)
+        found = sdm.signed_distance_map(moved, grid)
+        again = sdm.TriangleMesh(moved.vertices.clone(), mesh.faces.clone(), check=False)
+        assert torch.equal(found.values, _expected(again, grid))
+    assert len(launches) == 7 - graphs.CALLS
+    # Two ends of a hole come together.
+    unmatched = pairing_of(mesh.faces, len(mesh.vertices)).unmatched
+    closer = mesh.vertices.clone()
+    closer[int(unmatched[0, 0])] = closer[int(unmatched[0, 1])]
+    found = sdm.signed_distance_map(sdm.TriangleMesh(closer, mesh.faces, check=False), grid)
+    assert torch.equal(found.values, _expected(sdm.TriangleMesh(closer, mesh.faces.clone(), check=False), grid))
 
 
 def test_turned_grids(launches):

@@ -1,1 +1,1 @@
-"""Maps of closed meshes never seen before, from recordings that have room for meshes of many sizes."""
+"""Maps of meshes never seen before, from recordings that have room for meshes of many sizes."""

@@ -12,16 +12,19 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from sdm.core.grid import IDENTITY, Grid
-from sdm.engine.acceleration import MeshKind
+from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.engine.plan_override import OPTIONS
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, uneven_room
 from sdm.kernels.dense.plan import Plan, Workload, decide, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
+from sdm.kernels.winding.cap_tree import depth_of_caps
 
 # Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
 # of more, kernels take longer than the host.
 SMALL, LARGEST = (1280, 5120, 20480), 1 << 20
+# Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
+MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
 # Vertices for each face of the room: of closed surfaces, or of triangles that share none.
 SHARED, LOOSE = 0.75, 3.0
 
@@ -53,8 +56,21 @@ class CapacityClass:
 
     @property
     def sizes(self) -> PairSizes:
-        """Sizes of the structure of both."""
+        """Sizes of the structure of both, if the mesh is closed."""
         return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + (2 << depth_for(self.faces - self.least)))
+
+    @property
+    def open_sizes(self) -> PairSizes:
+        """Sizes of the structure of both, with room for a boundary of the mesh."""
+        caps = MOST_EDGES + 1
+        return self.sizes._replace(
+            edges=MOST_EDGES,
+            visited_edges=MOST_EDGES,
+            caps=caps,
+            all_caps=caps,
+            cap_nodes=2 * (2 << depth_of_caps(caps)),
+            kind=MeshKind.OPEN,
+        )
 
 
 class PairSizes(NamedTuple):

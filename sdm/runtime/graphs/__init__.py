@@ -7,7 +7,7 @@ same bits. Calls that want gradients, those inside `torch.compile` or another gr
 512 MiB are not recorded.
 
 A recording that has to go before it was used often makes later ones wait for more calls, so that many kinds by turns
-cost little. Of each device the 16 recordings used last are kept, with at most a sixteenth of its memory; they share
+cost little. Of each device the 24 recordings used last are kept, with at most a sixteenth of its memory; they share
 their scratch, so the device runs one after the other, whatever streams they are launched on. `enable(False)`, or the
 environment variable `SDM_CUDA_GRAPHS=0`, turns this off, `paused()` for a while; `clear()` gives the memory back.
 

@@ -15,19 +15,19 @@ from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
 from sdm.runtime.torch_warp import on_current_stream
 
-# Takes flags, zeros if a guess is right.
-Verify: TypeAlias = Callable[[Tensor], None]
+# Takes flags, zeros if a guess is right, and behind them as many other numbers as it is told, for the host to know.
+Verify: TypeAlias = Callable[..., None]
 Tensors: TypeAlias = tuple[Tensor, ...]
 # Takes a `Verify` and tensors, gives tensors.
 Work: TypeAlias = Callable[..., Tensors]
 # Takes a recording's own tensors, gives new ones, or None if they are not what was wanted.
 Finish: TypeAlias = Callable[[Tensors], "Tensors | None"]
 
-MOST_FLAGS = 4
+MOST_FLAGS = 8
 PENDING = -1
 
 
-def unverified(flags: Tensor) -> None:
+def unverified(flags: Tensor, told: int = 0) -> None:
     """The `Verify` of work whose guesses are known to be right, or whose results nobody looks at."""
 
 
@@ -44,7 +44,7 @@ class CapturedCall:
         self.lock = threading.Lock()
         self._pool = pool
         self._device = inputs[0].device
-        self._guesses, self._count = False, 0
+        self._guesses, self._count, self._told = False, 0, 0
         self._held = InputCache(pool, len(inputs))
         self._verified = torch.cuda.Event(external=True)
         with (
@@ -89,9 +89,9 @@ class CapturedCall:
         finally:
             self._graph.capture_end()
 
-    def _verify(self, flags: Tensor) -> None:
+    def _verify(self, flags: Tensor, told: int = 0) -> None:
         self._guesses = True
-        self._count = flags.shape[0]
+        self._count, self._told = flags.shape[0], told
         self._flags[: self._count].copy_(flags, non_blocking=True)
         self._verified.record()
 
@@ -132,12 +132,17 @@ class CapturedCall:
         first = () if values is None else (values,)
         return *first, *(result.clone() for result in self._results[len(first) :])
 
-    def guessed_right(self) -> bool:
-        """True if the last launch's guess was right: waits for its flags, if there are any, and for nothing else."""
+    def guessed_right(self) -> tuple[bool, list[int]]:
+        """Whether the last launch's guess was right, and all numbers handed to `verify`.
+
+        Waits for these, if there are any, and for nothing else.
+        """
         if not self._guesses:
-            return True
+            return True, []
         self._verified.synchronize()
-        if PENDING in self._flags.tolist() and self._pool.last is not None:
+        said = self._flags.tolist()
+        if PENDING in said and self._pool.last is not None:
             # A driver that does not take launches into account: the results' own event comes last.
             self._pool.last.synchronize()
-        return not any(self._flags.tolist())
+            said = self._flags.tolist()
+        return not any(said[: self._count - self._told]), said[: self._count]

@@ -19,8 +19,8 @@ from sdm.runtime.operators import is_eager
 
 # The part of a device's memory that recordings may keep.
 SHARE = 16
-# And how many they are: a folder of meshes has a dozen capacity classes (`sdm.engine.capacity`).
-MOST_RECORDINGS = 16
+# And how many they are: a folder of meshes has a dozen capacity classes and more (`sdm.engine.capacity`).
+MOST_RECORDINGS = 24
 
 _switch = SimpleNamespace(on=os.environ.get("SDM_CUDA_GRAPHS", "1") != "0", pauses=0)
 _lock = threading.RLock()
@@ -112,33 +112,36 @@ def speculate(guess: Call, settle: Callable[[], tuple[Tensors, Call | None]]) ->
     return results, False
 
 
-def replay(call: Call, keep: bool = False) -> Tensors | None:
+def replay(call: Call) -> Tensors | None:
     """The results of a call's recording; None if there is none, or if it rests on a guess that was wrong.
 
-    One whose guess was wrong is forgotten, unless it is to be kept. Inputs may have fewer rows than the recording's, if
-    its work is told how many they are.
+    One whose guess was wrong is forgotten.
+    """
+    results, _ = attempt(call)
+    if results is None and is_recorded(call.inputs[0].device, call.key):
+        with _lock:
+            _caches[call.inputs[0].device].drop(call.key)
+    return results
+
+
+def attempt(call: Call) -> tuple[Tensors | None, list[int]]:
+    """As `replay`, and all numbers handed to `verify`; the recording is kept, as the next guess may be right.
+
+    No numbers if there is no recording. Inputs may have fewer rows than the recording's, if its work is told how many
+    they are.
     """
     cache = _caches.get(call.inputs[0].device)
     if cache is None:
-        return None
+        return None, []
     with _lock:
         captured = cache.find(call.key)
         if captured is None:
-            return None
+            return None, []
     with captured.lock:
         with _lock:
             results = captured.launch(call.inputs, call.finish)
-        if results is not None and captured.guessed_right():
-            return results
-    if not keep:
-        with _lock:
-            cache.drop(call.key)
-    return None
-
-
-def attempt(call: Call) -> Tensors | None:
-    """`replay` of a call that other guesses than the last may be right for: its recording is kept."""
-    return replay(call, keep=True)
+        right, said = captured.guessed_right() if results is not None else (False, [])
+    return (results if right else None), said
 
 
 def note(call: Call) -> None:

@@ -9,8 +9,9 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import split
+from sdm.engine.capacity.class_maps import class_call
 from sdm.engine.capacity.classes import bounds_of, class_of
-from sdm.engine.capacity.closed_maps import TABLE, class_call, to_record, write_table
+from sdm.engine.capacity.tables import TABLE, class_inputs, to_record, write_table
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.bvh.tree import COUNT, FIRST, PART_SIZE, ROOT, depth_for
 from sdm.kernels.geometry.voxel_grid import AXES, ORIGIN, REGION, SHAPE, SLAB_ROW, VOXEL
@@ -20,7 +21,7 @@ from sdm.topology.face_pairing import neighbours
 
 def _class_map(vertices, faces, grid):
     kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    call = to_record(kind, class_call(kind, vertices, faces, grid))
+    call = to_record(kind, class_call(kind, class_inputs(kind, vertices, faces, grid)))
     flags = []
     values, around = call.work(flags.append, *call.inputs)
     return kind, values[0], around[: faces.shape[0]], flags[0]

@@ -243,13 +243,16 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
         assert (0 if ambiguous is None else int(ambiguous)) == expected.ambiguous_voxels
     assert torch.equal(maps.batch_maps(mesh.vertices[None], faces, grid, None)[0], expected.values)
     assert torch.equal(maps.index_map(index._structure, grid)[0], expected.values)
-    first = {"torus-500": "class", "open hemisphere": "guessed"}.get(name, "known")
-    assert [call.key[0] for call in noted] == [first, "known", "known", "index"]
+    # The last two have more unmatched edges than are compared with each other.
+    ways = {"torus-500": ("class", "known"), "open hemisphere": ("open class", "unmoved")}
+    first, second = ways.get(name, ("known", "known"))
+    assert [call.key[0] for call in noted] == [first, second, "known", "index"]
     for call in noted:
         flags = []
-        assert torch.equal(call.work(flags.append, *call.inputs)[0][0], expected.values)
+        found = call.work(lambda said, told=0: flags.append(said[: len(said) - told]), *call.inputs)  # noqa: B023
+        assert torch.equal(found[0][0], expected.values)
         assert not any(found.any() for found in flags)
-        assert bool(flags) == (call.key[0] in ("class", "guessed"))
+        assert bool(flags) == (call.key[0] in ("class", "open class", "unmoved"))
 
 
 def test_a_wrong_guess_is_told():

@@ -1,0 +1,160 @@
+"""Which recording a mesh never seen before goes to first, and where it goes if that was wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.bench.common.dirty_meshes.by_code import torn
+from sdm.bench.common.mesh_formulas import torus
+from sdm.engine import maps
+from sdm.engine.capacity.class_maps import class_key
+from sdm.engine.capacity.classes import class_of
+from sdm.engine.capacity.first_maps import looks_closed
+from sdm.errors import MeshError
+from sdm.runtime import graphs
+from sdm.topology import guesses
+from sdm.topology.face_pairing import is_known, pairing_of
+
+GRID = sdm.Grid([-1.4] * 3, [0.2] * 3, [15] * 3)
+CLOSED, OPEN = "class", "open class"
+
+
+@pytest.fixture
+def went(monkeypatch):
+    """Attempts, what was noted and what was settled otherwise; `_recorded` says which recordings there are."""
+    log: list[str] = []
+    monkeypatch.setattr(guesses, "_last_open", guesses._last_open.__class__())
+    monkeypatch.setattr(maps, "USE_CLASSES", True)
+
+    def attempt(call):
+        said: list[int] = []
+        told = 0
+
+        def verify(flags, count=0):
+            nonlocal told
+            said.extend(flags.tolist())
+            told = count
+
+        found = call.work(verify, *_room(call.key[1], call.inputs))
+        log.append(call.key[0])
+        return (None if any(said[: len(said) - told]) else found), said
+
+    monkeypatch.setattr(graphs, "attempt", attempt)
+    monkeypatch.setattr(graphs, "note", lambda call: log.append(f"note {call.key[0]}"))
+    monkeypatch.setattr(graphs, "run", lambda call: call.work(graphs.unverified, *call.inputs))
+
+    def speculate(guess, settle):
+        log.append("settle")
+        return settle()[0], False
+
+    monkeypatch.setattr(graphs, "speculate", speculate)
+    return log
+
+
+def _room(kind, inputs):
+    """The inputs as a recording has them, which fill the room of the class."""
+    vertices, faces, table = inputs
+    rows = torch.zeros(kind.vertices, 3), torch.zeros(kind.faces, 3, dtype=torch.int32)
+    for room, given in zip(rows, (vertices, faces), strict=True):
+        room[: len(given)] = given
+    return *rows, table
+
+
+def _recorded(monkeypatch, *names):
+    keys = {(name, kind) for name in names for kind in _classes()}
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key in keys)
+
+
+def _classes():
+    return [class_of(200, 100, GRID, None), class_of(200, 600, GRID, None)]
+
+
+def _open():
+    return tuple(torch.from_numpy(array) for array in torn(torus(400), 0.05))
+
+
+def _closed():
+    return tuple(torch.from_numpy(array) for array in torus(400))
+
+
+def _map(mesh):
+    vertices, faces = mesh
+    values, ambiguous = maps.mesh_map(vertices, faces, GRID)
+    expected = sdm.MeshIndex((vertices, faces.clone()), "cpu", warn=False).signed_distance_map(GRID)
+    assert torch.equal(values, expected.values)
+    assert (0 if ambiguous is None else int(ambiguous)) == expected.ambiguous_voxels
+    assert is_known(faces, len(vertices))
+
+
+def test_an_open_mesh_goes_to_the_open_class(went, monkeypatch):
+    _recorded(monkeypatch, CLOSED, OPEN)
+    mesh = _open()
+    _map(mesh)
+    assert went == [OPEN]
+    fresh = pairing_of(mesh[1].clone(), len(mesh[0]))
+    known = pairing_of(mesh[1], len(mesh[0]))
+    assert torch.equal(known.neighbours, fresh.neighbours)
+    assert sorted(known.unmatched.tolist()) == sorted(fresh.unmatched.tolist())
+    # Again, with what was remembered.
+    _map(mesh)
+
+
+def test_a_closed_mesh_goes_to_its_class(went, monkeypatch):
+    _recorded(monkeypatch, CLOSED, OPEN)
+    _map(_closed())
+    assert went == [CLOSED]
+
+
+def test_the_open_class_serves_closed_ones_until_theirs_is_there(went, monkeypatch):
+    _recorded(monkeypatch, OPEN)
+    _map(_closed())
+    assert went == [OPEN, "note class"]
+
+
+def test_an_open_mesh_that_looks_closed_goes_on_to_the_open_class(went, monkeypatch):
+    _recorded(monkeypatch, CLOSED, OPEN)
+    vertices, faces = _closed()
+    torn_ = faces.clone()
+    torn_[5] = torn_[6]
+    _map((vertices, torn_))
+    assert went == [CLOSED, OPEN]
+
+
+def test_without_a_class_for_open_meshes(went, monkeypatch):
+    _recorded(monkeypatch, CLOSED)
+    _map(_open())
+    assert went == [CLOSED, "settle"]
+
+
+def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
+    _recorded(monkeypatch, CLOSED, OPEN)
+    vertices, faces = torus(1200)
+    soup = torch.from_numpy(vertices[faces].reshape(-1, 3) * np.float32(1.0))
+    soup[::7] += 0.01
+    loose = torch.arange(len(soup), dtype=torch.int32).reshape(-1, 3)
+    kind = class_of(len(loose), len(soup), GRID, None)
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, is_open=True))
+    _map((soup, loose))
+    assert went == [OPEN, "settle"]
+    _map((soup, loose.clone()))
+    assert went == [OPEN, "settle", "settle"]
+
+
+def test_a_vertex_out_of_range_is_refused(went, monkeypatch):
+    for names in ((CLOSED,), (OPEN,), (CLOSED, OPEN)):
+        _recorded(monkeypatch, *names)
+        for vertices, faces in (_open(), _closed()):
+            faces[3, 1] = len(vertices)
+            with pytest.raises(MeshError, match="uses vertex"):
+                maps.mesh_map(vertices, faces, GRID)
+
+
+@pytest.mark.parametrize(
+    ("faces", "vertices", "closed"),
+    [(12, 8, True), (400, 200, True), (4000, 1980, True), (399, 200, False), (400, 240, False), (562, 299, False)],
+)
+def test_guess_by_counts(faces, vertices, closed):
+    assert looks_closed(faces, vertices) == closed

@@ -1,0 +1,153 @@
+"""Maps of open meshes by capacity class: the bits of calls for a mesh's own counts, whatever its boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import sdm
+from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
+from sdm.bench.common.mesh_formulas import torus
+from sdm.bench.dense.launch_counts import as_on_a_gpu
+from sdm.engine.capacity.class_maps import open_class_call
+from sdm.engine.capacity.classes import MOST_EDGES, class_of
+from sdm.engine.capacity.open_boundary import OpenBoundary
+from sdm.engine.capacity.tables import class_inputs, to_record
+from sdm.engine.plan_override import plan_override
+from sdm.kernels.topology.boundary_loops import FLAGS, TANGLED, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.topology.boundary_edges import boundary_edges
+from sdm.topology.face_pairing import neighbours, pairing_of
+
+
+def _flipped(seed):
+    vertices, faces = torus(840)
+    some = np.random.default_rng(seed).random(len(faces)) < 0.5
+    return vertices, np.where(some[:, None], faces[:, [0, 2, 1]], faces)
+
+
+def _loose():
+    """Each triangle with vertices of its own, a tenth of them elsewhere."""
+    vertices, faces = torus(200)
+    apart = vertices[faces].reshape(-1, 3)
+    apart[:60] += np.float32(0.01)
+    return apart, np.arange(len(apart), dtype=np.int32).reshape(-1, 3)
+
+
+def _flat():
+    """Faces of one vertex, of two, and of three on a line, at a hole and elsewhere."""
+    vertices, faces = torus(400)
+    middle = 0.5 * (vertices[faces[0, 0]] + vertices[faces[0, 1]])
+    some = [[len(vertices), faces[0, 0], faces[0, 1]], [5, 5, 5], [7, 7, 9], [faces[0, 1], faces[0, 2], faces[0, 2]]]
+    return np.concatenate([vertices, middle[None]]), np.concatenate([faces[1:], np.int32(some)])
+
+
+def _meeting():
+    """Two holes that meet at a vertex, and a face that is there twice."""
+    vertices, faces = torus(400)
+    around = np.flatnonzero((faces == faces[0, 0]).any(1))
+    faces = np.delete(faces, around[[0, 3]], 0)
+    return vertices, np.concatenate([faces, faces[50:51]])
+
+
+MESHES = {
+    "torn": lambda: torn(torus(400), 0.1),
+    "torn to pieces": lambda: torn(torus(1000), 0.4),
+    "half spheres": lambda: half_spheres(3),
+    "sheets": lambda: sheets(20),
+    "closed": lambda: torus(400),
+    "loose triangles": _loose,
+    "loops that meet": _meeting,
+    "more boundary edges than faces": lambda: _flipped(1),
+    "one triangle": lambda: (torus(200)[0], torus(200)[1][:1]),
+    "zero-area faces": _flat,
+}
+
+
+def _grid(vertices, turned=False):
+    low, high = vertices.min(0), vertices.max(0)
+    direction = [[0, 1, 0], [1, 0, 0], [0, 0, 1]] if turned else np.eye(3)
+    return sdm.Grid(low - 0.07 * (high - low).max(), (high - low).max() / 20 * np.ones(3), (24, 20, 27), direction)
+
+
+def _class_map(vertices, faces, grid):
+    kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
+    call = to_record(kind, open_class_call(kind, class_inputs(kind, vertices, faces, grid)))
+    said = []
+    found = call.work(lambda flags, told: said.extend([told, *flags.tolist()]), *call.inputs)
+    told, *numbers = said
+    assert told == len(numbers) - FLAGS
+    return found, OpenBoundary.of_memory(found[1]), numbers
+
+
+def _same(mesh, grid):
+    vertices, faces = (torch.from_numpy(np.ascontiguousarray(array)) for array in mesh)
+    (values, _, around, unmatched), boundary, numbers = _class_map(vertices, faces, grid)
+    expected = sdm.MeshIndex((vertices, faces), "cpu", warn=False).signed_distance_map(grid)
+    edges = boundary_edges(vertices, faces)
+    assert numbers[:FLAGS] == [0] * FLAGS
+    assert numbers[-1] == len(edges)
+    assert torch.equal(boundary.edges[: len(edges)], edges)
+    assert torch.equal(around[: len(faces)], neighbours(faces, len(vertices)))
+    assert torch.equal(values[0], expected.values)
+    assert boundary.ambiguous.tolist() == [expected.ambiguous_voxels, 0]
+    assert unmatched.shape == (MOST_EDGES, 3)
+    return numbers
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_same_bits(name, turned):
+    mesh = MESHES[name]()
+    numbers = _same(mesh, _grid(mesh[0], turned))
+    assert (numbers[-1] == 0) == (name == "closed")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_dirt(seed):
+    rng = np.random.default_rng(seed)
+    vertices, faces = torn(torus(int(rng.integers(50, 900))), rng.uniform(0.01, 0.5))
+    vertices = vertices + rng.normal(0, 0.02, vertices.shape).astype(np.float32)
+    # Some vertices twice, some faces turned or twice.
+    own, faces = rng.random(len(faces)) < 0.1, faces.copy()
+    twice = vertices[faces[own, 0]]
+    faces[own, 0] = len(vertices) + np.arange(own.sum())
+    vertices = np.concatenate([vertices, twice])
+    some = rng.random(len(faces)) < 0.1
+    faces[some] = faces[some][:, [1, 0, 2]]
+    mesh = vertices.astype(np.float32), np.concatenate([faces, faces[:5]]).astype(np.int32)
+    _same(mesh, _grid(mesh[0], bool(seed % 2)))
+
+
+def test_with_choices_of_a_gpu():
+    mesh = MESHES["torn to pieces"]()
+    with as_on_a_gpu(1 << 30):
+        _same(mesh, _grid(mesh[0]))
+    with plan_override(shares=(8, 2), split_length=32, slice_factors=(1,)):
+        _same(mesh, _grid(mesh[0]))
+
+
+def test_what_does_not_fit_is_told():
+    vertices, faces = (torch.from_numpy(array) for array in torus(3000))
+    grid = _grid(vertices.numpy())
+    torn_up = faces[::2].contiguous()
+    many = _class_map(vertices, torn_up, grid)[2]
+    assert many[WRONG_UNMATCHED] == len(pairing_of(torn_up, len(vertices)).unmatched) - MOST_EDGES > 0
+    outside = _class_map(vertices, faces.where(faces != 7, len(vertices)), grid)[2]
+    assert outside[WRONG_VERTEX] != 0
+    # 40 triangles at one edge: each of it is a loop through the same two vertices.
+    fan = torch.cat([faces[:-1], faces[:1].expand(40, 3)]).contiguous()
+    assert _class_map(vertices, fan, grid)[2][TANGLED] != 0
+    times = torch.cat([faces[:-1], faces[:1].expand(MOST_EDGES, 3)]).contiguous()
+    more = _class_map(vertices, times, grid)[2]
+    assert more[WRONG_EDGES] == 3 * MOST_EDGES + 3 - MOST_EDGES
+
+
+def test_what_has_no_room_leaves_no_index_out_of_range():
+    """The map has no meaning then, but it ends."""
+    vertices, faces = (torch.from_numpy(array) for array in torus(3000))
+    torn_up = faces[::2].contiguous()
+    found, boundary, _ = _class_map(vertices, torn_up, _grid(vertices.numpy()))
+    assert found[0].isfinite().all()
+    for index in (boundary.edges, boundary.caps):
+        assert 0 <= int(index.min()) <= int(index.max()) < len(vertices)
