@@ -20,6 +20,7 @@ from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import GPU_LANES, least_whole_of_lanes, sum_of_lanes, wait_for_block
 from sdm.kernels.topology.edge_pairing import OUT_OF_RANGE, UNMATCHED
+from sdm.kernels.topology.ends_at_one_place import join_ends, rows_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,90 +38,10 @@ MOST_MEETING = 32
 
 
 @wp.func
-def rows_of(found: wp.array(dtype=wp.int32), room: int):
-    """Unmatched edges, as far as they are guessed or have room; none if there is no room for all."""
-    rows = found[UNMATCHED]
-    return wp.where(rows <= room, rows, 0)
-
-
-@wp.func
 def edges_in(flags: wp.array(dtype=wp.int32), room: int):
     """Boundary edges, in the same way."""
     edges = flags[ALL_EDGES]
     return wp.where(edges <= room, edges, 0)
-
-
-@wp.func
-def end_of(unmatched: wp.array2d(dtype=wp.int32), end: int, vertices: int):
-    """The vertex at an end of an unmatched edge; one that is there, if the rows are not."""
-    return wp.clamp(unmatched[end / 2, end % 2], 0, vertices - 1)
-
-
-@wp.func
-def first_of_ends(
-    unmatched: wp.array2d(dtype=wp.int32),
-    vertices: wp.array2d(dtype=wp.vec3),
-    ends: int,
-    end: int,
-    lane: int,
-    lanes: int,
-):
-    """The lowest vertex among those of all ends that are where one is."""
-    count = vertices.shape[1]
-    mine = end_of(unmatched, end, count)
-    least = mine
-    other = lane
-    while other < ends:
-        theirs = end_of(unmatched, other, count)
-        if theirs < least:
-            equal = bool(True)
-            for mesh in range(vertices.shape[0]):
-                equal = equal and vertices[mesh, mine] == vertices[mesh, theirs]
-            if equal:
-                least = theirs
-        other = other + lanes
-    return least_whole_of_lanes(least)
-
-
-@wp.kernel
-def _join_ends(
-    begin: int,
-    lanes: int,
-    unmatched: wp.array2d(dtype=wp.int32),
-    vertices: wp.array2d(dtype=wp.vec3),
-    found: wp.array(dtype=wp.int32),
-    same: wp.array(dtype=wp.int32),
-):
-    """For each end the lowest vertex among all ends at its position."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    end = thread / lanes
-    ends = same.shape[0]
-    if found.shape[0] > 0:
-        ends = 2 * rows_of(found, same.shape[0] / 2)
-    if end >= ends:
-        return
-    least = first_of_ends(unmatched, vertices, ends, end, lane, lanes)
-    if lane == 0:
-        same[end] = least
-
-
-@wp.kernel
-def _compare_ends(
-    begin: int,
-    lanes: int,
-    unmatched: wp.array2d(dtype=wp.int32),
-    vertices: wp.array2d(dtype=wp.vec3),
-    same: wp.array(dtype=wp.int32),
-    flags: wp.array(dtype=wp.int32),
-):
-    """Set a flag if `_join_ends` would find something else."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    end = thread / lanes
-    least = first_of_ends(unmatched, vertices, same.shape[0], end, lane, lanes)
-    if lane == 0 and least != same[end]:
-        flags[0] = 1
 
 
 @wp.func
@@ -416,26 +337,10 @@ def join_edges(
     same, balances = empty(2 * rows, wp.int32), empty(rows, wp.int32)
     ahead, onward = empty(count, wp.int64), empty(count, wp.int64)
     around, left, firsts = (empty(count, wp.int32) for _ in range(3))
-    launch(_join_ends, 2 * rows * lanes, [lanes, unmatched, vertices, found, same], device)
+    join_ends(unmatched, vertices, same, found)
     launch(_add_up, rows * lanes, [lanes, unmatched, same, found, balances], device)
     launch(_write_edges, rows * lanes, [lanes, same, balances, found, edges, int(in_room), flags], device)
     launch(_follow, count * lanes, [lanes, edges, ahead, onward, firsts, int(in_room), flags], device)
     block = BLOCK if device.is_cuda else 1
     launch(_number_loops, block, [block, flags, ahead, onward, around, left], device)
     launch(_write_caps, count * lanes, [lanes, edges, flags, around, left, firsts, caps], device)
-
-
-def join_ends(unmatched: wp.array, vertices: wp.array, same: wp.array) -> None:
-    """Fill `same` (2 * N) int32: for each end of the unmatched edges (N,3) the lowest vertex of all ends at its place.
-
-    `vertices` is (meshes, V) vec3. What bounds the mesh depends on positions by this alone.
-    """
-    lanes = GPU_LANES if vertices.device.is_cuda else 1
-    none = same[:0]
-    launch(_join_ends, same.shape[0] * lanes, [lanes, unmatched, vertices, none, same], vertices.device)
-
-
-def compare_ends(unmatched: wp.array, vertices: wp.array, same: wp.array, flags: wp.array) -> None:
-    """Set `flags` (1) to 1 if `join_ends` would fill `same` otherwise."""
-    lanes = GPU_LANES if vertices.device.is_cuda else 1
-    launch(_compare_ends, same.shape[0] * lanes, [lanes, unmatched, vertices, same, flags], vertices.device)

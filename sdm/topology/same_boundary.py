@@ -1,4 +1,4 @@
-"""Whether a mesh that moved still has the boundary that was found before, told by the device.
+"""Test on the device of whether a mesh that moved still has the boundary that was found before.
 
 Faces say which edges are unmatched; positions only say which ends of those are at one place. As long as that is so,
 boundary edges and caps are those of before, and the host, which found them, need not look at the vertices again.
@@ -10,7 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.kernels.topology import boundary_loops
+from sdm.kernels.topology.ends_at_one_place import compare_ends, join_ends
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.boundary_edges import MOST_ON_HOST
 from sdm.topology.face_pairing import Pairing
@@ -28,9 +28,7 @@ def note_ends(pairing: Pairing, vertices: Tensor) -> None:
     """
     same = torch.empty(2 * pairing.unmatched.shape[0], dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, vertices):
-        boundary_loops.join_ends(
-            as_warp(pairing.unmatched, wp.int32), as_warp(vertices, wp.vec3), as_warp(same, wp.int32)
-        )
+        join_ends(as_warp(pairing.unmatched, wp.int32), as_warp(vertices, wp.vec3), as_warp(same, wp.int32))
     pairing.same = same
 
 
@@ -38,7 +36,7 @@ def queue_comparison(unmatched: Tensor, same: Tensor, vertices: Tensor) -> Tenso
     """Flags (1,) int32: zero if ends that were at one place are so with these vertices (1,V,3), and no others."""
     flags = torch.zeros(1, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, vertices):
-        boundary_loops.compare_ends(
+        compare_ends(
             as_warp(unmatched, wp.int32), as_warp(vertices, wp.vec3), as_warp(same, wp.int32), as_warp(flags, wp.int32)
         )
     return flags

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
-from sdm.engine.capacity.class_maps import class_call, class_key, open_class_call
+from sdm.engine.capacity.class_calls import class_call, class_key, open_class_call
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.capacity.tables import class_inputs, to_record

@@ -133,7 +133,7 @@ class CapturedCall:
         return *first, *(result.clone() for result in self._results[len(first) :])
 
     def guessed_right(self) -> tuple[bool, list[int]]:
-        """Whether the last launch's guess was right, and all numbers handed to `verify`.
+        """True if the last launch's guess was right, and all numbers handed to `verify`.
 
         Waits for these, if there are any, and for nothing else.
         """

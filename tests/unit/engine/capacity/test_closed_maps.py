@@ -9,7 +9,7 @@ import torch
 import sdm
 from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import split
-from sdm.engine.capacity.class_maps import class_call
+from sdm.engine.capacity.class_calls import class_call
 from sdm.engine.capacity.classes import bounds_of, class_of
 from sdm.engine.capacity.tables import TABLE, class_inputs, to_record, write_table
 from sdm.engine.plan_override import plan_override

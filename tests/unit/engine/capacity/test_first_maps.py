@@ -1,4 +1,4 @@
-"""Which recording a mesh never seen before goes to first, and where it goes if that was wrong."""
+"""First maps of meshes never seen before: the recording that they go to, and the next if that was wrong."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sdm
 from sdm.bench.common.dirty_meshes.by_code import torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
-from sdm.engine.capacity.class_maps import class_key
+from sdm.engine.capacity.class_calls import class_key
 from sdm.engine.capacity.classes import class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError

@@ -10,7 +10,7 @@ import sdm
 from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
-from sdm.engine.capacity.class_maps import open_class_call
+from sdm.engine.capacity.class_calls import open_class_call
 from sdm.engine.capacity.classes import MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.capacity.tables import class_inputs, to_record
