@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
@@ -22,9 +23,9 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
 from sdm.io.bands.save_and_load import check_band_target, save_band
-from sdm.io.maps.formats import format_of, require_memory_to_write
+from sdm.io.maps.formats import check_target_name, format_of, require_memory_to_write
 from sdm.io.maps.record import digest_of
-from sdm.io.maps.save_and_load import made_from, save_made_from
+from sdm.io.maps.save_and_load import made_from, write_made_from
 from sdm.runtime.host_copy import HostCopy
 
 # A map of more bytes, or one alone, is computed and written in the caller's thread, which an interrupt ends at once.
@@ -43,23 +44,31 @@ class MapStages:
     def __init__(self, settings: Settings, progress: Callable[[float], Any], *, alone: bool = False) -> None:
         self._settings, self._alone = settings, alone
         self._progress = progress
+        # Folders that have taken a file: trying it once for each map would be six calls of the system.
+        self._writable: set[Path] = set()
 
     def read(self, task: MapTask) -> ReadMesh:
         """Read and place a mesh, and see whether its map is there already."""
         start, settings = time.perf_counter(), self._settings
-        if settings.band is None:
-            check_target(task.target)
-        else:
-            check_band_target(task.target)
+        self._check_target(task.target)
         mesh, by = settings.placed(load_mesh(task.source))
         grid = settings.grid(mesh)
         settings.check(grid, task.target)
         measured = oriented(mesh, settings.orient, settings.device)
         digest = digest_of(measured, settings.how)
         there = settings.resume and _finished(task, grid, digest)
-        if not there:
+        if not there and settings.like_image is not None:
             refuse_inputs([task.target], [settings.like_image])
         return ReadMesh(task, mesh, measured, by, grid, digest, there, time.perf_counter() - start)
+
+    def _check_target(self, target: Path) -> None:
+        if self._settings.band is not None:
+            check_band_target(target)
+        elif target.parent in self._writable:
+            check_target_name(target)
+        else:
+            check_target(target)
+            self._writable.add(target.parent)
 
     def measure(self, group: Sequence[ReadMesh]) -> list[Measured]:
         """The maps of some meshes, by one call where that is possible."""
@@ -155,7 +164,7 @@ class MapStages:
         if found.map is None:
             return found.inside or 0, found.ambiguous
         field = found.map.wait()
-        save_made_from(field, found.read.task.target, found.read.digest)
+        write_made_from(field, found.read.task.target, found.read.digest)
         return field.inside_voxels, found.ambiguous
 
 

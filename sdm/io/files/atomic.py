@@ -82,9 +82,9 @@ def _temporary(target: Path) -> Path:
     # An empty path, a dot and the root.
     if not target.name:
         raise FormatError(f"{target} cannot be written: it is a folder; give a name in it")
-    if not target.parent.exists():
-        raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
     if not target.parent.is_dir():
+        if not target.parent.exists():
+            raise FormatError(f"{target} cannot be written: the folder {target.parent} is not there; make it first")
         raise FormatError(f"{target} cannot be written: {target.parent} is not a folder")
     return own_name(target)
 

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-import zipfile
+import io
+import struct
+import sys
 from collections.abc import Mapping
-from typing import IO
+from functools import lru_cache
+from typing import IO, Any
 
 import numpy as np
+from isal import isal_zlib
 
 # Bytes that are kept as they are, and not gathered with others.
 LARGE = 1 << 16
+# From here on a ZIP file has longer fields, which NumPy writes.
+MOST_BYTES = (1 << 31) - 1
+# ZIP: of version 4.5, stored, on 1 January 1980, made by Unix or Windows, to be read and written by its owner.
+VERSION, STORED, TIME, DATE = 45, 0, 0, 0x21
+SYSTEM = 0 if sys.platform == "win32" else 3
+ATTRIBUTES = 0o600 << 16
+LOCAL, CENTRAL, END = "<4s5H3I2H", "<4s4B4HL2L5H2L", "<4s4H2LH"
+LATER = 0xFFFFFFFF
 
 
 def write_archive(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
@@ -22,57 +34,66 @@ def write_archive(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
         file: Open for writing, at its begin.
         arrays: By their names in the archive.
     """
-    pieces = _Pieces()
-    with zipfile.ZipFile(pieces, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:  # type: ignore[arg-type]
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                if array.flags.c_contiguous and array.nbytes >= LARGE and not array.dtype.hasobject:
-                    head = np.lib.format.header_data_from_array_1_0(array)
-                    np.lib.format.write_array_header_1_0(member, head)
-                    member.write(array.reshape(-1).view(np.uint8).data)
-                else:
-                    np.lib.format.write_array(member, array, allow_pickle=False)
-    for piece in pieces.held:
-        file.write(piece)
+    if sum(array.nbytes + LARGE for array in arrays.values()) > MOST_BYTES:
+        members: dict[str, Any] = dict(arrays)
+        np.savez(file, **members)
+        return
+    pieces: list[bytearray | memoryview] = [bytearray()]
+    central, at = bytearray(), 0
+    for name, array in arrays.items():
+        content = _member(array)
+        size, checksum = sum(map(len, content)), 0
+        for piece in content:
+            checksum = isal_zlib.crc32(piece, checksum)
+        file_name = f"{name}.npy".encode()
+        flags = 0 if file_name.isascii() else 0x800
+        extra = struct.pack("<HHQQ", 1, 16, size, size)
+        head = (b"PK\x03\x04", VERSION, flags, STORED, TIME, DATE, checksum, LATER, LATER, len(file_name), len(extra))
+        central += struct.pack(
+            CENTRAL,
+            *(b"PK\x01\x02", VERSION, SYSTEM, VERSION, 0, flags, STORED, TIME, DATE, checksum, size, size),
+            *(len(file_name), 0, 0, 0, 0, ATTRIBUTES, at),
+        )
+        central += file_name
+        _append(pieces, struct.pack(LOCAL, *head) + file_name + extra)
+        for piece in content:
+            _append(pieces, piece)
+        at += struct.calcsize(LOCAL) + len(file_name) + len(extra) + size
+    count = len(arrays)
+    end = struct.pack(END, b"PK\x05\x06", 0, 0, count, count, len(central), at, 0)
+    _append(pieces, bytes(central) + end)
+    for piece in pieces:
+        if len(piece):
+            file.write(piece)
 
 
-class _Pieces:
-    """A file in memory for `zipfile`: large pieces by reference, small ones gathered between them.
+def _member(array: np.ndarray) -> list[bytes | memoryview]:
+    """The pieces of an array's own file; large values are where the array has them."""
+    if not array.flags.c_contiguous or array.dtype.hasobject:
+        plain = io.BytesIO()
+        np.lib.format.write_array(plain, array, allow_pickle=False)
+        return [plain.getbuffer()]
+    head = _head(array.dtype, array.shape)
+    if array.nbytes < LARGE:
+        return [head + array.tobytes()]
+    return [head, array.reshape(-1).view(np.uint8).data]
 
-    Written over are small pieces alone: the headers to which `zipfile` comes back.
-    """
 
-    def __init__(self) -> None:
-        self.held: list[bytearray | memoryview] = []
-        self._starts: list[int] = []
-        self._at = self._end = 0
+@lru_cache(256)
+def _head(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
+    """What an array's own file begins with."""
+    plain = io.BytesIO()
+    like = np.broadcast_to(np.zeros((), dtype), shape)
+    about = {**np.lib.format.header_data_from_array_1_0(like), "fortran_order": False}
+    np.lib.format.write_array_header_1_0(plain, about)
+    return plain.getvalue()
 
-    def tell(self) -> int:
-        return self._at
 
-    def seek(self, offset: int, whence: int = 0) -> int:
-        self._at = offset + (0, self._at, self._end)[whence]
-        return self._at
-
-    def flush(self) -> None:
-        """Nothing is on its way to a disk."""
-
-    def write(self, data: bytes | memoryview) -> int:
-        view = memoryview(data)
-        if self._at < self._end:
-            number = max(n for n, start in enumerate(self._starts) if start <= self._at)
-            begin = self._at - self._starts[number]
-            self.held[number][begin : begin + len(view)] = view
-        elif len(view) >= LARGE:
-            self._append(view)
-        else:
-            if not self.held or isinstance(self.held[-1], memoryview):
-                self._append(bytearray())
-            self.held[-1] += view  # type: ignore[operator]
-        self._at += len(view)
-        self._end = max(self._end, self._at)
-        return len(view)
-
-    def _append(self, piece: bytearray | memoryview) -> None:
-        self.held.append(piece)
-        self._starts.append(self._end)
+def _append(pieces: list[bytearray | memoryview], piece: bytes | memoryview) -> None:
+    """Small pieces are gathered, large ones kept by reference."""
+    if len(piece) >= LARGE:
+        pieces.append(memoryview(piece))
+        return
+    if isinstance(pieces[-1], memoryview):
+        pieces.append(bytearray())
+    pieces[-1] += piece  # type: ignore[operator]

@@ -90,13 +90,23 @@ def check_target(path: Path) -> Format:
         FormatError: The ending is not known, the folder is not there or cannot be written, or something of another
             kind has that name.
     """
+    found = check_target_name(path)
+    try_to_write(path)
+    return found
+
+
+def check_target_name(path: Path) -> Format:
+    """The format of a file to write in a folder that is known to take files.
+
+    Raises:
+        FormatError: The ending is not known, or something of another kind has that name.
+    """
     found = format_of(path)
     if is_folder(path):
         if not (found.streamed and (path / METADATA).is_file()):
             raise FormatError(f"{path} cannot be written: a folder of that name is there; choose another name")
         if not _is_map(path):
             raise FormatError(f"{path} cannot be written: what is there is no map of sdm; choose another name")
-    try_to_write(path)
     return found
 
 

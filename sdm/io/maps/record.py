@@ -46,8 +46,8 @@ def digest_of(mesh: TriangleMesh, how: str = "") -> str:
     """
     vertices, faces = mesh.numpy()
     digest = hashlib.sha256(f"{vertices.shape} {faces.shape}{how}".encode())
-    digest.update(vertices.astype("<f4", copy=False).tobytes())
-    digest.update(faces.astype("<i4", copy=False).tobytes())
+    digest.update(np.ascontiguousarray(vertices, "<f4"))
+    digest.update(np.ascontiguousarray(faces, "<i4"))
     return digest.hexdigest()[:DIGEST]
 
 

@@ -63,7 +63,13 @@ def save(field: SDM | SparseSDM, path: str | Path) -> None:
 
 def save_made_from(field: SDM, target: Path, made_from: str | None) -> None:
     """As `save`, with the digest of the mesh that the map is made from; see `made_from`."""
-    chosen = check_target(target)
+    check_target(target)
+    write_made_from(field, target, made_from)
+
+
+def write_made_from(field: SDM, target: Path, made_from: str | None) -> None:
+    """As `save_made_from`, to a place that `check_target` has looked at."""
+    chosen = format_of(target)
     with replacing(target) as part:
         getattr(chosen.module, chosen.writer)(field, part, made_from)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from stat import S_ISDIR
 
 import numpy as np
 
-from sdm.core.mesh import TriangleMesh
+from sdm.core.mesh import LARGEST_COORDINATE, TriangleMesh
 from sdm.errors import FormatError, MeshError
 from sdm.inspect.positions import are_distinct, first_at_position
 from sdm.io.files.list_files import visible
@@ -45,16 +46,18 @@ def load_mesh(path: str | Path) -> TriangleMesh:
     source = Path(path)
     _check_file(source)
     vertices, faces = _read(source, ending_of(source))
+    # Whatever read them has looked at the indices.
     if len(faces) == 0:
         raise MeshError(f"{source} has no triangles; give a surface mesh, not points or lines")
-    largest = np.finfo(np.float32).max
+    largest = float(np.finfo(np.float32).max)
     # Of all numbers at once, as rows of three take NumPy ten times as long. NaN is not at most anything.
-    if not (vertices.max() <= largest and vertices.min() >= -largest):
+    low, high = float(vertices.min()), float(vertices.max())
+    if not (high <= largest and low >= -largest):
         wrong = ~np.isfinite(vertices).all(1) | (np.abs(vertices) > largest).any(1)
         index = int(np.flatnonzero(wrong)[0])
         raise MeshError(f"vertex {index} of {source} is {vertices[index].tolist()}; every coordinate must be finite")
-    vertices, faces = _merge(vertices.astype(np.float32), faces)
-    return TriangleMesh(vertices, faces, source.name)
+    vertices, faces = _merge(vertices.astype(np.float32, copy=False), faces)
+    return TriangleMesh(vertices, faces, source.name, check=max(high, -low) > LARGEST_COORDINATE)
 
 
 def mesh_files(folder: str | Path) -> list[Path]:
@@ -65,19 +68,19 @@ def mesh_files(folder: str | Path) -> list[Path]:
 
 def _check_file(path: Path) -> None:
     try:
-        there = path.exists()
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError) as error:
+        raise MeshError(f"there is no mesh file {path}") from error
     except OSError as error:
         raise MeshError(f"{path} cannot be read: {error.strerror or error}") from error
-    if not there:
-        raise MeshError(f"there is no mesh file {path}")
-    if path.is_dir():
+    if S_ISDIR(found.st_mode):
         raise MeshError(f"{path} is a folder; give a mesh file")
-    if path.stat().st_size == 0:
+    if found.st_size == 0:
         raise MeshError(f"{path} is empty")
 
 
 def _read(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V,3) float64 and faces (F,3) int64 of a file; whatever is wrong with it is one sentence."""
+    """Vertices (V,3) and faces (F,3) of a file, floats and integers; whatever is wrong with it is one sentence."""
     try:
         # Messages and outputs carry the name on.
         str(path).encode()
@@ -126,7 +129,7 @@ def _read_archive(path: Path, ending: str) -> tuple[np.ndarray, np.ndarray]:
                 inner = str(error).replace(f"{folder}/", "")
                 raise MeshError(f"{path}: {inner}") from error
             all_vertices.append(vertices)
-            all_faces.append(faces + count)
+            all_faces.append(faces.astype(np.int64) + count)
             count += len(vertices)
     return np.concatenate(all_vertices), np.concatenate(all_faces)
 
@@ -135,7 +138,7 @@ def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Drop vertices at the position of an earlier one; the order of the others stays."""
     # Of a closed mesh with shared vertices there are half as many as faces, and mostly each has its own place.
     if len(vertices) < 2 * len(faces) and are_distinct(vertices):
-        return vertices, faces.astype(np.int32)
+        return vertices, faces.astype(np.int32, copy=False)
     first = first_at_position(vertices)
     kept = first == np.arange(len(vertices))
     number = np.cumsum(kept) - 1

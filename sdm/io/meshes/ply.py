@@ -37,7 +37,8 @@ def read_ply(data: bytes, path: Path) -> PolygonMesh:
 
 
 def _read_binary(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
-    at, points, lengths, corners = header.end, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+    at, points, corners = header.end, np.zeros((0, 3)), np.zeros(0, np.int64)
+    lengths: np.ndarray | int = 3
     left = set(NEEDED)
     for element in header.elements:
         if not left:
@@ -52,8 +53,20 @@ def _read_binary(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:
         else:
             values, at = read_values(data, at, element, path)
             if element.name == "vertex":
-                points = np.column_stack([values[axis] for axis in "xyz"]).astype(np.float64)
-    return PolygonMesh(points, lengths, as_integers(corners))
+                points = _points(values)
+    # int32 of this machine's byte order is what a mesh has.
+    return PolygonMesh(points, lengths, corners if corners.dtype == np.int32 else as_integers(corners))
+
+
+def _points(values: np.ndarray) -> np.ndarray:
+    """Coordinates (V,3) of rows with x, y and z among others, float64, or float32 where these are."""
+    axes = [values[axis] for axis in "xyz"]
+    if all(axis.dtype == np.float32 for axis in axes):
+        points = np.empty((len(values), 3), np.float32)
+        for number, axis in enumerate(axes):
+            points[:, number] = axis
+        return points
+    return np.column_stack(axes).astype(np.float64)
 
 
 def _read_text(data: bytes, header: PlyHeader, path: Path) -> PolygonMesh:

@@ -27,8 +27,10 @@ def read_values(data: bytes, begin: int, element: Element, path: Path) -> tuple[
 
 def read_lists(
     data: bytes, begin: int, element: Element, wanted: str | None, path: Path
-) -> tuple[np.ndarray, np.ndarray, int]:
+) -> tuple[np.ndarray | int, np.ndarray, int]:
     """Lengths (rows,) and entries of one list of an element that has lists, and where its rows end.
+
+    Lengths are one number where they are all alike.
 
     Raises:
         MeshError: There are fewer rows than its header says.
@@ -41,7 +43,7 @@ def read_lists(
 
 def _read_alike(
     data: bytes, begin: int, element: Element, wanted: str | None
-) -> tuple[np.ndarray, np.ndarray, int] | None:
+) -> tuple[int, np.ndarray, int] | None:
     """The same where every row has lists as long as those of the first; None elsewhere."""
     fields: list[tuple[str, str] | tuple[str, str, int]] = []
     lengths: dict[str, int] = {}
@@ -70,8 +72,8 @@ def _read_alike(
         return None
     number = next((n for n, found in enumerate(element.properties) if found.name == wanted), None)
     if number is None:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), end
-    return np.full(element.count, lengths[f"{number}"]), rows[f"list {number}"].ravel(), end
+        return 0, np.zeros(0, np.int64), end
+    return lengths[f"{number}"], rows[f"list {number}"].ravel(), end
 
 
 def _read_ragged(

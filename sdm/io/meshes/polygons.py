@@ -15,30 +15,33 @@ class PolygonMesh:
     """Vertices and polygons of any number of corners.
 
     Args:
-        vertices: (V,3) float64.
-        lengths: (F,) int64: corners of each polygon.
-        corners: (sum of lengths,) int64: vertex numbers, counted from 0, one polygon after the other.
+        vertices: (V,3) float64, or float32 where the file has no more digits.
+        lengths: (F,) int64: corners of each polygon; one number if it is that of all.
+        corners: (sum of lengths,) int64 or int32: vertex numbers, counted from 0, one polygon after the other.
     """
 
     vertices: np.ndarray
-    lengths: np.ndarray
+    lengths: np.ndarray | int
     corners: np.ndarray
 
     @classmethod
     def of_triangles(cls, vertices: np.ndarray, faces: np.ndarray) -> PolygonMesh:
         """The mesh of vertices (V,3) and triangles (F,3)."""
-        return cls(vertices, np.full(len(faces), 3), faces.ravel())
+        return cls(vertices, 3, faces.ravel())
 
 
 def triangulate(mesh: PolygonMesh) -> np.ndarray:
-    """Triangles (T,3) int64 in the order of the polygons; every corner must be the number of a vertex.
+    """Triangles (T,3), integers, in the order of the polygons; every corner must be the number of a vertex.
 
     A polygon of K corners becomes K-2 triangles that use all of them, so that neighbours fit; one of fewer than three
     corners has none.
     """
     lengths = mesh.lengths
-    if (lengths == 3).all():
+    if isinstance(lengths, int) and lengths != 3:
+        lengths = np.full(len(mesh.corners) // max(1, lengths), lengths)
+    if isinstance(lengths, int) or (lengths == 3).all():
         return mesh.corners.reshape(-1, 3)
+    vertices = mesh.vertices.astype(np.float64, copy=False)
     starts = np.cumsum(lengths) - lengths
     counts = np.maximum(lengths - 2, 0)
     firsts = np.cumsum(counts) - counts
@@ -49,8 +52,8 @@ def triangulate(mesh: PolygonMesh) -> np.ndarray:
         steps = np.arange(1, length - 1)
         cut = polygons[:, np.stack([0 * steps, steps, steps + 1], 1)]
         if length > 3:
-            for number in np.flatnonzero(wrong_fans(mesh.vertices, polygons)).tolist():
-                cut[number] = polygons[number][clip_ears(mesh.vertices[polygons[number]])]
+            for number in np.flatnonzero(wrong_fans(vertices, polygons)).tolist():
+                cut[number] = polygons[number][clip_ears(vertices[polygons[number]])]
         triangles[firsts[own, None] + np.arange(length - 2)] = cut
     return triangles
 

@@ -29,7 +29,7 @@ def read_stl(data: bytes, path: Path) -> PolygonMesh:
     declared = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     if len(data) >= HEADER and len(data) == HEADER + FACE.itemsize * declared:
         corners = np.frombuffer(data, FACE, declared, HEADER)["corners"]
-        return _soup(corners.reshape(-1, 3).astype(np.float64))
+        return _soup(corners.reshape(-1, 3))
     # Some programs begin binary files with this word too.
     if data.lstrip()[:5].lower() == b"solid":
         return _read_text(data, path)

@@ -17,9 +17,9 @@ def by_looking(vertices: np.ndarray) -> list[int]:
 @pytest.mark.parametrize("keys", ["mixed", "one for all", "of x alone"])
 def test_whatever_the_keys_are(keys, monkeypatch):
     if keys == "one for all":
-        monkeypatch.setattr(positions, "_mixed", lambda bits: np.zeros(bits.shape[1], np.uint64))
+        monkeypatch.setattr(positions, "_keys", lambda vertices: np.zeros(len(vertices), np.uint64))
     elif keys == "of x alone":
-        monkeypatch.setattr(positions, "_mixed", lambda bits: bits[0].astype(np.uint64))
+        monkeypatch.setattr(positions, "_keys", lambda vertices: np.round(vertices[:, 0] * 10 + 50).astype(np.uint64))
     rng = np.random.default_rng(0)
     vertices = rng.integers(-2, 3, (400, 3)).astype(np.float32) * np.float32(0.1)
     # Zeros of both signs are one place.
@@ -38,4 +38,10 @@ def test_distinct_ones():
     # Coordinates in another order are another place.
     assert are_distinct(np.concatenate([vertices[:100], vertices[:100, ::-1]]))
     assert are_distinct(np.zeros((0, 3), np.float32))
+
+
+@pytest.mark.parametrize("step", [1.0, 0.25, 0.1, 1e-3])
+def test_keys_of_a_grid_do_not_meet(step):
+    index = np.stack(np.meshgrid(*[np.arange(-12, 12)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    assert are_distinct(index.astype(np.float32) * np.float32(step))
     assert not are_distinct(np.array([[0, 1, 2], [-0.0, 1, 2]], np.float32))
