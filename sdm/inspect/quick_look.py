@@ -16,6 +16,8 @@ from sdm.inspect.report import inspect_mesh
 
 # A volume below this share of what the area could enclose is none.
 LEAST_VOLUME = 1e-9
+# A volume above this share is one, however it is added up.
+PLAIN_VOLUME = 1e-6
 
 
 class MeshLook:
@@ -29,6 +31,7 @@ class MeshLook:
         self._faces = ref(mesh.faces)
         self._states = _states(mesh)
         self._plain: bool | None = None
+        self._closed: bool | None = None
         self._problems: list[str] | None = None
         # Of the faces alone: whoever keeps a mesh keeps its vertices, and so this.
         self._outward: list[Tensor] | None = None
@@ -40,8 +43,26 @@ class MeshLook:
     def is_plain(self, mesh: TriangleMesh) -> bool:
         """True if faces agree and every component faces outward, which is found by less than `inspect_mesh`."""
         if self._plain is None:
-            self._plain = _is_plain(mesh)
+            self._plain = self._is_plainly_closed(mesh) or _is_plain(mesh)
         return self._plain
+
+    def is_closed(self, mesh: TriangleMesh) -> bool:
+        """True if a mesh has no boundary. Of most meshes on the host one look tells this and that they are plain."""
+        if self._closed is None:
+            self._closed = (self._plain is None and self._is_plainly_closed(mesh)) or _is_closed(mesh)
+        return self._closed
+
+    def _is_plainly_closed(self, mesh: TriangleMesh) -> bool:
+        from sdm.topology.closed_look import is_plainly_closed
+        from sdm.topology.face_pairing import is_known
+
+        # What is paired already tells as much for less.
+        if mesh.device.type != "cpu" or is_known(mesh.faces, mesh.vertices.shape[0]):
+            return False
+        found = is_plainly_closed(mesh.vertices, mesh.faces, PLAIN_VOLUME)
+        if found:
+            self._plain = self._closed = True
+        return found
 
     def problems(self, mesh: TriangleMesh) -> list[str]:
         """The `sign_problems` of `inspect_mesh`."""
@@ -72,6 +93,12 @@ def _states(mesh: TriangleMesh) -> tuple[int, int] | None:
     if mesh.vertices.is_inference() or mesh.faces.is_inference():
         return None
     return mesh.vertices._version, mesh.faces._version
+
+
+def _is_closed(mesh: TriangleMesh) -> bool:
+    from sdm.topology.boundary_edges import boundary_edges
+
+    return boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
 
 
 def _turned(mesh: TriangleMesh) -> list[Tensor]:

@@ -27,7 +27,6 @@ from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
 from sdm.sampling.sample import PointSamples, draw_points, measure, mesh_seed
-from sdm.topology.boundary_edges import boundary_edges
 
 
 @dataclass(frozen=True)
@@ -149,10 +148,10 @@ class FolderSampling:
         by = None if self._recipe.normalize is None else Normalization.of(mesh, self._recipe.normalize)
         mesh = mesh if by is None else by.normalised(mesh)
         if self._recipe.sign != "winding":
-            closed = boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
+            closed = look_at(mesh).is_closed(mesh)
             return _Read(task, mesh, by, closed, time.perf_counter() - start)
         mesh = oriented(mesh, "auto", self._device)
-        closed = boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
+        closed = look_at(mesh).is_closed(mesh)
         if not closed and self._recipe.open_meshes == "reject":
             raise MeshError(
                 f"{task.source} is not closed, so its inside is not defined: --sign flood closes it, --open-meshes "

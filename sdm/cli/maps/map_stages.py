@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.remarks import is_closed, remarks
+from sdm.cli.maps.remarks import remarks
 from sdm.cli.maps.work import MapTask, Measured, ReadMesh, Written
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
@@ -21,6 +21,7 @@ from sdm.engine.many import signed_distance_maps
 from sdm.engine.map_check import quiet
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
+from sdm.inspect.quick_look import look_at
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
 from sdm.io.bands.save_and_load import check_band_target, save_band
 from sdm.io.maps.formats import check_target_name, format_of, require_memory_to_write
@@ -152,7 +153,7 @@ class MapStages:
     def write(self, found: Measured) -> Written:
         """Write a map, and look at it."""
         start = time.perf_counter()
-        closed = is_closed(found.read.measured)
+        closed = look_at(found.read.measured).is_closed(found.read.measured)
         if found.read.there:
             return Written(found.read, closed)
         inside, ambiguous = self._save(found)

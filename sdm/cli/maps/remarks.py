@@ -7,7 +7,6 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.arguments import Sign
 from sdm.engine.map_check import doubts_about
-from sdm.topology.boundary_edges import boundary_edges
 
 
 def remarks(read: ReadMesh, closed: bool, inside: int, ambiguous: int, sign: Sign) -> list[str]:
@@ -18,11 +17,6 @@ def remarks(read: ReadMesh, closed: bool, inside: int, ambiguous: int, sign: Sig
     if sign == "winding" and not closed:
         found += _about_gaps(inside, ambiguous, bool(doubts), read.grid)
     return found
-
-
-def is_closed(mesh: TriangleMesh) -> bool:
-    """True if a mesh has no boundary."""
-    return boundary_edges(mesh.vertices, mesh.faces).shape[0] == 0
 
 
 def _turned(mesh: TriangleMesh, measured: TriangleMesh) -> str:

@@ -17,7 +17,7 @@ from sdm.errors import FormatError
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
-from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.runtime.pipeline.thread_count import readers_beside, writers_beside
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
@@ -47,7 +47,10 @@ def run(
         A mesh that is alone raises its error.
     """
     times = StageTimes() if times is None else times
-    threads = min(threads_beside(settings.device) if workers is None else workers, len(jobs))
+    readers, writers = (
+        min(len(jobs), threads(settings.device) if workers is None else workers)
+        for threads in (readers_beside, writers_beside)
+    )
     most = TOGETHER if settings.device.type == "cuda" else 1
     entries: list[MeshEntry] = []
     names = _names([source for source, _ in jobs])
@@ -58,17 +61,17 @@ def run(
             tasks,
             "read",
             stages.read,
-            workers=threads,
+            workers=readers,
             times=times,
             single=len(jobs) == 1,
-            most_held=max(2 * threads, most),
+            most_held=2 * max(readers, most),
         )
         measured = in_groups(read, str(settings.device), stages.measure, times=times, most=min(most, len(jobs)))
         written = in_threads(
             measured,
             "write",
             stages.write,
-            workers=threads,
+            workers=writers,
             times=times,
             nbytes=lambda found: found.nbytes,
             prompt=True,

@@ -13,3 +13,19 @@ MOST = 16
 def threads_beside(device: torch.device) -> int:
     """Threads of a stage beside a device: the cores of a GPU's host, half of them beside an engine on the host."""
     return max(1, min(MOST, cores() if device.type == "cuda" else cores() // 2))
+
+
+# Meshes are read by short steps that hold Python's lock, for which more threads only wait.
+MOST_READERS = 4
+# Maps are written by few long steps without it.
+MOST_WRITERS = 8
+
+
+def readers_beside(device: torch.device) -> int:
+    """Threads that read meshes of this machine beside a device."""
+    return min(MOST_READERS, threads_beside(device))
+
+
+def writers_beside(device: torch.device) -> int:
+    """Threads that write maps beside a device."""
+    return min(MOST_WRITERS, threads_beside(device))
