@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--meshes", type=int)
     parser.add_argument("--maps", type=int)
     parser.add_argument("--points", type=int)
+    parser.add_argument("--threads", type=int, help="of reading, and as many of writing, in sdm compute")
     parser.add_argument("--out", type=Path, help="JSON file; the picture lies beside it")
     options = parser.parse_args()
     # The engine has threads of its own; those of torch wait for each other by spinning, which a CPU's clock counts.
@@ -53,6 +54,7 @@ def main() -> None:
         resolution=plain.resolution,
         maps=options.maps or plain.maps,
         points=options.points or plain.points,
+        threads=options.threads,
     )
     out = options.out or results_folder() / f"disk-{options.device.partition(':')[0]}.json"
     record: dict[str, Any] = {"machine": describe(options.device), "cores": len(os.sched_getaffinity(0))}

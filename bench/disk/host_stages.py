@@ -3,11 +3,10 @@
     python -m sdm.bench.disk.host_stages --out results/disk-host-cpu.json
 
 What a GPU leaves to the host: a mesh is read, its grid and digest are found, its map is written, and the mesh is
-looked at. The map is one that is there already, so no device is needed. `shared` has the kernels of all threads in one
-pool, as they were, and `own` has each thread run its own, as `sdm compute` does; by turns. Tasks that go to the pool,
-and waits of threads, are counts, which what else the machine does changes little; a thread that gives up Python's lock
-has to wait for the others to have it back. Milliseconds and counts are those of one mesh, medians of the rounds;
-`per_second` is the rate of the whole stage.
+looked at. The map is one that is there already, so no device is needed. Tasks that go to the pool of kernels, and waits
+of threads, are counts, which what else the machine does changes little; a thread that gives up Python's lock has to
+wait for the others to have it back. Milliseconds and counts are those of one mesh, medians of the rounds; `per_second`
+is the rate of the whole stage.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -56,7 +54,7 @@ class Options:
     meshes: int = 45
     triangles: int = 20_000
     resolution: int = 128
-    threads: tuple[int, ...] = (1, 15)
+    threads: tuple[int, ...] = (1, 4, 8)
     rounds: int = 3
     pool: int = 15
     folder: Path | None = None
@@ -64,7 +62,7 @@ class Options:
 
 
 def rows(options: Options) -> list[dict[str, Any]]:
-    """A row for each stage, format, number of threads and kind of pool."""
+    """A row for each stage, format and number of threads."""
     os.environ["SDM_NUM_THREADS"] = str(options.pool)
     launch._pool.cache_clear()
     tasks = _count_tasks(launch._pool(os.getpid()))
@@ -77,13 +75,12 @@ def rows(options: Options) -> list[dict[str, Any]]:
             for ending in ("npz", "nii.gz"):
                 jobs = [MapTask(file, Path(folder) / f"{file.stem}.{ending}") for file in files]
                 for threads in options.threads:
-                    for kind, around in (("shared", nullcontext), ("own", launch.by_this_thread)):
-                        read, taken = _stage(stages.read, jobs, threads, around, tasks)
-                        ready = [Measured(one, HostCopy(values.clone(), make), None, 0, 0.0) for one in read]
-                        written = _stage(stages.write, ready, threads, around, tasks)[1]
-                        for stage, one in (("read", taken), ("write", written)):
-                            found.setdefault((stage, ending, threads, kind), []).append(one)
-    names = ("stage", "format", "threads", "pool")
+                    read, taken = _stage(stages.read, jobs, threads, tasks)
+                    ready = [Measured(one, HostCopy(values.clone(), make), None, 0, 0.0) for one in read]
+                    written = _stage(stages.write, ready, threads, tasks)[1]
+                    for stage, one in (("read", taken), ("write", written)):
+                        found.setdefault((stage, ending, threads), []).append(one)
+    names = ("stage", "format", "threads")
     return [
         dict(zip(names, key, strict=True)) | {name: round(median(one[name] for one in many), 2) for name in many[0]}
         for key, many in found.items()
@@ -97,13 +94,13 @@ def _a_map(stages: MapStages, task: MapTask) -> tuple[torch.Tensor, Callable[[to
 
 
 def _stage(
-    work: Callable[[Any], Any], items: Sequence[Any], threads: int, around: Callable[[], Any], tasks: list[int]
+    work: Callable[[Any], Any], items: Sequence[Any], threads: int, tasks: list[int]
 ) -> tuple[list[Any], dict[str, float]]:
     """Results of a stage, and what it took for each item."""
 
     def timed(item: Any) -> tuple[Any, float]:
         start = time.perf_counter()
-        with around():
+        with launch.by_this_thread():
             return work(item), time.perf_counter() - start
 
     tasks[0], before, start = 0, resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()

@@ -36,6 +36,7 @@ class Sizes:
         resolution: Of the maps of `compute`.
         maps: Of `generate`, 64^3.
         points: Samples of each mesh.
+        threads: Of reading, and as many of writing, of `compute`; None for its own choice.
     """
 
     meshes: int
@@ -43,6 +44,7 @@ class Sizes:
     resolution: int
     maps: int
     points: int
+    threads: int | None = None
 
 
 def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str, Any]], StageTimes]:
@@ -61,7 +63,9 @@ def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str
         out.mkdir()
         times = StageTimes(keep_spans=True)
         jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
-        seconds, cpu = _quietly(lambda jobs=jobs, times=times: compute(jobs, settings, times=times))
+        seconds, cpu = _quietly(
+            lambda jobs=jobs, times=times: compute(jobs, settings, workers=sizes.threads, times=times)
+        )
         rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, alone, out))
         first = first or times
     return rows, first or StageTimes()
@@ -137,7 +141,9 @@ def sample_row(folder: Path, sizes: Sizes, device: str) -> dict[str, Any]:
         open_meshes="reject",
         seed=0,
     )
-    meshes = sorted((folder / "meshes").glob("*.ply"))
+    meshes = sorted((folder / "meshes").glob("*.ply")) or write_meshes(
+        folder / "meshes", sizes.meshes, sizes.triangles, "ply"
+    )
     for mesh in meshes[:1]:
         sdm.sampling.sample(mesh, sizes.points, device=device)
     loaded = [sdm.load_mesh(mesh) for mesh in meshes]

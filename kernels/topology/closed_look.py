@@ -1,4 +1,4 @@
-"""One look at a mesh on the host: is it closed, edge by edge of two faces that agree, and does every component face outward?
+"""One look at a mesh on the host: is each edge of two faces that agree, and does every component face outward?
 
 By one thread and in one launch, where the pairing of faces (`edge_pairing.py`) and the volumes of components take nine:
 beside other threads each launch gives up Python's lock and waits to have it back. It says yes or nothing: whatever is

@@ -29,12 +29,14 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.errors import FormatError
-from sdm.io.files.atomic import own_name, put
+from sdm.io.files.atomic import own_name, put, write_all
 
 UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.
 SHARD_BYTES = 1 << 28
 DIGEST = 32
+# Bytes of one call that writes, of a few maps.
+AT_ONCE = 1 << 22
 # Of each array.
 DTYPES = {"theta": "float32", "transform": "float64"}
 AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
@@ -245,9 +247,14 @@ def write_shard(
         put(files[name], content)
     # Under another name until it is whole; its file then takes its place in the dataset.
     part = scratch / str(number)
-    with part.open("wb") as file:
+    with part.open("wb", buffering=0) as file:
+        held: list[bytes] = []
         for piece in maps_content(maps, manifest, pool):
             digest.update(piece)
-            file.write(piece)
+            held.append(piece)
+            if sum(map(len, held)) >= AT_ONCE:
+                write_all(file, held)
+                held.clear()
+        write_all(file, held)
     put(files["sdm"], part)
     put(checksum_file(folder, number), digest.digest())

@@ -34,30 +34,39 @@ def rows_content(values: np.ndarray, manifest: dict[str, Any], dtype: str) -> by
 
 def maps_content(maps: np.ndarray, manifest: dict[str, Any], pool: Executor) -> Iterator[bytes]:
     """Content of the file of maps (n,nx,ny,nz), piece by piece; they must not change before all is taken."""
-    codec = None
-    if manifest["compression"] == "zstd":
-        codec = Blosc(cname="zstd", clevel=1, shuffle=SHUFFLE, blocksize=0)
+    chunks = _compressed(maps, pool) if manifest["compression"] == "zstd" else _plain(maps)
     index = np.full((manifest["shard"], 2), ABSENT, dtype="<u8")
     at = 0
+    for number, (content, checksum) in enumerate(chunks):
+        size = len(content) + len(checksum)
+        index[number] = at, size
+        at += size
+        yield content
+        yield checksum
+        # Not kept until the next one is there.
+        del content
+    end = index.tobytes()
+    yield end
+    yield _checksum(end)
+
+
+def _plain(maps: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
+    # In the caller's thread: handing a map to another one takes longer than its checksum.
+    for values in maps:
+        yield _chunk(values, None)
+
+
+def _compressed(maps: np.ndarray, pool: Executor) -> Iterator[tuple[bytes, bytes]]:
+    codec = Blosc(cname="zstd", clevel=1, shuffle=SHUFFLE, blocksize=0)
     waiting: deque[Future[tuple[bytes, bytes]]] = deque()
     try:
         for number in range(len(maps)):
             while number + len(waiting) < len(maps) and len(waiting) < AHEAD:
                 waiting.append(pool.submit(_chunk, maps[number + len(waiting)], codec))
-            content, checksum = waiting.popleft().result()
-            size = len(content) + len(checksum)
-            index[number] = at, size
-            at += size
-            yield content
-            yield checksum
-            # Not kept until the next one is there.
-            del content
+            yield waiting.popleft().result()
     finally:
         for future in waiting:
             future.cancel()
-    end = index.tobytes()
-    yield end
-    yield _checksum(end)
 
 
 def _chunk(values: np.ndarray, codec: Blosc | None) -> tuple[bytes, bytes]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import RawIOBase
 from pathlib import Path
 
 from sdm.errors import FormatError
@@ -14,6 +15,8 @@ from sdm.io.files.rename_exchange import exchange
 
 # What a killed write leaves behind: hidden files or folders that end like this.
 LEFTOVER = ".part"
+# Of one call that writes; systems take 1,024.
+MOST_PIECES = 512
 
 
 @contextmanager
@@ -61,6 +64,22 @@ def put(target: Path, content: bytes | Path) -> None:
             part.unlink(missing_ok=True)
     # Without this a power cut may forget the renaming.
     _flush(target.parent)
+
+
+def write_all(file: RawIOBase, pieces: Sequence[bytes | bytearray | memoryview]) -> None:
+    """Write pieces to a file that is not buffered, by one call of the system where it has one that takes several.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    left = [memoryview(piece).cast("B") for piece in pieces if len(piece)]
+    while left:
+        done = os.writev(file.fileno(), left[:MOST_PIECES]) if hasattr(os, "writev") else file.write(left[0]) or 0
+        # A call may write less than it was given.
+        while left and done >= len(left[0]):
+            done -= len(left.pop(0))
+        if left:
+            left[0] = left[0][done:]
 
 
 def try_to_write(target: Path) -> None:

@@ -46,8 +46,8 @@ def digest_of(mesh: TriangleMesh, how: str = "") -> str:
     """
     vertices, faces = mesh.numpy()
     digest = hashlib.sha256(f"{vertices.shape} {faces.shape}{how}".encode())
-    digest.update(np.ascontiguousarray(vertices, "<f4"))
-    digest.update(np.ascontiguousarray(faces, "<i4"))
+    digest.update(np.ascontiguousarray(vertices, "<f4").data)
+    digest.update(np.ascontiguousarray(faces, "<i4").data)
     return digest.hexdigest()[:DIGEST]
 
 

@@ -41,9 +41,7 @@ def read_lists(
     return _read_alike(data, begin, element, wanted) or _read_ragged(data, begin, element, wanted, path)
 
 
-def _read_alike(
-    data: bytes, begin: int, element: Element, wanted: str | None
-) -> tuple[int, np.ndarray, int] | None:
+def _read_alike(data: bytes, begin: int, element: Element, wanted: str | None) -> tuple[int, np.ndarray, int] | None:
     """The same where every row has lists as long as those of the first; None elsewhere."""
     fields: list[tuple[str, str] | tuple[str, str, int]] = []
     lengths: dict[str, int] = {}

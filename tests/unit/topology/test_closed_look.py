@@ -40,7 +40,9 @@ def test_others():
     assert not look(vertices, faces[1:]), "a face is gone"
     assert not look(vertices, faces[:, ::-1]), "inside out"
     assert not look(vertices, np.concatenate([faces[:1, ::-1], faces[1:]])), "a face looks inward"
-    assert not look(*joined((vertices, faces), moved((vertices, faces[:, ::-1]), 1.0, (5.0, 0, 0)))), "a part is inside out"
+    assert not look(*joined((vertices, faces), moved((vertices, faces[:, ::-1]), 1.0, (5.0, 0, 0)))), (
+        "a part is inside out"
+    )
     assert not look(vertices, np.concatenate([faces, faces[:2]])), "repeated faces"
     assert not look(vertices, np.concatenate([faces, faces[:1], faces[:1, ::-1]])), "an edge of four faces"
     assert not look(vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)), "vertices of their own"

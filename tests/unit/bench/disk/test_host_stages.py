@@ -27,20 +27,17 @@ def _pool_of_its_own(monkeypatch):
 
 def test_threads_of_their_own_ask_the_pool_for_nothing(tmp_path):
     options = Options(meshes=2, triangles=5000, resolution=8, threads=(2,), rounds=1, pool=4, folder=tmp_path)
-    found = {(row["stage"], row["format"], row["pool"]): row for row in rows(options)}
-    assert len(found) == 8
-    for ending in ("npz", "nii.gz"):
-        assert found["write", ending, "shared"]["pool_tasks"] > 0
-        assert found["write", ending, "own"]["pool_tasks"] == 0
+    found = {(row["stage"], row["format"]): row for row in rows(options)}
+    assert len(found) == 4
+    assert not any(row["pool_tasks"] for row in found.values())
 
 
 def test_the_record_says_what_the_pages_say():
     record = json.loads((results_folder() / "disk-host-cpu.json").read_text())
-    found = {(row["stage"], row["format"], row["threads"], row["pool"]): row for row in record["rows"]}
-    before, after = (found["write", "npz", 15, pool] for pool in ("shared", "own"))
-    assert (before["pool_tasks"], after["pool_tasks"]) == (645, 0)
-    assert before["waits"] > 5 * after["waits"]
-    assert before["cpu_ms"] > 1.5 * after["cpu_ms"]
+    found = {(row["stage"], row["format"], row["threads"]): row for row in record["rows"]}
+    assert all(row["pool_tasks"] == 0 for row in found.values())
+    for threads in (1, 8):
+        assert found["read", "npz", threads]["cpu_ms"] + found["write", "npz", threads]["cpu_ms"] < 10
 
 
 def test_readers_of_the_record_reach_100_megabytes_a_second():

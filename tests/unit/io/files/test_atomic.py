@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -248,3 +249,19 @@ def test_what_is_put_is_there_whole_and_leaves_nothing_beside(tmp_path, monkeypa
 
 def _fails(*given):
     raise OSError("no")
+
+
+@pytest.mark.parametrize("at_most", [1, 5, 1 << 20])
+@pytest.mark.parametrize("vectors", [True, False])
+def test_all_pieces_are_written_whatever_a_call_takes(at_most, vectors, tmp_path, monkeypatch):
+    if not vectors:
+        monkeypatch.delattr(os, "writev", raising=False)
+    elif not hasattr(os, "writev"):
+        pytest.skip("this system has no writev")
+    else:
+        plain = os.writev
+        monkeypatch.setattr(os, "writev", lambda handle, pieces: plain(handle, [b"".join(pieces)[:at_most]]))
+    pieces = [b"one", b"", memoryview(b"twothree"), bytearray(b"four"), *[b"x"] * 2000]
+    with (tmp_path / "file").open("wb", buffering=0) as file:
+        atomic.write_all(file, pieces)
+    assert (tmp_path / "file").read_bytes() == b"onetwothreefour" + b"x" * 2000

@@ -20,7 +20,12 @@ ARRAYS = [
     {"values": LARGE_ARRAY.transpose(2, 0, 1)},
     {"values": LARGE_ARRAY[::2]},
     {"empty": np.zeros((0, 3), np.float32)},
-    {"größe": np.zeros(2), "naïve": np.asarray("é"), "scalar": np.float64(2.0) * np.ones(()), "bools": np.ones(3, bool)},
+    {
+        "größe": np.zeros(2),
+        "naïve": np.asarray("é"),
+        "scalar": np.float64(2.0) * np.ones(()),
+        "bools": np.ones(3, bool),
+    },
     {"turned": np.asfortranarray(np.ones((3, 4))), "swapped": np.arange(4, dtype=">i4")},
     {"just": np.zeros(LARGE, np.uint8), "below": np.zeros(LARGE - 1, np.uint8)},
 ]
