@@ -81,7 +81,7 @@ def _member(array: np.ndarray) -> list[bytes | memoryview]:
 
 @lru_cache(256)
 def _head(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
-    """What an array's own file begins with."""
+    """Header of an array's own file."""
     plain = io.BytesIO()
     like = np.broadcast_to(np.zeros((), dtype), shape)
     about = {**np.lib.format.header_data_from_array_1_0(like), "fortran_order": False}
