@@ -19,8 +19,8 @@ from sdm.kernels.primitives.bits import first_of, members_of, set_bits, without_
 wp.set_module_options({"enable_backward": False})
 
 # What is counted: blocks, and regions that have some; blocks that are kept, and runs between those that are inside;
-# voxels with an unclear winding number; crossings in no block.
-BLOCKS, REGIONS, KEPT, RUNS, AMBIGUOUS, LOST, COUNTS = 0, 1, 2, 3, 4, 5, 6
+# voxels with an unclear winding number; crossings in no block; chunks of candidate lists.
+BLOCKS, REGIONS, KEPT, RUNS, AMBIGUOUS, LOST, CHUNKS, COUNTS = 0, 1, 2, 3, 4, 5, 6, 7
 # Bits of a word.
 WORD = 32
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.band.block_bits import AMBIGUOUS
+from sdm.kernels.band.block_bits import AMBIGUOUS, CHUNKS
 from sdm.kernels.band.listed_witnesses import find_listed_witnesses
 from sdm.kernels.bvh.tree import Tree, slots_of
 from sdm.kernels.culling.voronoi_features import Features
@@ -23,6 +23,7 @@ from sdm.kernels.dense.block_schedule import BlockSchedule
 from sdm.kernels.dense.cell_cache import CellCache
 from sdm.kernels.dense.chunk_pool import CHUNK, CandidateLists, ChunkPool
 from sdm.kernels.dense.cost_model import MOST_REGIONS, NO_SPLITS
+from sdm.kernels.dense.counters import NEXT_CHUNK
 from sdm.kernels.dense.plan import Plan
 from sdm.kernels.dense.query import OwnStages, Surface, run_stages
 from sdm.kernels.dense.region_grid import RegionGrid
@@ -42,6 +43,8 @@ wp.set_module_options({"enable_backward": False})
 CPU_REGIONS = 1 << 11
 # Of a GPU's pool, entries for each triangle and at least.
 ENTRIES_OF_TRIANGLE, LEAST_ENTRIES = 32, 1 << 22
+# Which argument of `measure_blocks` is the pool.
+POOL = 6
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
@@ -105,6 +108,11 @@ def _search_voxels(begin: int, workers: int, everywhere: int, tree: Tree, slab: 
         fetch_add(out.ambiguous, 0, unclear)
 
 
+@wp.kernel
+def _note_chunks(begin: int, pool: ChunkPool, counts: wp.array(dtype=wp.int32)):
+    counts[CHUNKS] = wp.max(counts[CHUNKS], pool.reserved + pool.counters[NEXT_CHUNK])
+
+
 def query_blocks(
     surface: Surface,
     slab: Slab,
@@ -114,6 +122,7 @@ def query_blocks(
     counts: wp.array,
     plan: Plan,
     empty: Callable[[int, Any], wp.array],
+    chunks: int | None = None,
 ) -> None:
     """Fill the values of blocks, where winding numbers are, with signed distances.
 
@@ -125,9 +134,10 @@ def query_blocks(
         regions: (R,) vec4i, the measured grid's regions of 2^3 cells that have voxels of blocks, see
             `find_listed_witnesses`.
         counts: See `block_bits`: `REGIONS` is read, with fewer than R the rest is room; to `AMBIGUOUS` the near voxels
-            with an unclear winding number are added.
+            with an unclear winding number are added; `CHUNKS` is what a pass had of the pool, or would have had.
         plan: Of a dense query of the measured grid.
         empty: Allocates workspace.
+        chunks: Of the pool on a GPU, if it is known how many are needed. What finds no room there is searched.
     """
     device: Any = to.values.device
     out: Any = Output()
@@ -140,20 +150,26 @@ def query_blocks(
         set_array(out, "missed", empty(1, wp.int32))
         _search_blocks(slab, to, surface.tree, measured, out, max(1, to.values.size // 8), everywhere=True)
         return
-    plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda)
+    plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda, chunks)
+
+    def measure(*given: Any) -> None:
+        measure_blocks(*given, kernel=_measure_band, more=[to])
+        launch(_note_chunks, 1, [given[POOL], counts], device)
+
     own = OwnStages(
         partial(find_listed_witnesses, regions, counts),
-        partial(measure_blocks, kernel=_measure_band, more=[to]),
+        measure,
         partial(_search_blocks, slab, to),
     )
     run_stages(surface, measured, out, plan, empty, partial(nullcontext, _nothing), _nothing, own)
 
 
-def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
+def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | None = None) -> Plan:
     """The plan for so many of a dense query's regions: it decides the same about each of them.
 
     On a GPU the pool is their share of the dense query's, and as much again, as those along the surface are alike in
-    few ways with all: or, where triangles are in few of them, room for the lists of these.
+    few ways with all: or, where triangles are in few of them, room for the lists of these; or as many chunks as are
+    `known` to be needed.
     """
     most = min(regions, MOST_REGIONS if gpu else CPU_REGIONS, plan.most)
     passes = -(-regions // most)
@@ -162,6 +178,7 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
     if gpu:
         share = -(-2 * plan.chunks * most // plan.most)
         chunks = min(chunks, max(share, (ENTRIES_OF_TRIANGLE * triangles + LEAST_ENTRIES) // CHUNK))
+        chunks = min(chunks, known or chunks)
     return replace(
         plan,
         regions=(0, 0, 0),
@@ -175,9 +192,9 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool) -> Plan:
     )
 
 
-def bytes_for(plan: Plan, regions: int, triangles: int) -> int:
-    """Bytes of workspace that a GPU's query of so many regions takes, by the plan of a dense one."""
-    return size_for(band_plan(plan, regions, triangles, gpu=True))
+def bytes_for(plan: Plan, regions: int, triangles: int, chunks: int) -> int:
+    """Bytes of workspace that a GPU's query of so many regions and chunks takes, by the plan of a dense one."""
+    return size_for(band_plan(plan, regions, triangles, True, chunks))
 
 
 def _nothing() -> None:

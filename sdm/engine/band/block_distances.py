@@ -14,7 +14,7 @@ from sdm.core.device import SHARE_UNASKED, free_memory
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.listed_blocks import Listed, Room
 from sdm.errors import GridError
-from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, COUNTS, KEPT, LOST, REGIONS, RUNS
+from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, CHUNKS, COUNTS, KEPT, LOST, REGIONS, RUNS
 from sdm.kernels.band.block_lists import gather_blocks, keep_near, list_inside_gaps
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
@@ -64,7 +64,7 @@ class BandBlocks(NamedTuple):
     room: Room | None = None
 
 
-def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
+def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | None = None) -> Measured:
     """Measure the listed blocks, without a wait, and list those that are kept.
 
     To be called on the current stream.
@@ -73,6 +73,7 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
         band: What is asked.
         listed: The blocks that may have a voxel in the band, with or without room behind them.
         gaps: Whether to list the runs of blocks that are inside: the mesh is closed, and has its sign.
+        chunks: See `query_blocks`.
     """
     structure, device, room = band.structure, band.structure.device, len(listed.blocks)
     tree, winding, frames, features, cones = structure.view
@@ -104,7 +105,7 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool) -> Measured:
     set_array(to, "values", flat)
     set_array(to, "near", as_warp(near, wp.int32))
     surface, regions = Surface(tree, frames, features, cones), as_warp(listed.regions, wp.vec4i)
-    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty)
+    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks)
     kept = torch.empty(room, dtype=torch.int32, device=device)
     places = as_warp(kept, wp.int32)
     keep_near(to.near, empty(room, wp.int32), places, counts)
@@ -148,7 +149,9 @@ def taken(
         as_warp(values.view(-1), wp.float32),
     )
     runs = measured.runs[: counts[RUNS]].clone()
-    return BandBlocks(found, values, counts[AMBIGUOUS], runs, room=Room(counts[BLOCKS], counts[REGIONS]))
+    return BandBlocks(
+        found, values, counts[AMBIGUOUS], runs, room=Room(counts[BLOCKS], counts[REGIONS], counts[CHUNKS])
+    )
 
 
 def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:

@@ -19,7 +19,7 @@ from sdm.core.grid import Grid
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.near_blocks import levels_of, mark_near, regions_with
 from sdm.engine.thick_slices import AS_IT_IS
-from sdm.kernels.band.block_bits import BLOCKS, COUNTS, REGIONS, block_bits, list_bits, words_of
+from sdm.kernels.band.block_bits import BLOCKS, CHUNKS, COUNTS, REGIONS, block_bits, list_bits, words_of
 from sdm.kernels.band.block_lists import unpack_keys
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE
 from sdm.kernels.bvh.build import reduce_bounds
@@ -42,6 +42,7 @@ class Room(NamedTuple):
 
     blocks: int
     regions: int
+    chunks: int | None = None  # of candidate lists, if it is known how many are needed
 
 
 class Listed(NamedTuple):
@@ -129,6 +130,9 @@ def fits(counts: list[int], room: Room, boxes: list[int]) -> bool:
     """
     lengths = counts[COUNTS + STRIDE + LENGTH :: STRIDE]
     there = all(length <= most for length, most in zip(lengths, boxes, strict=False))
+    if room.chunks is not None and counts[CHUNKS] > room.chunks:
+        # Nothing is missing, but voxels were searched one by one.
+        return False
     return there and counts[BLOCKS] <= room.blocks and counts[REGIONS] <= room.regions
 
 

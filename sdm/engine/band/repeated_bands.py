@@ -28,7 +28,7 @@ from sdm.engine.plan_override import OPTIONS
 from sdm.engine.repeated_faces import CROWDED
 from sdm.engine.thick_slices import Slices
 from sdm.kernels.band.query import bytes_for
-from sdm.kernels.dense.plan import memory_of
+from sdm.kernels.dense.plan import Plan, memory_of
 from sdm.kernels.topology.edge_pairing import FLAGS
 from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
@@ -64,18 +64,39 @@ def replayed(mesh: TriangleMesh, grid: Grid, width: float) -> BandBlocks | None:
 def note(mesh: TriangleMesh, grid: Grid, width: float, found: BandBlocks) -> None:
     """Count a band of a recordable mesh that is closed and was made step by step, to be recorded if it comes often."""
     needed, kind = found.room, _kind(mesh, grid, width)
-    if needed is None or found.beyond or needed.blocks == 0:
+    if needed is None or needed.chunks is None or found.beyond or needed.blocks == 0:
         return
     plan = plan_for(len(mesh), Slices(grid.spacing, grid.shape, 0), grid, mesh.device)
-    room, most = _rooms.pop(kind, Room(0, 0)), Room(math.prod(blocks_along(grid.shape)), plan.total)
-    if not all(least <= there <= 2 * least + 2 * ROOM for least, there in zip(needed, room, strict=True)):
-        room = Room(*(min(least + least // 8 + ROOM, all_) for least, all_ in zip(needed, most, strict=True)))
+    wanted, room = room_for(needed, plan, grid), _rooms.pop(kind, None)
+    if room is None or not _is_about(room, needed, wanted):
+        room = wanted
     _rooms[kind] = room
     while len(_rooms) > MOST_KEPT:
         _rooms.popitem(last=False)
-    nbytes = room.blocks * BLOCK_BYTES + layout(_sizes(len(mesh)))[0] + bytes_for(plan, room.regions, len(mesh))
+    lists = bytes_for(plan, room.regions, len(mesh), room.chunks or 0)
+    nbytes = room.blocks * BLOCK_BYTES + layout(_sizes(len(mesh)))[0] + lists
     if plan.method == "cells" and nbytes <= (memory_of(warp_name(mesh.device)) or 0) // SHARE:
         graphs.note(band_call(mesh, grid, width, room))
+
+
+def room_for(needed: Room, plan: Plan, grid: Grid) -> Room:
+    """Room for a band that needs about as much: a little more, and no more than there can be."""
+    blocks = min(_more(needed.blocks), math.prod(blocks_along(grid.shape)))
+    regions = min(_more(needed.regions), plan.total)
+    # Each region, and each cell, has its first chunks, needed or not.
+    reserved = (regions - needed.regions) * (plan.region_shares + 8 * plan.cell_shares)
+    return Room(blocks, regions, _more(needed.chunks or 0) + max(0, reserved))
+
+
+def _more(needed: int) -> int:
+    return needed + needed // 8 + ROOM
+
+
+def _is_about(room: Room, needed: Room, wanted: Room) -> bool:
+    """True if room has as much as is needed, and not much more than is wanted."""
+    enough = room.blocks >= needed.blocks and room.regions >= needed.regions
+    enough = enough and (room.chunks or 0) >= (wanted.chunks or 0) - (needed.chunks or 0) // 8
+    return enough and room.blocks <= 2 * wanted.blocks and (room.chunks or 0) <= 2 * (wanted.chunks or 0)
 
 
 def _kind(mesh: TriangleMesh, grid: Grid, width: float) -> Hashable:
@@ -108,7 +129,7 @@ def queue_band(
     with on_current_stream(vertices, vertices, within, neighbours):
         fill_surface(structure.view, vertices[None], within, neighbours, as_warp(bounds, wp.float32), join)
         listed = queue_list(band, room)
-        measured = queue_measure(band, listed, gaps=True)
+        measured = queue_measure(band, listed, gaps=True, chunks=room.chunks)
     # The highest coordinates with a minus, as counts have them.
     bounds[3:].neg_()
     numbers = torch.cat([flags, listed.counts[: -len(bounds)], bounds.view(torch.int32)])

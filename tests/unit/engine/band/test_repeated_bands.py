@@ -9,11 +9,13 @@ import torch
 import sdm
 from sdm.bench.common.meshes import sphere, torus
 from sdm.engine.band import repeated_bands
+from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.calls import band_width
 from sdm.engine.band.listed_blocks import Room
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.band.block_bits import COUNTS, LOST
 from sdm.kernels.topology.edge_pairing import FLAGS
+from sdm.runtime import graphs
 
 AMPLE = Room(6000, 3000)
 
@@ -58,6 +60,8 @@ def test_what_was_guessed_wrong_is_not_taken():
     assert queued(mesh, grid)[1] is not None
     assert queued(mesh, grid, room=Room(blocks // 2, 3000))[1] is None
     assert queued(mesh, grid, room=Room(6000, regions // 9))[1] is None
+    # With fewer chunks of candidate lists than regions need, voxels are searched one by one: right, but slow.
+    assert queued(mesh, grid, room=Room(6000, 3000, 100))[1] is None
     opened = sdm.TriangleMesh(mesh.vertices, mesh.faces[3:])
     assert queued(opened, grid)[1] is None
     beyond = sdm.Grid(grid.origin, grid.spacing, (40, 75, 75))
@@ -65,6 +69,33 @@ def test_what_was_guessed_wrong_is_not_taken():
     faces = mesh.faces.clone()
     faces[5, 1] = len(mesh.vertices) + 7
     assert queued(sdm.TriangleMesh(mesh.vertices, faces, check=False), grid)[1] is None
+
+
+def test_the_room_that_a_band_leaves_for_the_next(monkeypatch):
+    noted: list[graphs.Call] = []
+    monkeypatch.setattr(graphs, "note", noted.append)
+    monkeypatch.setattr(repeated_bands, "memory_of", lambda _: 1 << 36)
+    repeated_bands._rooms.clear()
+    mesh = sdm.TriangleMesh(*torus(3000))
+    grid, index = sdm.Grid.around(mesh, 75), sdm.MeshIndex(mesh, "cpu")
+    with plan_override(method="cells", slice_factors=(1,)):
+        width = band_width(grid, 3.0)
+        found = measured_blocks(index._structure, grid, width, signed=True, mesh=mesh, gaps=True)
+        for _ in range(2):
+            repeated_bands.note(mesh, grid, width, found)
+        one, again = noted
+        assert one.finish is not None
+        made = one.finish(one.work(graphs.unverified, *one.inputs))
+        assert made is not None
+        assert_same(made, sdm.narrow_band(mesh, grid, device="cpu"))
+        # A little smaller: the same recording will do.
+        smaller = measured_blocks(index._structure, grid, 0.97 * width, signed=True, mesh=mesh, gaps=True)
+        repeated_bands.note(mesh, grid, width, smaller)
+        assert one.key == again.key == noted[2].key
+        larger = measured_blocks(index._structure, grid, 2 * width, signed=True, mesh=mesh, gaps=True)
+        repeated_bands.note(mesh, grid, width, larger)
+        assert noted[3].key != one.key
+    repeated_bands._rooms.clear()
 
 
 def test_few_launches(monkeypatch):
