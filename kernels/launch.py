@@ -20,6 +20,8 @@ from sdm.kernels.launches.recorded import run
 # Small launches cost less than waking the threads.
 SMALLEST_SHARE = 256
 SHARES_PER_THREAD = 8
+# Of a kernel that takes some ten nanoseconds for each index, the fewest that are worth a turn of a thread.
+LIGHT_SHARE = 4096
 # Modules that a CPU has run.
 _loaded: set[wp.Module] = set()
 

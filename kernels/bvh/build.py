@@ -32,7 +32,7 @@ from sdm.kernels.bvh.tree import (
 )
 from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
-from sdm.kernels.launch import launch
+from sdm.kernels.launch import LIGHT_SHARE, launch
 from sdm.kernels.primitives.atomics import lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
 from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
@@ -280,10 +280,10 @@ def build_in_frame(
     meshes, total = vertices.shape[0], tree.face.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
-    launch(_make_keys, total, [tree, vertices, faces, bounds, bits, keys, slots], device)
+    launch(_make_keys, total, [tree, vertices, faces, bounds, bits, keys, slots], device, smallest=LIGHT_SHARE)
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
-    launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device)
+    launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device, smallest=LIGHT_SHARE)
     level = tree.depth + 1
     while level > 0:
         # A launch costs more than a few boxes one after the other.

@@ -16,9 +16,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.nearest_search import NodeStack, exact_hit, slot_part
+from sdm.kernels.bvh.nearest_search import NodeStack, WideNodeStack, exact_hit, slot_part
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, slots_of
+from sdm.kernels.bvh.wide_nodes import eight_boxes, eight_triangles, eights_depth, eights_leaf, eights_step
 from sdm.kernels.geometry.triangle_distance import Hit, unit_normal
+from sdm.kernels.primitives.lanes import on_cpu
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,6 +48,31 @@ def facing(tree: Tree, slot: int, p: wp.vec3d, hit: Hit, least: wp.float64):
 
 
 @wp.func
+def faced(
+    tree: Tree,
+    other: int,
+    p: wp.vec3d,
+    reach: wp.float64,
+    least: wp.float64,
+    best: int,
+    best_facing: wp.float64,
+    most: wp.float64,
+):
+    """The state of `facing_slot` after a look at another triangle."""
+    hit = exact_hit(tree, other, p)
+    if wp.sqrt(hit.distance2) <= reach:
+        # The largest so far counts, not the chosen one's, which may be less.
+        faces = facing(tree, other, p, hit, least)
+        wins = faces >= most - SAME and tree.face[other] < tree.face[best]
+        wins = wins or faces > best_facing + SAME
+        most = wp.max(most, faces)
+        if wins:
+            best = other
+            best_facing = faces
+    return best, best_facing, most
+
+
+@wp.func
 def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled)."""
     largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
@@ -58,6 +85,31 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     best_facing = most
     base = nodes_of(tree, 0)
     leaves = 1 << tree.depth
+    if on_cpu():
+        # The same by eight boxes, and by the triangles of one or two leaves, at once.
+        depth = eights_depth(tree)
+        pairs = tree.depth - depth
+        leaves = 1 << depth
+        wide = WideNodeStack()
+        above = int(1)
+        wide[0] = 1
+        while above > 0:
+            above = above - 1
+            at_node = wide[above]
+            if at_node >= leaves:
+                begin, count = eights_leaf(tree, 0, (at_node - leaves) << pairs, pairs)
+                squares = eight_triangles(tree.corners, begin, count, at)
+                for k in range(8):
+                    if squares[k] <= TOUCHING2 and begin + k != slot:
+                        best, best_facing, most = faced(tree, begin + k, p, reach, least, best, best_facing, most)
+            else:
+                step = eights_step(at_node, depth)
+                squares = eight_boxes(tree.boxes, base + (at_node << step), 1 << step, at)
+                for k in range(8):
+                    if squares[7 - k] <= TOUCHING2:
+                        wide[above] = (at_node << step) + 7 - k
+                        above = above + 1
+        return best
     nodes = NodeStack()
     waiting = int(0)
     node = int(1)
@@ -69,16 +121,7 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
             for other in range(first + first_triangle(tree, leaf), first + first_triangle(tree, leaf + 1)):
                 d2, _part = slot_part(tree, other, at)
                 if d2 <= TOUCHING2 and other != slot:
-                    hit = exact_hit(tree, other, p)
-                    if wp.sqrt(hit.distance2) <= reach:
-                        # The largest so far counts, not the chosen one's, which may be less.
-                        faces = facing(tree, other, p, hit, least)
-                        wins = faces >= most - SAME and tree.face[other] < tree.face[best]
-                        wins = wins or faces > best_facing + SAME
-                        most = wp.max(most, faces)
-                        if wins:
-                            best = other
-                            best_facing = faces
+                    best, best_facing, most = faced(tree, other, p, reach, least, best, best_facing, most)
             node = int(0)
         else:
             left = node_distance2(tree, base + 2 * node, at) <= TOUCHING2

@@ -167,4 +167,4 @@ def _measure(
 
 def measure_in_float64(mesh: ExactMesh, points: wp.array, known: Known, answers: Answers) -> None:
     """Fill `answers` for points (N,) vec3d; where `known` has no face, as of a point that is not finite, with NaN."""
-    launch(_measure, points.shape[0], [mesh, points, known, answers], points.device)
+    launch(_measure, points.shape[0], [mesh, points, known, answers], points.device, smallest=1024)

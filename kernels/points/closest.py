@@ -43,4 +43,4 @@ def _name_faces(
 
 def name_faces(tree: Tree, points: wp.array, order: wp.array, packets: Packets, hits: Hits) -> None:
     """Fill `hits` for points (N,) from the slots that `hits.faces` holds, in their order or as they come."""
-    launch(_name_faces, packets.places, [tree, points, order, packets, hits], points.device)
+    launch(_name_faces, packets.places, [tree, points, order, packets, hits], points.device, smallest=512)

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.nearest_search import exact_hit
-from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree, tree_of
+from sdm.kernels.bvh.nearest_search import exact_hit, nearest_slot
+from sdm.kernels.bvh.tree import DIAGONAL, FRAME_SIZE, SCALE, Tree, slots_of, tree_of
 from sdm.kernels.culling.witness_bound import no_witness, write_witness
 from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_rows
 from sdm.kernels.launch import launch
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.group_search import nearest_together
 from sdm.kernels.primitives.atomics import fetch_add_once
-from sdm.kernels.primitives.lanes import least_of_lanes
+from sdm.kernels.primitives.lanes import least_of_lanes, on_cpu
 from sdm.kernels.primitives.vector_loads import load4, write4
 from sdm.kernels.winding.hole_caps import is_far, may_cover, view_caps
 from sdm.kernels.winding.winding_number import CLOSED, MANY, OPEN, Winding
@@ -168,7 +168,11 @@ def _look_around(
     while packet < packets.count:
         mesh = mesh_of(packets, packet)
         box = box_around(tree, mesh, points, order, packets, packet, lane, lanes)
-        slot = nearest_together(tree_of(tree, mesh), box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
+        slot = int(-1)
+        if on_cpu():
+            slot = nearest_slot(tree_of(tree, mesh), mesh, box.centre, slots_of(tree_of(tree, mesh), mesh))
+        else:
+            slot = nearest_together(tree_of(tree, mesh), box.centre, scratch, (thread / lanes) * SCRATCH, lane, lanes)
         known = no_witness()
         hint = int(0)
         if winding.kind == CLOSED:

@@ -10,7 +10,7 @@ from sdm.kernels.points.packets import PACKET
 
 # Neighbours along the curve that one thread takes one after the other, each from the answer before it. A GPU would
 # rather have more threads.
-CPU_RUN = 8
+CPU_RUN = 32
 
 
 class PointsPlan(NamedTuple):

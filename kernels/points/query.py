@@ -22,7 +22,7 @@ from sdm.kernels.closest.hits import Hits
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.geometry.hilbert import POINT_BITS, curve_code
-from sdm.kernels.launch import launch, threads
+from sdm.kernels.launch import LIGHT_SHARE, launch, threads
 from sdm.kernels.points.closest import name_faces
 from sdm.kernels.points.group_descent import SCRATCH
 from sdm.kernels.points.nearest import find_nearest
@@ -41,7 +41,7 @@ from sdm.kernels.points.packets import (
 )
 from sdm.kernels.points.plan import PointsPlan
 from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
-from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers
+from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers, on_cpu
 from sdm.kernels.winding.ray_crossings import winding_of_closed
 from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
 
@@ -49,6 +49,8 @@ wp.set_module_options({"enable_backward": False})
 
 # Of a point's place along the curve; the number of its mesh is above.
 _CODE_BITS = 3 * POINT_BITS
+# Room for rounding, of coordinates to float32 and to the rays' lattice, in what two balls cover: a share, and scaled.
+BALLS, BALL_ROOM = wp.constant(wp.float64(1.0 - 1.0e-5)), wp.constant(wp.float64(1.0e-6))
 
 
 @wp.kernel
@@ -83,15 +85,14 @@ def answer(
     tree: Tree,
     mesh: int,
     slot: int,
+    distance2: wp.float64,
     inside: bool,
-    point: wp.vec3,
     i: int,
     values: wp.array(dtype=wp.float32),
     hits: Hits,
 ):
-    """Write what is asked of point i, whose nearest triangle is in a slot."""
-    hit = exact_hit(tree, slot, scale_of(tree, mesh) * wp.vec3d(point))
-    distance = float(wp.sqrt(hit.distance2) * tree.frame[mesh * FRAME_SIZE + UNSCALE])
+    """Write what is asked of point i, whose nearest triangle is in a slot, at a distance (scaled)."""
+    distance = float(wp.sqrt(distance2) * tree.frame[mesh * FRAME_SIZE + UNSCALE])
     values[i] = wp.where(inside, -distance, distance)
     if hits.wanted != 0:
         # For `name_faces`.
@@ -115,7 +116,9 @@ def _finish(
     if i < 0:
         return
     if slots[at] >= 0 and sides[at] != UNKNOWN and is_finite(points[i]):
-        answer(tree, mesh_of(packets, at / PACKET), slots[at], sides[at] == INSIDE, points[i], i, values, hits)
+        mesh = mesh_of(packets, at / PACKET)
+        hit = exact_hit(tree, slots[at], scale_of(tree, mesh) * wp.vec3d(points[i]))
+        answer(tree, mesh, slots[at], hit.distance2, sides[at] == INSIDE, i, values, hits)
 
 
 @wp.kernel
@@ -134,6 +137,10 @@ def _query(
 ):
     run = begin + wp.tid()
     guess = int(-1)
+    # The point before, if its side goes for all of a ball, and its distance.
+    before = wp.vec3d()
+    reach = wp.float64(-wp.inf)
+    before_inside = bool(False)
     # The bound is a variable so that Warp does not write the loop out.
     steps = int(length)
     for step in range(steps):
@@ -160,16 +167,26 @@ def _query(
                         guess = packets.nearest[at / PACKET]
                     slot = nearest_slot(tree_of(tree, mesh), mesh, float(scale) * point, guess)
                     guess = slot
+                p = scale * wp.vec3d(point)
+                distance2 = exact_hit(tree, slot, p).distance2
                 inside = side == INSIDE
                 if side == UNKNOWN:
                     hint = packets.hints[at / PACKET]
-                    p = scale * wp.vec3d(point)
                     if (hint & FAR) != 0 and (hint & COVERED) == 0:
-                        inside = winding_of_closed(tree_of(tree, mesh), mesh, p) > 0
+                        radius = wp.sqrt(distance2)
+                        # Two balls that meet: no surface is between their centres.
+                        if wp.length(p - before) < (reach + radius) * BALLS - BALL_ROOM:
+                            inside = before_inside
+                        else:
+                            inside = winding_of_closed(tree_of(tree, mesh), mesh, p) > 0
+                        if on_cpu():
+                            before = p
+                            reach = radius
+                            before_inside = inside
                     else:
                         # There is one mesh, as of many each is taken for closed.
                         inside = inside_at(tree, winding, p, (hint & FAR) != 0, (hint & COVERED) != 0)
-                answer(tree, mesh, slot, inside, point, i, values, hits)
+                answer(tree, mesh, slot, distance2, inside, i, values, hits)
 
 
 @wp.kernel
@@ -202,7 +219,13 @@ def sort_points(
     """
     count = points.shape[0]
     *corner, edge = cube or (0.0, 0.0, 0.0, 0.0)
-    launch(_point_keys, count, [points, owners, tree, wp.vec3(*corner), edge, keys, order], points.device)
+    launch(
+        _point_keys,
+        count,
+        [points, owners, tree, wp.vec3(*corner), edge, keys, order],
+        points.device,
+        smallest=LIGHT_SHARE,
+    )
     wp.utils.radix_sort_pairs(keys, order, count, end_bit=_CODE_BITS + int(tree.meshes).bit_length())
 
 
@@ -244,7 +267,7 @@ def query_points(
     packets.witnesses = empty(4 * packets.count, wp.float32)
     packets.nearest = empty(packets.count, wp.int32)
     packets.hints = empty(packets.count, wp.int32)
-    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 16 * threads(), packets.count)
+    workers = min(gpu_workers(device, POINT_BLOCKS_PER_SM) if device.is_cuda else 2 * threads(), packets.count)
     scratch = empty(workers * SCRATCH, wp.int32)
     packets.counts = empty(COUNTS, wp.int32)
     packets.counts.zero_()
@@ -259,7 +282,7 @@ def query_points(
         find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, packets, slots, sides, values, wanted], device)
     inputs = [plan.run, tree, winding, points, order, packets, slots, sides, values, wanted]
-    launch(_query, -(-count // plan.run), inputs, device)
+    launch(_query, -(-count // plan.run), inputs, device, smallest=16)
     if hits is not None:
         name_faces(tree, points, order, packets, wanted)
 

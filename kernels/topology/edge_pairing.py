@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.launch import launch
+from sdm.kernels.launch import LIGHT_SHARE, launch
 from sdm.kernels.primitives.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
@@ -153,10 +153,12 @@ def pair_edges(
     total, bits = 3 * count, bits_for(vertices)
     keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
     clamped = [0, faces] if within is None else [1, within]
-    launch(_make_keys, total, [faces, vertices, bits, keys, edges, first, flags, *clamped], device)
+    launch(
+        _make_keys, total, [faces, vertices, bits, keys, edges, first, flags, *clamped], device, smallest=LIGHT_SHARE
+    )
     wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
-    launch(_pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device)
-    launch(_own, count, [faces, owned, first, flags, neighbours], device)
+    launch(_pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device, smallest=LIGHT_SHARE)
+    launch(_own, count, [faces, owned, first, flags, neighbours], device, smallest=LIGHT_SHARE)
 
 
 @wp.kernel

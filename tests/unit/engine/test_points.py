@@ -13,7 +13,7 @@ from sdm.engine.plan_override import plan_override
 from sdm.engine.points import PointsIndex
 
 
-@pytest.mark.parametrize("name", ["torus", "open hemisphere", "repeated faces", "needle box"])
+@pytest.mark.parametrize("name", ["torus", "open hemisphere", "repeated faces", "needle box", "overlapping shells"])
 def test_equals_the_whole_index(name):
     case = load_case(name)
     mesh = TriangleMesh(case.vertices, case.faces)
@@ -30,6 +30,20 @@ def test_equals_the_whole_index(name):
     # Few points are gone through as they come: the same bits.
     one_by_one = torch.cat([points_alone.signed_distance(part) for part in points.split(CPU_SORT // 4)])
     assert torch.equal(one_by_one.view(torch.int32), whole.signed_distance(points).view(torch.int32))
+
+
+def test_sides_are_each_points_own():
+    """A side goes from one point to the next only where no surface is between: those asked alone have the same."""
+    case = load_case("hollow sphere")
+    mesh = TriangleMesh(case.vertices, case.faces)
+    random = torch.Generator().manual_seed(0)
+    corner = mesh.vertices[torch.randint(len(mesh.vertices), (300,), generator=random)]
+    points = torch.cat([corner * (1.0 + 0.02 * torch.randn(300, 1, generator=random)), 1.5 * corner, 0.3 * corner])
+    index = PointsIndex(mesh, "cpu")
+    together = index.signed_distance(points)
+    alone = torch.cat([index.signed_distance(point[None]) for point in points])
+    assert torch.equal(together, alone)
+    assert 0 < int((together < 0).sum()) < len(points)
 
 
 def test_lists_have_what_they_read():
