@@ -14,6 +14,7 @@ from sdm.bench.dense.first import fresh, split
 from sdm.engine import maps
 from sdm.errors import MeshError
 from sdm.runtime import graphs
+from sdm.runtime.graphs import graph_cache
 from sdm.topology import guesses
 from sdm.topology.face_pairing import pairing_of
 
@@ -23,6 +24,8 @@ pytestmark = pytest.mark.gpu
 @pytest.fixture(autouse=True)
 def afresh(monkeypatch):
     monkeypatch.setattr(maps, "USE_CLASSES", True)
+    # At the third call, as all.
+    monkeypatch.setattr(graph_cache, "EARLIER", 0)
     guesses._last_open.clear()
     graphs.clear()
     yield
@@ -208,3 +211,14 @@ def test_streams(launches):
             found.append(sdm.signed_distance_map(mesh, grid).values)
     torch.cuda.synchronize()
     assert all(torch.equal(ours, theirs) for ours, theirs in zip(found, expected, strict=True))
+
+
+def test_a_class_is_recorded_at_its_second_call(launches, monkeypatch):
+    monkeypatch.setattr(graph_cache, "EARLIER", 1)
+    case = load_case("torus-1000")
+    for number in range(4):
+        other = split(case, 2 + number)
+        grid = _grid(other, number, (40, 40, 40))
+        found = sdm.signed_distance_map(fresh(other, "cuda"), grid)
+        assert torch.equal(found.values, _expected(fresh(other, "cuda"), grid))
+    assert len(launches) == 2

@@ -22,7 +22,7 @@ from sdm.kernels.winding.cap_tree import depth_of_caps
 
 # Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
 # of more, kernels take longer than the host.
-SMALL, LARGEST = (1280, 5120, 20480), 1 << 20
+SMALL, LARGEST = (1280, 5120, 20480, 81920), 1 << 20
 # Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
 # Vertices for each face of the room: of closed surfaces, or of triangles that share none.

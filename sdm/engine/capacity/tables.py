@@ -48,7 +48,7 @@ def to_record(kind: CapacityClass, call: Call) -> Call:
     """The same call, whose inputs fill the room of its class."""
     vertices, faces, table = call.inputs
     inputs = _longer(vertices, kind.vertices), _longer(faces, kind.faces), table.to(faces.device)
-    return Call(call.key, call.work, inputs)
+    return Call(call.key, call.work, inputs, is_for_many=True)
 
 
 def _longer(given: Tensor, rows: int) -> Tensor:

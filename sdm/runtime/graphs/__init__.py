@@ -2,7 +2,8 @@
 
 A map takes about 60 launches, which take the host longer than a GPU needs to run many of them. So the third call of one
 kind (the same grid, numbers of meshes, vertices, faces and boundary edges, on one device) is recorded as a CUDA graph,
-and those that follow copy their tensors into the recording's, launch it and copy the result out. The values are the
+and those that follow copy their tensors into the recording's, launch it and copy the result out. What one recording
+serves whatever its counts (`sdm.engine.capacity`) is recorded at the second call. The values are the
 same bits. Calls that want gradients, those inside `torch.compile` or another graph's capture, and results larger than
 512 MiB are not recorded.
 

@@ -11,6 +11,8 @@ from sdm.runtime.graphs.memory_pool import MemoryPool
 
 # A call is recorded once it has come this often, as a recording takes as long as some calls.
 CALLS = 3
+# One that serves calls of many kinds is recorded so many calls earlier.
+EARLIER = 1
 # One that has to make room before it was used so often was not worth it (a recording takes 12 ms and saves up to 1.5 ms
 # a call): from then on calls have to come twice as often, up to a limit, until one is used much more often than that.
 # Otherwise many keys by turns, as of a folder of meshes, would be recorded again and again.
@@ -63,12 +65,12 @@ class GraphCache:
                 self.needed = CALLS
         return found
 
-    def count(self, key: Hashable, work: Work, inputs: Tensors) -> None:
-        """Count a call that went without a recording, and record it if it came often enough."""
+    def count(self, key: Hashable, work: Work, inputs: Tensors, earlier: int = 0) -> None:
+        """Count a call that went without a recording, and record it if it came often enough, or but for `earlier`."""
         self._calls[key] = self._calls.pop(key, 0) + 1
         while len(self._calls) > MOST_KEYS:
             self._calls.popitem(last=False)
-        if self._calls[key] < self.needed or key in self._captured:
+        if self._calls[key] < self.needed - earlier or key in self._captured:
             return
         self._calls[key] = 0
         while len(self._captured) >= self._recordings:

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
+from sdm.runtime.graphs import graph_cache
 from sdm.runtime.graphs.captured_call import Finish, Tensors, Work, unverified
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
@@ -65,12 +66,15 @@ class Call:
         finish: Makes new tensors of what a recording's work gave, on the current stream: of results whose lengths the
             host has to read first, which it may do here, while no other recording of the device is launched. None says
             that the work rested on a wrong guess.
+        is_for_many: True if a recording serves calls that differ in more than what their tensors hold: it is made after
+            fewer calls.
     """
 
     key: Hashable
     work: Work
     inputs: Tensors
     finish: Finish | None = None
+    is_for_many: bool = False
 
 
 def supports(tensor: Tensor) -> bool:
@@ -156,7 +160,7 @@ def is_recorded(device: torch.device, key: Hashable) -> bool:
 
 
 def record(call: Call) -> None:
-    """Count a call that was made without a recording: the third with its key is recorded."""
+    """Count a call that was made without a recording: the third with its key is recorded, or the second of many."""
     device = call.inputs[0].device
     with _lock:
         if device not in _caches:
@@ -165,4 +169,4 @@ def record(call: Call) -> None:
                 atexit.register(clear)
             most = torch.cuda.get_device_properties(device).total_memory // SHARE
             _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
-        _caches[device].count(call.key, call.work, call.inputs)
+        _caches[device].count(call.key, call.work, call.inputs, graph_cache.EARLIER if call.is_for_many else 0)

@@ -13,7 +13,7 @@ from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine import maps
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
-from sdm.runtime.graphs.graph_cache import MOST_CALLS, MOST_KEYS, WELL_WORTH, WORTH, GraphCache
+from sdm.runtime.graphs.graph_cache import EARLIER, MOST_CALLS, MOST_KEYS, WELL_WORTH, WORTH, GraphCache
 from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.topology import face_pairing, guesses
 from sdm.topology.boundary_edges import boundary_edges
@@ -65,6 +65,13 @@ def test_faces_are_copied_again_once_they_changed_or_another_recording_was_launc
     with torch.inference_mode():
         uncounted = torch.zeros(4, 3, dtype=torch.int32)
     assert [launched(one, moving, uncounted) for _ in range(2)] == [[False, False]] * 2
+
+
+def test_a_recording_for_many_is_made_one_call_earlier(cache):
+    for call in range(graphs.CALLS - EARLIER):
+        assert cache.find("a") is None, call
+        cache.count("a", 10, INPUTS, EARLIER)
+    assert isinstance(cache.find("a"), Stub)
 
 
 def test_the_third_call_is_recorded(cache):
