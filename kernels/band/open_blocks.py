@@ -24,7 +24,7 @@ from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import see_caps
 from sdm.kernels.winding.cap_field import Field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL
+from sdm.kernels.winding.near_caps import FULL, NEAR_LIST
 from sdm.kernels.winding.open_caps import BITS, FEW, LISTED, SETTLED, TOLERANCES, open_voxel
 from sdm.kernels.winding.settled_boxes import BlockWindings, is_left, put_winding, settle_box, winding_at
 
@@ -70,9 +70,26 @@ def look_at_box(
     expand = not (on_cpu() and bits > 0 and bits < 3)
     few = wp.where(on_cpu() and bits == 1, FEW, 0)
     most, room = limits.tolerances[level], limits.listed[level]
-    field = see_caps(caps, 0, box.centre, radius, most, room, Field(), -1, False, expand, few, stack, lane, lanes)
+    field = see_caps(
+        caps, 0, box.centre, radius, most, room, Field(), -1, False, expand, few, stack, lane, lanes, lanes, False
+    )
     octants = settle_box(
-        field, caps, stack, slab, 0, start, bits, bits == 0, limits.settled[level], box, scale, lane, lanes, windings
+        field,
+        caps,
+        stack,
+        slab,
+        0,
+        start,
+        bits,
+        bits == 0,
+        limits.settled[level],
+        box,
+        scale,
+        NEAR_LIST,
+        lane,
+        lanes,
+        False,
+        windings,
     )
     wait_for_lanes()
     return octants

@@ -38,6 +38,20 @@ def on_cpu() -> bool:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
+    return lanes;
+#else
+    return 1;
+#endif
+"""
+)
+def one_on_cpu(lanes: int) -> int:
+    """A number of lanes: on a CPU one, and its compiler knows that."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
     asm volatile("" : "+r"(count));
 #endif
     return count;
@@ -90,6 +104,34 @@ def rank(mask: wp.uint32, lane: int) -> int:
 )
 def members(mask: wp.uint32) -> int:
     """Number of lanes in the mask."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, keep) >> (lane & ~(some - 1)) & (0xffffffffu >> (32 - some));
+#else
+    return keep ? 1u : 0u;
+#endif
+"""
+)
+def ballot_of_some(keep: bool, lane: int, some: int) -> wp.uint32:
+    """One bit for each of a lane's part of the group, of so many neighbours, a power of two. All lanes have to ask."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    for (int step = 1; step < some; step <<= 1)
+        bits |= __shfl_xor_sync(0xffffffffu, bits, step);
+#endif
+    return bits;
+"""
+)
+def bits_of_some(bits: int, some: int) -> int:
+    """The bits that any of each so many neighbouring lanes has, the same for each of these."""
     ...
 
 
@@ -199,14 +241,42 @@ def sum_of_lanes_in_double(value: wp.float64) -> wp.float64:
 @wp.func_native(
     snippet="""
 #if defined(__CUDA_ARCH__)
-    for (int step = 1; step < 4; step <<= 1)
+    for (int step = 1; step < some; step <<= 1)
         value += __shfl_xor_sync(0xffffffffu, value, step);
 #endif
     return value;
 """
 )
-def sum_of_four(value: float) -> float:
-    """The sum of the values of each four neighbouring lanes, the same for each."""
+def sum_of_some(value: float, some: int) -> float:
+    """The sum of the values of each so many neighbouring lanes, a power of two, the same for each of these."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __shfl_xor_sync(0xffffffffu, value, step);
+#else
+    return value;
+#endif
+"""
+)
+def across(value: float, step: int) -> float:
+    """The value of the lane whose number differs in one bit."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+#if defined(__CUDA_ARCH__)
+    return __shfl_xor_sync(0xffffffffu, value, step);
+#else
+    return value;
+#endif
+"""
+)
+def across_in_double(value: wp.float64, step: int) -> wp.float64:
+    """`across` in float64."""
     ...
 
 
@@ -235,6 +305,22 @@ def from_lane(value: float, source: int) -> float:
 )
 def int_from_lane(value: int, source: int) -> int:
     """Another lane's whole number."""
+    ...
+
+
+@wp.func_native(
+    snippet="""
+    for (int k = 0; k < rank; ++k)
+        bits &= bits - 1;
+#if defined(__CUDA_ARCH__)
+    return bits != 0 ? __ffs(bits) - 1 : 32;
+#else
+    return bits != 0 ? __builtin_ctz(bits) : 32;
+#endif
+"""
+)
+def bit_at(bits: int, rank: int) -> int:
+    """The place of the bit that is set beside so many lower ones; 32 if there is none."""
     ...
 
 

@@ -14,12 +14,15 @@ import warp as wp
 
 from sdm.kernels.bvh.tree import tree_of
 from sdm.kernels.primitives.lanes import (
+    GPU_LANES,
+    across,
+    across_in_double,
     ballot,
+    ballot_of_some,
     members,
     on_cpu,
+    one_on_cpu,
     rank,
-    sum_of_lanes,
-    sum_of_lanes_in_double,
     wait_for_lanes,
 )
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU
@@ -27,18 +30,27 @@ from sdm.kernels.primitives.vector_loads import load4
 from sdm.kernels.winding.cap_field import Field, add_node
 from sdm.kernels.winding.cap_taylor import Taylor, taylor_of_cap
 from sdm.kernels.winding.cap_tree import MOMENTS_SIZE, Caps, load_fourth, load_rest
-from sdm.kernels.winding.near_caps import NEAR_LIST, UNIT, WIDER, corners_from, near_cap, place_of_cap
+from sdm.kernels.winding.near_caps import (
+    NEAR_EACH,
+    NEAR_LIST,
+    UNIT,
+    WIDER,
+    corners_from,
+    near_cap,
+    place_of_cap,
+)
 
 wp.set_module_options({"enable_backward": False})
 
 _ROWS = MOMENTS_SIZE // 4
 # An error of so much, a quarter of the winding number, leaves every side open.
 HOPELESS = wp.PI
-# Places of a stack: nodes of a descent, at most 32 for each of 22 levels; single caps that wait; near caps; and as much
-# room for nodes that are handed down.
-MOST_SINGLE = 64
-_SINGLE = NEAR_LIST - MOST_SINGLE
-MOST_NEAR = {"cuda": (LARGE_STACK - NEAR_LIST) // 2, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
+# Places of a stack, of which parts of a group of lanes have parts: nodes of a descent, at most one for each lane and
+# each of 22 levels; single caps that wait; near caps (`near_list_of`); and nodes that are handed down, to all parts.
+_NODES, _SINGLES = 22, 2
+_SINGLE = GPU_LANES * _NODES
+_HANDED_ON_GPU = NEAR_LIST + GPU_LANES * NEAR_EACH
+MOST_NEAR = {"cuda": LARGE_STACK - _HANDED_ON_GPU, "cpu": (LARGE_STACK_ON_CPU - NEAR_LIST) // 2}
 _NEAR_ON_GPU, _NEAR_ON_CPU = MOST_NEAR["cuda"], MOST_NEAR["cpu"]
 # A node that is near is handed down without being opened if it is no larger than so many radii of the box: opened, it
 # would be near again.
@@ -72,6 +84,26 @@ def rest_of(radius: float, r: float, sigma: float, rho: float, inverse: float):
 
 
 @wp.func
+def sum_of_parts(field: Field, some: int, sloped: bool):
+    """The field that each so many neighbouring lanes have found together, the same for each of these."""
+    step = int(1)
+    while step < some:
+        field.error = field.error + across(field.error, step)
+        field.left_out = field.left_out + across(field.left_out, step)
+        field.drift = field.drift + across(field.drift, step)
+        field.value = field.value + across_in_double(field.value, step)
+        if sloped:
+            for axis in range(3):
+                field.slope[axis] = field.slope[axis] + across(field.slope[axis], step)
+                field.squares[axis] = field.squares[axis] + across(field.squares[axis], step)
+                field.products[axis] = field.products[axis] + across(field.products[axis], step)
+            for number in range(7):
+                field.cubes[number] = field.cubes[number] + across(field.cubes[number], step)
+        step = 2 * step
+    return field
+
+
+@wp.func
 def see_caps(
     caps: Caps,
     mesh: int,
@@ -87,33 +119,47 @@ def see_caps(
     stack: wp.array(dtype=wp.int32),
     lane: int,
     lanes: int,
+    some: int,
+    idle: bool,
 ):
-    """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes.
+    """The caps' field for all points within `radius` of a centre (scaled), by a whole group of lanes or by each part.
 
     Single caps that no multipole tells wait on the stack until there is one for each lane. If the radius is zero, they
-    are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others, at most
-    MOST_NEAR, are listed on the stack; if there are more, none is, and they count as errors.
+    are added exactly. Else those whose Taylor polynomial will do are added, and up to `room` of the others are listed
+    on the stack (`near_list_of`), at most MOST_NEAR, and at most a part's share; if there are more, none is, and they
+    count as errors.
+
+    Parts of a group descend beside each other, each for a ball of its own: what is near a box is little, and would
+    leave most lanes of a group without work.
 
     Args:
         caps: The caps.
         mesh: The mesh that they are of.
-        centre: The box's middle.
+        centre: The box's middle; as all down to `handed`, the same for all lanes of a part.
         radius: From there to the furthest point.
         tolerance: The largest bound of a node's error that is taken.
         room: For near caps.
         begin: The field of what is not under nodes that were handed down.
         handed: How many those are; if negative, the descent begins at the root, and with no field.
         keep: Hand down near caps and small near nodes, of which the field then tells the number, instead of listing
-            any: MOST_NEAR at most, else the error is infinite.
+            any: MOST_NEAR at most, else the error is infinite. For whole groups alone.
         expand: Try Taylor polynomials. If not, nothing is known of what near caps add at most.
         few: So many caps, or fewer, under a node are near without a look at its bound.
         stack: Of this group (`large_stack_of`).
         lane: This lane's number.
         lanes: Their number.
+        some: How many neighbouring lanes are a part, a power of two.
+        idle: This part has nothing to look at.
     """
     one = tree_of(caps.tree, mesh)
     base = one.root
     leaves = 1 << one.depth
+    some = one_on_cpu(some)
+    mine = lane & (some - 1)
+    first = wp.where(on_cpu(), 0, lane - mine)
+    nodes_at = _NODES * first
+    singles_at = _SINGLE + _SINGLES * first
+    near_at = NEAR_LIST + NEAR_EACH * first
     field = Field()
     steps = float(0.0)
     near = int(0)
@@ -121,31 +167,41 @@ def see_caps(
     waiting = int(0)
     # Of what was handed down, what has not been looked at.
     rest = wp.max(handed, 0)
+    # So many single caps may wait when nodes are looked at.
+    full = wp.where(on_cpu(), 32, some)
     most = wp.where(on_cpu(), _NEAR_ON_CPU, _NEAR_ON_GPU)
-    first_handed = NEAR_LIST + most
-    places = wp.where(keep, most, room)
-    if handed < 0:
-        waiting = wp.min(lanes, leaves)
-        if lane < waiting:
-            stack[lane] = waiting + lane
-    elif lane == 0:
+    first_handed = wp.where(on_cpu(), NEAR_LIST + _NEAR_ON_CPU, _HANDED_ON_GPU)
+    places = most
+    if not keep:
+        places = wp.min(room, wp.where(on_cpu(), _NEAR_ON_CPU, NEAR_EACH * some))
+    if idle:
+        rest = int(0)
+    elif handed < 0:
+        waiting = wp.min(some, leaves)
+        if mine < waiting:
+            stack[nodes_at + mine] = waiting + mine
+    elif mine == 0:
         field = begin
     wait_for_lanes()
-    while waiting + single + rest > 0:
+    while ballot(waiting + single + rest > 0) != wp.uint32(0):
         node = int(0)
         opened = bool(False)
         alone = bool(False)
         listed = bool(False)
-        if waiting + rest > 0 and single <= MOST_SINGLE - 32:
-            taken = wp.min(lanes, waiting)
+        looks = int(0)
+        if single <= full:
+            looks = wp.min(some, waiting + rest)
+        # All parts look at nodes, or all at single caps, once these are enough for most lanes.
+        ready = members(ballot(mine < single))
+        if ballot(looks > 0) != wp.uint32(0) and (on_cpu() or 4 * ready < 3 * lanes):
+            taken = wp.min(looks, waiting)
+            more = looks - taken
             waiting = waiting - taken
-            if lane < taken:
-                node = stack[waiting + lane]
-            if taken < lanes:
-                more = wp.min(lanes - taken, rest)
-                rest = rest - more
-                if lane >= taken and lane < taken + more:
-                    node = stack[first_handed + rest + lane - taken]
+            rest = rest - more
+            if mine < taken:
+                node = stack[nodes_at + waiting + mine]
+            elif mine < looks:
+                node = stack[first_handed + rest + mine - taken]
             wait_for_lanes()
             if node > 0:
                 at = _ROWS * (base + node)
@@ -182,21 +238,21 @@ def see_caps(
                         listed = bool(True)
                     else:
                         alone = bool(True)
-            mask = ballot(opened)
+            mask = ballot_of_some(opened, lane, some)
             if opened:
-                place = waiting + 2 * rank(mask, lane)
+                place = nodes_at + waiting + 2 * rank(mask, mine)
                 stack[place] = 2 * node
                 stack[place + 1] = 2 * node + 1
             waiting = waiting + 2 * members(mask)
-            mask = ballot(alone)
+            mask = ballot_of_some(alone, lane, some)
             if alone:
-                stack[_SINGLE + single + rank(mask, lane)] = node
+                stack[singles_at + single + rank(mask, mine)] = node
             single = single + members(mask)
         else:
-            taken = wp.min(lanes, single)
+            taken = wp.min(some, single)
             single = single - taken
-            if lane < taken:
-                node = stack[_SINGLE + single + lane]
+            if mine < taken:
+                node = stack[singles_at + single + mine]
                 cap = place_of_cap(caps, mesh, node - leaves)
                 a, b, c = corners_from(caps, cap, centre)
                 angle, wrong = near_cap(a, b, c)
@@ -216,35 +272,28 @@ def see_caps(
                     if not keep:
                         field.left_out = field.left_out + most_of(caps, base + node, centre, radius)
                     listed = bool(True)
-        mask = ballot(listed)
+        mask = ballot_of_some(listed, lane, some)
         if listed and near + members(mask) <= places:
-            place = near + rank(mask, lane)
+            place = near + rank(mask, mine)
             if keep:
                 stack[first_handed + place] = node
             else:
-                stack[NEAR_LIST + place] = place_of_cap(caps, mesh, node - leaves)
+                stack[near_at + place] = place_of_cap(caps, mesh, node - leaves)
         near = near + members(mask)
         if keep and near > places:
             field.error = float(wp.inf)
-        if ballot(field.error + wp.where(near > places, field.left_out, 0.0) >= HOPELESS) != wp.uint32(0):
+        hopeless = field.error + wp.where(near > places, field.left_out, 0.0) >= HOPELESS
+        if ballot_of_some(hopeless, lane, some) != wp.uint32(0):
             # Nothing will be known, as not all is added up.
             field.error = float(wp.inf)
             waiting = int(0)
             single = int(0)
             rest = int(0)
         wait_for_lanes()
-    field.error = sum_of_lanes(field.error + 4.0 * UNIT * (steps + 6.0) * field.drift)
-    field.left_out = sum_of_lanes(field.left_out)
+    field.error = field.error + 4.0 * UNIT * (steps + 6.0) * field.drift
+    field = sum_of_parts(field, some, ballot(radius > 0.0) != wp.uint32(0))
     if near <= places:
         field.near = near
     else:
         field.error = field.error + field.left_out
-    field.value = sum_of_lanes_in_double(field.value)
-    if radius > 0.0:
-        for axis in range(3):
-            field.slope[axis] = sum_of_lanes(field.slope[axis])
-            field.squares[axis] = sum_of_lanes(field.squares[axis])
-            field.products[axis] = sum_of_lanes(field.products[axis])
-        for number in range(7):
-            field.cubes[number] = sum_of_lanes(field.cubes[number])
     return field

@@ -19,8 +19,9 @@ UNIT = 2.0**-24
 ROUNDINGS = 100.0 * UNIT
 LARGEST_PRODUCT = 1.0e9
 SNAP = 2.0 * UNIT
-# The place in a large stack where near caps are listed.
+# The place in a large stack where near caps are listed, and on a GPU the room there for each lane of a part.
 NEAR_LIST = 768
+NEAR_EACH = 20
 
 
 @wp.func
@@ -80,8 +81,14 @@ def corners_from(caps: Caps, place: int, p: wp.vec3):
 
 
 @wp.func
-def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
-    """A lane's part of the solid angle of the listed caps seen from p (scaled), and the largest error of it.
+def near_list_of(lane: int, some: int):
+    """The place in a large stack where a lane's part of a group, of so many neighbours, lists near caps."""
+    return NEAR_LIST + NEAR_EACH * (lane - (lane & (some - 1)))
+
+
+@wp.func
+def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), at: int, lane: int, lanes: int):
+    """A lane's part of the solid angle of the caps listed at a place, seen from p (scaled), and the error it may have.
 
     As `near_cap`, but half angles add up as the arguments of a product of complex numbers, and a count of its full
     turns: a factor has an error of 15u more.
@@ -92,7 +99,7 @@ def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32
     error = float(0.0)
     i = lane
     while i < near:
-        a, b, c = corners_from(caps, stack[NEAR_LIST + i], p)
+        a, b, c = corners_from(caps, stack[at + i], p)
         f, v, size, least = cap_factor(a, b, c)
         most = wp.max(wp.abs(v), wp.abs(f))
         room = (ROUNDINGS * least + SNAP) * size
@@ -121,7 +128,7 @@ def near_angle(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32
 @wp.func
 def near_share(caps: Caps, near: int, p: wp.vec3, stack: wp.array(dtype=wp.int32), lane: int, lanes: int):
     """The share of the listed caps of the winding number at p (scaled), and the largest error of it."""
-    angle, error = near_angle(caps, near, p, stack, lane, lanes)
+    angle, error = near_angle(caps, near, p, stack, NEAR_LIST, lane, lanes)
     angle = sum_of_lanes(angle)
     error = sum_of_lanes(error) + 8.0 * UNIT * FULL
     return angle / FULL, error / FULL

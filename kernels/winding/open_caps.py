@@ -18,14 +18,17 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
-from sdm.kernels.geometry.voxel_box import box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_box import box_of_lane, box_of_voxels, is_within, octant_at
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
     BLOCKS_PER_SM,
     GPU_LANES,
+    bit_at,
     gpu_workers,
+    int_from_lane,
+    one_on_cpu,
     sum_of_lanes_in_double,
     unknown,
     wait_for_lanes,
@@ -33,9 +36,9 @@ from sdm.kernels.primitives.lanes import (
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
 from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
-from sdm.kernels.winding.cap_field import Field, moved_field
+from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
 from sdm.kernels.winding.cap_tree import Caps
-from sdm.kernels.winding.near_caps import FULL, WIDER
+from sdm.kernels.winding.near_caps import FULL, NEAR_EACH, WIDER, near_list_of
 from sdm.kernels.winding.ray_crossings import count_crossings
 from sdm.kernels.winding.settled_boxes import is_left, is_whole, settle_box
 
@@ -52,7 +55,7 @@ LISTED_LEVEL = BITS.index(LISTED_BITS) + 1
 # to look at one by one, and how many to add voxel by voxel.
 TOLERANCES = {"cuda": (4e-3, 2e-3, 1e-3, 2e-4, 1e-5, 5e-6, 1e-6), "cpu": (4e-3, 2e-3, 1e-3, 7e-5, 2e-5, 3e-6, 3e-7)}
 LISTED = {kind: (0, 0, 64, *4 * [most]) for kind, most in MOST_NEAR.items()}
-SETTLED = {"cuda": (0, 0, 0, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
+SETTLED = {"cuda": (0, 0, 8, *4 * [MOST_NEAR["cuda"]]), "cpu": (0, 0, 12, *4 * [MOST_NEAR["cpu"]])}
 # Whether voxels that boxes of 2^3 leave in doubt are looked at by such boxes again, with smaller tolerances, instead of
 # one by one; and so many of the smallest sizes of boxes do without Taylor polynomials: near caps cost a CPU, which adds
 # them for eight voxels at once, less than those do.
@@ -60,8 +63,8 @@ TOGETHER = {"cuda": False, "cpu": True}
 PLAIN = {"cuda": 0, "cpu": 3}
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
-# Items of work for each group of lanes of a GPU: below that octants do not share what is found for all of them.
-ITEMS_EACH = 4
+# Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
+FEWEST_ITEMS = 3, 4
 # Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how
 # many of their octants, or voxels, were looked at.
 NEXT, LENGTH, LOOKED, STRIDE = 0, 1, 2, 3
@@ -104,7 +107,16 @@ def count_bits(bits: int):
     return (fours + (fours >> 4)) & 0xF
 
 
-@wp.kernel
+@wp.func
+def parts_of_lanes(octants: int, near: int, lanes: int):
+    """Parts of a group of lanes that look at octants beside each other, if so much was near to the box around them."""
+    parts = int(1)
+    while parts < count_bits(octants) and 2 * parts <= lanes and 2 * parts * near <= NEAR_EACH * lanes:
+        parts = 2 * parts
+    return parts
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
 def _open_boxes(
     begin: int,
     caps: Caps,
@@ -132,7 +144,7 @@ def _open_boxes(
     """Open octants, of 2^bits voxels along each edge, of boxes; those that are left in doubt are listed, with theirs.
 
     Octants of boxes of 2^3 are their single voxels: those that are left are left for what comes after.
-    One group of lanes descends for a box, and then for each of its octants from what that has found; unless boxes are
+    One group of lanes descends for a box, and then its parts for its octants from what that has found; unless boxes are
     so few that there would be fewer than `fewest` items of work: then a box is some of them.
     """
     thread = begin + wp.tid()
@@ -163,77 +175,102 @@ def _open_boxes(
         again = together != 0 and bits == 0
         expand = bits >= plain
         few = wp.where(bits < wp.min(plain, 2), FEW, 0)
-        # First the box, then its octants.
-        for turn in range(unknown(9)):
-            keep = turn == 0 and not again
-            octant = turn - 1
+        # First the box, then its octants: as many beside each other as what is near leaves room for.
+        keep = not again and not is_one(some)
+        while some != 0:
+            parts = int(1)
+            if not keep and not again and whole.error < wp.inf:
+                parts = parts_of_lanes(some, whole.near, lanes)
+            parts = one_on_cpu(parts)
+            part = one_on_cpu(lanes / parts)
+            octant = bit_at(some, lane / part)
+            idle = octant > 7
             child = 2 * at
             size = 2 << bits
-            here = not is_one(some)
-            if again:
-                here = turn == 0 and some != 0
-                size = 2
-            elif not keep:
+            if not keep and not again:
                 child = child + octant_at(octant)
                 size = 1 << bits
-                here = ((some >> octant) & 1) != 0
-            if here:
-                start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
-                box = box_of_voxels(slab_of(slab, mesh), start, size, scale)
-                radius = wp.sqrt(box.half2)
-                field = Field()
-                handed = int(-1)
-                if keep:
-                    middle = box.centre
-                    radius = radius * WIDER
-                    reach = radius
-                else:
-                    way = box.centre - middle
-                    if whole.error < wp.inf and wp.length(way) + radius <= reach:
-                        field = moved_field(whole, way)
-                        handed = whole.near
-                field = see_caps(
-                    caps,
-                    mesh,
-                    box.centre,
-                    radius,
-                    tolerance,
-                    listed,
-                    field,
-                    handed,
-                    keep,
-                    expand,
-                    wp.where(keep, 0, few),
-                    stack,
-                    lane,
-                    lanes,
-                )
-                if keep:
-                    whole = field
-                else:
-                    level_bits = wp.where(again, 1, bits)
+            start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
+            box = box_of_voxels(slab_of(slab, mesh), start, size, scale)
+            radius = wp.sqrt(box.half2)
+            field = Field()
+            handed = int(-1)
+            if keep:
+                middle = box.centre
+                radius = radius * WIDER
+                reach = radius
+            else:
+                way = box.centre - middle
+                if whole.error < wp.inf and wp.length(way) + radius <= reach:
+                    field = moved_field(whole, way)
+                    handed = whole.near
+            field = see_caps(
+                caps,
+                mesh,
+                box.centre,
+                radius,
+                tolerance,
+                listed,
+                field,
+                handed,
+                keep,
+                expand,
+                wp.where(keep, 0, few),
+                stack,
+                lane,
+                lanes,
+                part,
+                idle,
+            )
+            if keep:
+                whole = field
+                keep = bool(False)
+            else:
+                # Large boxes have voxels for all lanes, one box after the other.
+                turns = wp.where(bits > 1, parts, 1)
+                workers = wp.where(bits > 1, lanes, part)
+                for turn in range(unknown(turns)):
+                    seen = field
+                    seen_box = box
+                    number_of_octant = octant
+                    first_lane = lane
+                    if turns > 1:
+                        first_lane = turn * part
+                        seen = field_of_lane(field, first_lane)
+                        number_of_octant = int_from_lane(octant, first_lane)
+                        child = 2 * at + octant_at(number_of_octant)
+                        start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
+                        seen_box = box_of_lane(box, first_lane)
                     undone = settle_box(
-                        field,
+                        seen,
                         caps,
                         stack,
                         slab,
                         mesh,
                         start,
-                        level_bits,
+                        wp.where(again, 1, bits),
                         bits == 0,
                         settled,
-                        box,
+                        seen_box,
                         scale,
-                        lane,
-                        lanes,
+                        near_list_of(first_lane, part),
+                        lane & (workers - 1),
+                        workers,
+                        number_of_octant > 7,
                         values,
                     )
-                    if lane == 0:
+                    if (lane & (workers - 1)) == 0 and number_of_octant < 8:
                         fetch_add(counts, STRIDE * level + LOOKED, wp.where(again, count_bits(some), 1))
                         if bits > 0 and undone != 0:
                             place = fetch_add(counts, STRIDE * (level + 1) + LENGTH, 1)
                             left[place] = ((mesh * cells[0] + child[0]) * cells[1] + child[1]) * cells[2] + child[2]
                             left_octants[place] = undone
+                for _part in range(unknown(parts)):
+                    some = some & (some - 1)
+                if again:
+                    some = int(0)
+                # All have read the lists before others take their place.
+                wait_for_lanes()
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
@@ -315,7 +352,7 @@ def open_caps(
     kind = "cuda" if device.is_cuda else "cpu"
     boxes = octants = left = left_octants = empty(1, wp.int32)
     first = first_level(meshes, shape, MOST_FIRST[kind])
-    fewest = ITEMS_EACH * workers if device.is_cuda else 0
+    fewest = FEWEST_ITEMS[0] * workers // FEWEST_ITEMS[1] if device.is_cuda else 0
     for level in range(first, len(BITS)):
         bits = BITS[level]
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))

@@ -12,7 +12,7 @@ import warp as wp
 from sdm.kernels.geometry.block_table import VOXELS, inner_of
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, voxel
-from sdm.kernels.primitives.lanes import bits_of_lanes, on_cpu, sum_of_four
+from sdm.kernels.primitives.lanes import ballot, bits_of_some, on_cpu, one_on_cpu, sum_of_some
 from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import Sixteen, eight_angles, place_in_box
@@ -90,58 +90,64 @@ def settle_box(
     most_near: int,
     box: VoxelBox,
     scale: float,
+    listed_at: int,
     lane: int,
     lanes: int,
+    idle: bool,
     values: Any,
 ):
     """Open the voxels of a box that the field leaves in no doubt; the octants that hold others, a bit for each.
 
     Where the whole numbers of all of them will do, they are left, unless this is the last look at the box.
+    `lanes` may be a part of a group, of which each has a box of its own with its near caps at `listed_at`: boxes are of
+    one size, and a part without any is idle.
     """
     far = largest_share(field, box.half) < LARGEST_SHARE
-    if far and not last:
-        return 0
-    if field.near > most_near or doubt(field) > MOST_DOUBT:
-        return 255
-    # Lanes for each voxel: four of 2^3, all of a single one.
-    share = wp.max(1, lanes >> (3 * bits))
+    hopeless = field.near > most_near or doubt(field) > MOST_DOUBT
+    look = not idle and (far or not hopeless)
     left = int(0)
-    together = on_cpu() and bits > 0 and field.near > 0
-    angles = Sixteen()
-    number = lane / share
-    while number < 1 << (3 * bits):
-        at = place_in_box(number, bits)
-        v = start + at
-        if together and (number & 7) == 0:
-            angles = eight_angles(caps, field.near, slab_of(slab, mesh), start, bits, number, scale, stack)
-        whole = float(0.5)
-        if is_within(slab, v):
-            whole = winding_at(values, mesh, v)
-        p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
-        angle = float(0.0)
-        wrong = float(0.0)
-        if is_whole(whole) and together:
-            angle = angles[number & 7]
-            wrong = angles[8 + (number & 7)]
-        elif is_whole(whole):
-            angle, wrong = near_angle(caps, field.near, p, stack, lane % share, share)
-        if share == 4:
-            # Also, all have read the whole number before it goes.
-            angle = sum_of_four(angle)
-            wrong = sum_of_four(wrong) + 2.0 * UNIT * FULL
-        winding = whole
-        if not far:
-            winding = whole - angle / FULL - share_at(field, p - box.centre)
-        if is_whole(whole):
-            if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
-                if lane % share == 0:
-                    put_winding(values, mesh, v, opened(winding))
-            else:
-                half = bits - 1
-                left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
-        number = number + lanes / share
-    octants = bits_of_lanes(left)
-    return octants
+    if not idle and hopeless and not far:
+        left = int(255)
+    if far and not last:
+        look = bool(False)
+    if ballot(look) != wp.uint32(0):
+        # Lanes for each voxel: all of a single one.
+        share = one_on_cpu(wp.max(1, lanes >> (3 * bits)))
+        together = on_cpu() and bits > 0 and field.near > 0
+        angles = Sixteen()
+        number = lane / share
+        while number < 1 << (3 * bits):
+            at = place_in_box(number, bits)
+            v = start + at
+            if together and (number & 7) == 0:
+                angles = eight_angles(caps, field.near, slab_of(slab, mesh), start, bits, number, scale, stack)
+            whole = float(0.5)
+            if look and is_within(slab, v):
+                whole = winding_at(values, mesh, v)
+            p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
+            angle = float(0.0)
+            wrong = float(0.0)
+            if is_whole(whole) and together:
+                angle = angles[number & 7]
+                wrong = angles[8 + (number & 7)]
+            elif is_whole(whole):
+                angle, wrong = near_angle(caps, field.near, p, stack, listed_at, lane & (share - 1), share)
+            if bits > 0 and share > 1:
+                # Also, all have read the whole number before it goes.
+                angle = sum_of_some(angle, share)
+                wrong = sum_of_some(wrong, share) + 2.0 * UNIT * FULL
+            winding = whole
+            if not far:
+                winding = whole - angle / FULL - share_at(field, p - box.centre)
+            if is_whole(whole):
+                if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
+                    if (lane & (share - 1)) == 0:
+                        put_winding(values, mesh, v, opened(winding))
+                else:
+                    half = bits - 1
+                    left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
+            number = number + lanes / share
+    return bits_of_some(left, lanes)
 
 
 @wp.func

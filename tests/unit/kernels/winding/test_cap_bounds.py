@@ -46,11 +46,11 @@ def _field(
         # What a larger ball has found, whose centre is elsewhere.
         centre = at[i] - way[i]
         reach = 1.00001 * (wp.length(at[i] - centre) + radius[i])
-        whole = see_caps(caps, 0, centre, reach, tolerance, room, field, handed, True, True, 0, stack, 0, 1)
+        whole = see_caps(caps, 0, centre, reach, tolerance, room, field, handed, True, True, 0, stack, 0, 1, 1, False)
         if whole.error < wp.inf:
             field = moved_field(whole, at[i] - centre)
             handed = whole.near
-    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, True, 0, stack, 0, 1)
+    field = see_caps(caps, 0, at[i], radius[i], tolerance, room, field, handed, False, True, 0, stack, 0, 1, 1, False)
     for k in range(off.shape[1]):
         near, wrong = near_share(caps, field.near, at[i] + off[i, k], stack, 0, 1)
         share[i, k] = share_at(field, (at[i] + off[i, k]) - at[i]) + near

@@ -33,7 +33,7 @@ def _factors(
 ):  # fmt: skip
     i = wp.tid()
     stack = large_stack_of(stacks, 0)
-    field = see_caps(caps, 0, at[i] - way, radius, tolerance, 256, Field(), -1, False, True, 0, stack, 0, 1)
+    field = see_caps(caps, 0, at[i] - way, radius, tolerance, 256, Field(), -1, False, True, 0, stack, 0, 1, 1, False)
     field = moved_field(field, way)
     out[i, 0] = float(field.value)
     cubic = cubic_of(field.cubes)

@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False})
 def _values(caps: Caps, at: wp.array(dtype=wp.vec3), stacks: wp.array(dtype=wp.int32), out: wp.array(dtype=wp.float64)):
     i = wp.tid()
     stack = large_stack_of(stacks, 0)
-    out[i] = see_caps(caps, 0, at[i], 0.0, 3.0, 0, Field(), -1, False, True, 0, stack, 0, 1).value
+    out[i] = see_caps(caps, 0, at[i], 0.0, 3.0, 0, Field(), -1, False, True, 0, stack, 0, 1, 1, False).value
 
 
 @pytest.mark.parametrize("kind", ["round", "ragged", "torn"])
