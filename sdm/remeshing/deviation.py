@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import torch
+
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.api import signed_distance
-from sdm.sampling.surface_points import surface_points, triangle_areas
+from sdm.errors import MeshError
+from sdm.sampling.surface_points import surface_points
 
 SAMPLES = 100_000
 
@@ -66,10 +69,15 @@ class WatertightReport:
 
 def deviation(source: TriangleMesh, target: TriangleMesh, samples: int = SAMPLES) -> Deviation:
     """Distances of a mesh's vertices, and of points on its faces, from another mesh."""
-    vertices = source.vertices[source.faces.reshape(-1).long().unique()]
+    used = torch.zeros(len(source.vertices), dtype=torch.bool, device=source.device)
+    used[source.faces.reshape(-1)] = True
+    vertices = source.vertices[used]
     at_vertices = signed_distance(target, vertices, sign="none")
-    if not bool((triangle_areas(source.vertices[source.faces.long()]) > 0).any()):
+    try:
+        points = surface_points(source, samples)[0]
+    except MeshError:
+        # No face has an area.
         return Deviation(float(at_vertices.max()), float(at_vertices.mean()), len(vertices))
-    within = signed_distance(target, surface_points(source, samples)[0], sign="none")
+    within = signed_distance(target, points, sign="none")
     largest = max(float(at_vertices.max()), float(within.max()))
     return Deviation(largest, float(within.double().mean()), len(vertices) + samples)

@@ -16,10 +16,13 @@ from sdm.engine.arguments import DEFAULT_HOLE, Sign, SignMethod
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.surface import Method
 from sdm.errors import GridError, MeshError, SDMError
-from sdm.inspect import MeshReport, inspect_mesh
+from sdm.inspect import inspect_mesh
+from sdm.inspect.positions import are_distinct
+from sdm.inspect.quick_look import PLAIN_VOLUME
 from sdm.remeshing.beads import JOINED, without_beads
 from sdm.remeshing.closing_field import closing_field, is_reached, with_zeros_inside
 from sdm.remeshing.deviation import SAMPLES, WatertightReport, deviation
+from sdm.topology.closed_look import is_plainly_closed
 
 Hidden = Literal["drop", "keep"]
 # A hundredth more than half a voxel: a sheet midway between two layers of voxels is half a voxel from both.
@@ -104,13 +107,11 @@ def watertight(
     if offset is not None and not (math.isfinite(offset) and offset >= 0):
         raise SDMError(f"offset is {offset!r}; give a length of at least 0, in the mesh's unit")
     where = choose_device(device, mesh.vertices)
-    found = inspect_mesh(mesh)
-    # Sheets that are there twice have no free edge either, and no inside.
-    closed = found.watertight and found.duplicate_faces == 0
+    closed, agreeing = closedness(mesh)
     grid = _grid(mesh, resolution, 0.0 if closed and offset is None else offset)
     step = grid.spacing[0]
     level = (0.0 if closed else DEFAULT_OFFSET * step) if offset is None else float(offset)
-    sign = _sign(found, closed, hidden)
+    sign = _sign(closed and agreeing, hidden)
     gap = None if sign != "flood" else (DEFAULT_HOLE * step if hole_size is None else float(hole_size))
     index = MeshIndex(mesh, where, warn=False)
     field = with_zeros_inside(closing_field(index, grid, sign, gap, level), 1e-6 * step)
@@ -142,10 +143,23 @@ def watertight(
     )
 
 
-def _sign(found: MeshReport, closed: bool, hidden: Hidden) -> Sign:
+def closedness(mesh: TriangleMesh) -> tuple[bool, bool]:
+    """True for a mesh without a free edge or a face that is there twice; and True if its faces agree which side is out.
+
+    Most closed meshes are told by one look at their edges, in a tenth of the time of `inspect_mesh`.
+    """
+    here = mesh.to("cpu")
+    if is_plainly_closed(here.vertices, here.faces, PLAIN_VOLUME) and are_distinct(here.vertices.detach().numpy()):
+        return True, True
+    found = inspect_mesh(here)
+    # Sheets that are there twice have no free edge either, and no inside.
+    return found.watertight and found.duplicate_faces == 0, found.closed
+
+
+def _sign(by_winding: bool, hidden: Hidden) -> Sign:
     if hidden == "drop":
         return "flood"
-    return "winding" if closed and found.closed else "none"
+    return "winding" if by_winding else "none"
 
 
 def _grid(mesh: TriangleMesh, resolution: int, offset: float | None) -> Grid:

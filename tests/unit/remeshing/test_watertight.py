@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from typing import Any
 
@@ -14,6 +15,7 @@ from sdm.core.mesh import TriangleMesh
 from sdm.errors import GridError, MeshError, SDMError
 from sdm.remeshing import closing_field
 from sdm.remeshing.beads import without_beads
+from sdm.remeshing.watertight import closedness
 from tests.helpers.closed_surface import areas_and_volume, assert_closed_manifold
 
 
@@ -186,3 +188,18 @@ def test_a_gpu_gives_the_same_surface():
     host, there = (sdm.watertight(mesh, 60, device=device) for device in ("cpu", "cuda"))
     assert torch.equal(host.faces, there.faces.cpu())
     torch.testing.assert_close(host.vertices, there.vertices.cpu(), rtol=1e-5, atol=1e-5)
+
+
+def test_most_closed_meshes_are_told_by_a_look_at_their_edges(monkeypatch):
+    """And the others as `inspect_mesh` has it."""
+    vertices, faces = ball()
+    closed = sdm.TriangleMesh(vertices, faces)
+    twice = sdm.TriangleMesh(np.concatenate([vertices, vertices]), np.concatenate([faces, faces + len(vertices)]))
+    doubled = sdm.TriangleMesh(vertices, np.concatenate([faces, faces[:, ::-1]]))
+    turned = sdm.TriangleMesh(vertices, np.concatenate([faces[1:], faces[:1, ::-1]]))
+    opened = sdm.TriangleMesh(vertices, faces[1:])
+    for mesh in (closed, closed.flipped(), twice, doubled, turned, opened):
+        found = sdm.inspect_mesh(mesh)
+        assert closedness(mesh) == (found.watertight and found.duplicate_faces == 0, found.closed)
+    monkeypatch.setattr(sys.modules["sdm.remeshing.watertight"], "inspect_mesh", None)
+    assert closedness(closed) == (True, True)
