@@ -98,7 +98,7 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     """The map (nx,ny,nz) of a recordable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
     vertices, count = vertices.detach(), vertices.shape[0]
     if is_known(faces, count):
-        return _unpacked(_known_map(vertices[None], faces, grid))
+        return _unpacked(_known_maps(vertices[None], faces, grid))
     last, kind = guesses.last_numbers(faces, count), None
     if USE_CLASSES and last is not None and has_room(last):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
@@ -155,7 +155,10 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     """`sdm.signed_distance_maps` of tensors that are known to fit; with the boundary `edges` (E,2) it never waits."""
     meshes, voxels = vertices.shape[0], math.prod(grid.shape)
     if is_recordable(vertices, 4 * meshes * voxels):
-        return graphs.run(_known_call(vertices.detach().contiguous(), faces.contiguous(), grid, edges))[0]
+        vertices, faces = vertices.detach().contiguous(), faces.contiguous()
+        if edges is None:
+            return _known_maps(vertices, faces, grid)[0]
+        return graphs.run(_known_call(vertices, faces, grid, edges))[0]
     # A map's stride is 32 bits wide, too: two maps share a slab of less than 4 GiB.
     if meshes * voxels < LARGEST_SLAB:
         structure = build(vertices.detach(), faces, edges, for_maps=True)
@@ -171,14 +174,14 @@ def batch_maps(vertices: Tensor, faces: Tensor, grid: Grid, edges: Tensor | None
     )
 
 
-def _known_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, ...]:
-    """The map (1,nx,ny,nz) of a mesh whose faces were paired, and of an open one the ambiguous voxels (1,).
+def _known_maps(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, ...]:
+    """The maps (B,nx,ny,nz) of meshes whose faces were paired, and of open ones the ambiguous voxels (B,).
 
-    Of an open mesh that was here before, the device looks whether it still has the same boundary: the host would have
-    to wait for the vertices.
+    Of open meshes that were here before, the device looks whether they still have the same boundary: the host would
+    have to wait for the vertices.
     """
     pairing = pairing_of(faces, vertices.shape[1])
-    if not can_be_told(pairing):
+    if not can_be_told(pairing, vertices.shape[0]):
         return graphs.run(_known_call(vertices, faces, grid, None))
     if pairing.edges is not None and pairing.same is not None:
         again = _unmoved_call(vertices, faces, grid, pairing, pairing.edges)

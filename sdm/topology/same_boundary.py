@@ -15,16 +15,20 @@ from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.boundary_edges import MOST_ON_HOST
 from sdm.topology.face_pairing import Pairing
 
+# Comparisons that take a GPU less time than to bring the ends to the host.
+MOST_COMPARISONS = 1 << 26
 
-def can_be_told(pairing: Pairing) -> bool:
-    """True if the mesh is open, and by few enough edges for a device to compare each end with each."""
-    return 0 < pairing.unmatched.shape[0] <= MOST_ON_HOST
+
+def can_be_told(pairing: Pairing, meshes: int) -> bool:
+    """True if so many meshes are open, and by few enough edges for a device to compare each end with each."""
+    edges = pairing.unmatched.shape[0]
+    return 0 < edges <= MOST_ON_HOST and meshes * (2 * edges) ** 2 <= MOST_COMPARISONS
 
 
 def note_ends(pairing: Pairing, vertices: Tensor) -> None:
     """Note which ends of the unmatched edges are at one place, for which `pairing.edges` were just found.
 
-    `vertices` is (1,V,3), contiguous.
+    `vertices` is (B,V,3), contiguous.
     """
     same = torch.empty(2 * pairing.unmatched.shape[0], dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, vertices):
@@ -33,7 +37,7 @@ def note_ends(pairing: Pairing, vertices: Tensor) -> None:
 
 
 def queue_comparison(unmatched: Tensor, same: Tensor, vertices: Tensor) -> Tensor:
-    """Flags (1,) int32: zero if ends that were at one place are so with these vertices (1,V,3), and no others."""
+    """Flags (1,) int32: zero if ends that were at one place are so with these vertices (B,V,3), and no others."""
     flags = torch.zeros(1, dtype=torch.int32, device=vertices.device)
     with on_current_stream(vertices, vertices):
         compare_ends(

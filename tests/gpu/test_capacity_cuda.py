@@ -222,3 +222,15 @@ def test_a_class_is_recorded_at_its_second_call(launches, monkeypatch):
         found = sdm.signed_distance_map(fresh(other, "cuda"), grid)
         assert torch.equal(found.values, _expected(fresh(other, "cuda"), grid))
     assert len(launches) == 2
+
+
+def test_batches_of_open_meshes_that_move(launches):
+    vertices, faces = torn(_arrays(load_case("torus-5000")), 0.01)
+    batch, faces = torch.tensor(np.stack([vertices, 0.9 * vertices])).cuda(), torch.tensor(faces).cuda()
+    grid = sdm.Grid([-1.4] * 3, [0.07] * 3, [40] * 3)
+    for step in range(6):
+        moved = (1 - 0.03 * step) * batch
+        found = sdm.signed_distance_maps(moved, faces, grid)
+        with graphs.paused():
+            assert torch.equal(found, sdm.signed_distance_maps(moved, faces, grid))
+    assert len(launches) == 6 - graphs.CALLS

@@ -12,6 +12,7 @@ from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
 from sdm.runtime import graphs
 from sdm.topology import boundary_edges
+from sdm.topology.face_pairing import pairing_of
 
 GRID = sdm.Grid([-1.4] * 3, [0.2] * 3, [15] * 3)
 
@@ -86,3 +87,27 @@ def test_minus_zero_is_zero(way):
     vertices[-1] = -vertices[-1]
     assert torch.equal(maps.mesh_map(vertices, faces, GRID)[0], _expected(vertices, faces).values)
     assert way == ["note", "right"]
+
+
+def _batch(monkeypatch, moved, faces):
+    with monkeypatch.context() as patch:
+        patch.setattr(maps, "is_recordable", lambda vertices, nbytes: True)
+        return maps.batch_maps(moved, faces, GRID, None)
+
+
+def test_batches(way, monkeypatch):
+    vertices, faces = (torch.from_numpy(array) for array in torn(torus(400), 0.1))
+    batch = torch.stack([vertices, 0.9 * vertices, 1.1 * vertices])
+    for moved in (batch, 0.95 * batch, batch[:2], batch[:2]):
+        found = _batch(monkeypatch, moved, faces)
+        assert torch.equal(found, torch.stack([_expected(one, faces).values for one in moved]))
+    assert way == ["note", "right", "note", "right"]
+    # Ends that are at one place in one mesh of a batch alone are not one.
+    ends = pairing_of(faces, len(vertices)).unmatched[0, :2].long()
+    for many, says in ((1, "right"), (2, "wrong")):
+        moved = batch[:2].clone()
+        moved[:many, ends[0]] = moved[:many, ends[1]]
+        before = len(way)
+        found = _batch(monkeypatch, moved, faces)
+        assert torch.equal(found[1], _expected(moved[1], faces).values)
+        assert way[before:] == {"right": ["right"], "wrong": ["wrong", "run"]}[says]
