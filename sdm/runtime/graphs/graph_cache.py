@@ -1,4 +1,8 @@
-"""Cache of the recordings of one device: calls are counted, and the recordings used last are kept."""
+"""Cache of the recordings of one device: calls are counted, and the recordings used last are kept.
+
+Those that serve calls of many kinds, and those of one, make room among themselves: a folder of meshes, each asked about
+some times, would otherwise drive out the recordings that the first call of each one needs.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +28,7 @@ FEW_RECORDINGS = 4
 # Keys whose calls are counted.
 MOST_KEYS = 64
 _REFUSED = -(1 << 62)
+_NEEDED = {False: CALLS, True: CALLS - EARLIER}
 
 
 class GraphCache:
@@ -32,7 +37,7 @@ class GraphCache:
     Args:
         most: Bytes that all of them may take.
         capture: Makes a recording of a work and its inputs in some pool.
-        recordings: How many there may be.
+        recordings: How many there may be for calls of one kind, and as many for calls of many.
     """
 
     def __init__(
@@ -47,7 +52,13 @@ class GraphCache:
         self._captured: OrderedDict[Hashable, CapturedCall] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
         self._used: dict[Hashable, int] = {}
-        self.needed = CALLS
+        self._for_many: set[Hashable] = set()
+        self._needed = dict(_NEEDED)
+
+    @property
+    def needed(self) -> int:
+        """Calls of one kind until they are recorded."""
+        return self._needed[False]
 
     def __len__(self) -> int:
         return len(self._captured)
@@ -62,20 +73,23 @@ class GraphCache:
             self._captured.move_to_end(key)
             self._used[key] += 1
             if self._used[key] == WELL_WORTH:
-                self.needed = CALLS
+                self._needed[key in self._for_many] = _NEEDED[key in self._for_many]
         return found
 
-    def count(self, key: Hashable, work: Work, inputs: Tensors, earlier: int = 0) -> None:
-        """Count a call that went without a recording, and record it if it came often enough, or but for `earlier`."""
+    def count(self, key: Hashable, work: Work, inputs: Tensors, for_many: bool = False) -> None:
+        """Count a call that went without a recording, and record it if it came often enough.
+
+        `for_many`: the recording will serve calls of many kinds.
+        """
         self._calls[key] = self._calls.pop(key, 0) + 1
         while len(self._calls) > MOST_KEYS:
             self._calls.popitem(last=False)
-        if self._calls[key] < self.needed - earlier or key in self._captured:
+        if self._calls[key] < self._needed[for_many] or key in self._captured:
             return
         self._calls[key] = 0
-        while len(self._captured) >= self._recordings:
-            oldest = next(iter(self._captured))
-            self._raise_threshold(self._used[oldest])
+        alike = [other for other in self._captured if (other in self._for_many) == for_many]
+        for oldest in alike[: max(0, len(alike) + 1 - self._recordings)]:
+            self._raise_threshold(for_many, self._used[oldest])
             self.drop(oldest)
         try:
             made = self._capture(self._pool, work, inputs)
@@ -86,22 +100,25 @@ class GraphCache:
             return
         if self._pool.nbytes <= self._most:
             self._captured[key], self._used[key] = made, 0
+            if for_many:
+                self._for_many.add(key)
             return
         if not self._captured:
             self._calls[key] = _REFUSED
         # Memory of one pool goes back together.
-        self._raise_threshold(min(self._used.values(), default=WORTH))
+        self._raise_threshold(for_many, min(self._used.values(), default=WORTH))
         self.clear()
 
-    def _raise_threshold(self, used: int) -> None:
-        """Wait for more calls before the next recording, if one that has to go was used so little."""
+    def _raise_threshold(self, for_many: bool, used: int) -> None:
+        """Wait for more calls before the next such recording, if one that has to go was used so little."""
         if used < WORTH:
-            self.needed = min(2 * self.needed, MOST_CALLS)
+            self._needed[for_many] = min(2 * self._needed[for_many], MOST_CALLS)
 
     def drop(self, key: Hashable) -> None:
         """Forget a recording."""
         self._captured.pop(key, None)
         self._used.pop(key, None)
+        self._for_many.discard(key)
         if not self._captured:
             self.clear()
 
@@ -109,10 +126,11 @@ class GraphCache:
         """Drop all recordings and counts."""
         self.clear()
         self._calls.clear()
-        self.needed = CALLS
+        self._needed = dict(_NEEDED)
 
     def clear(self) -> None:
         """Give up all recordings; those under way go on."""
         self._captured.clear()
         self._used.clear()
+        self._for_many.clear()
         self._pool = MemoryPool(self._pool)

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from sdm.runtime.graphs import graph_cache
 from sdm.runtime.graphs.captured_call import Finish, Tensors, Work, unverified
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
@@ -169,4 +168,4 @@ def record(call: Call) -> None:
                 atexit.register(clear)
             most = torch.cuda.get_device_properties(device).total_memory // SHARE
             _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
-        _caches[device].count(call.key, call.work, call.inputs, graph_cache.EARLIER if call.is_for_many else 0)
+        _caches[device].count(call.key, call.work, call.inputs, call.is_for_many)
