@@ -18,7 +18,7 @@ from sdm.shapes.family import Family, Parameter
 from sdm.shapes.registry import families, make_family
 
 NAMES = "a family is a registered name, FILE.py:NAME, or a shape model's file, MODEL.npz"
-CODE, MODEL = ".py", ".npz"
+CODE, MODEL, NETWORK = ".py", ".npz", ".pt"
 
 
 def load_family(name: str | Path | Family, **options: Any) -> Family:
@@ -48,6 +48,10 @@ def load_family(name: str | Path | Family, **options: Any) -> Family:
         if given:
             raise MeshError(f"{text} is a shape model, whose meshes are what they are: it takes no {next(iter(given))}")
         return load_model(Path(text))
+    if text.lower().endswith(NETWORK):
+        raise MeshError(
+            f"{text} is a DeepSDF, which has codes and no meshes of its own: sdm fit and sdm decode take it"
+        )
     if text not in families or families[text].needs_files:
         known = ", ".join(key for key, family in families.items() if not family.needs_files)
         raise MeshError(f"there is no family called {text!r} ({known}); {NAMES}")

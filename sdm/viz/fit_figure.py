@@ -12,8 +12,9 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.errors import FormatError
-from sdm.fit.model.backend import Backend
-from sdm.fit.model.jacobian import vertices_with_jacobian
+from sdm.fit.model.backend import Backend, HasSurface
+from sdm.fit.model.jacobian import vertices_of, vertices_with_jacobian
+from sdm.fit.model.pose import State
 from sdm.fit.solve.result import FitResult, vertex_normals
 from sdm.io.files.atomic import replacing
 from sdm.io.meshes.write import save_mesh
@@ -28,14 +29,33 @@ FORMATS = ("png", "pdf", "svg")
 
 def surface_of(backend: Backend, result: FitResult) -> TriangleMesh:
     """The fitted surface in the world's coordinates: the backend's own mesh, or a cochlea's."""
-    vertices, _, faces = _vertices(backend, result)
-    return TriangleMesh(result.vertices(vertices).float().cpu(), faces.cpu(), "fit")
+    return surface_at(backend, result.state)
+
+
+def surface_at(backend: Backend, state: State) -> TriangleMesh:
+    """The surface of a state in the world's coordinates."""
+    if isinstance(backend, HasSurface):
+        own = backend.surface_mesh(state.theta)
+        vertices, faces = own.vertices, own.faces
+    else:
+        family = _family_of(backend)
+        vertices, faces = vertices_of(family, state.theta), family.faces
+    return TriangleMesh(state.to_world(vertices.to(state.theta)).float().cpu(), faces.cpu(), "fit", check=False)
 
 
 def surface_deviations(backend: Backend, result: FitResult) -> Tensor:
     """(V,) standard deviation [mm] of the surface along its normal at each vertex of `surface_of`."""
-    vertices, jacobian, faces = _vertices(backend, result)
-    return result.posterior.surface_deviation(vertices, jacobian, vertex_normals(vertices, faces))
+    theta = result.state.theta
+    if isinstance(backend, HasSurface):
+        vertices = backend.surface_mesh(theta).vertices.to(theta)
+        found = backend.with_derivatives(theta, vertices)
+        # A surface goes outward by as much as the distance at its points falls.
+        jacobian = -found.by_point[:, :, None] * found.by_theta[:, None]
+        return result.posterior.surface_deviation(vertices, jacobian, found.by_point)
+    family = _family_of(backend)
+    vertices, jacobian = vertices_with_jacobian(family, theta)
+    normals = vertex_normals(vertices, family.faces_on(theta.device).to(torch.int64))
+    return result.posterior.surface_deviation(vertices, jacobian, normals)
 
 
 def write_surface(backend: Backend, result: FitResult, path: Path) -> None:
@@ -114,8 +134,5 @@ def _list(panel: Any, lines: list[str]) -> None:
         panel.text(0.0, 0.9 - 0.11 * row, line, fontsize=10, transform=panel.transAxes)
 
 
-def _vertices(backend: Backend, result: FitResult) -> tuple[Tensor, Tensor, Tensor]:
-    family: Family = getattr(backend, "family", None) or make_family("cochlea")
-    theta = result.state.theta
-    vertices, jacobian = vertices_with_jacobian(family, theta)
-    return vertices, jacobian, family.faces_on(theta.device).to(torch.int64)
+def _family_of(backend: Backend) -> Family:
+    return getattr(backend, "family", None) or make_family("cochlea")

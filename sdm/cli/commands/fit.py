@@ -53,7 +53,8 @@ def fit(
 
     Args:
         image: A NIfTI or NRRD image, in Hounsfield units or any other.
-        family: cochlea, ..., FILE.py:NAME of yours (the file is run), or a shape model, MODEL.npz.
+        family: cochlea, ..., FILE.py:NAME of yours (the file is run), a shape model, MODEL.npz, or a DeepSDF, MODEL.pt,
+            whose size and code are fitted.
         points: Fit points of the surface instead: a mesh file's vertices, or .npy (N,3), in the family's unit.
         out: The report to write, JSON: estimates, intervals, covariance, pose, diagnosis.
         mesh: Also write the fitted surface here, as .ply, .stl, .obj, .glb or what else sdm.save_mesh writes, in the
@@ -93,7 +94,7 @@ def fit(
 
         if backend != "exact" or weights is not None:
             raise SDMError(
-                "--backend and --weights are for images of the cochlea: fits of families and points are exact"
+                "--backend and --weights are for images of the cochlea: other shapes, and points, have one backend"
             )
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")

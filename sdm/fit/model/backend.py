@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from sdm.core.mesh import TriangleMesh
 from sdm.shapes import Parameter
 
 
@@ -69,6 +70,15 @@ class HasExact(Protocol):
 
     # Anchors fits near their end (`sdm.fit.model.anchor`): the same shapes in the same frame. None: no anchors.
     exact: Backend | None
+
+
+@runtime_checkable
+class HasSurface(Backend, Protocol):
+    """A backend without a family of meshes that has a surface all the same."""
+
+    def surface_mesh(self, theta: Tensor) -> TriangleMesh:
+        """The surface for theta (P,) in the shape's own frame."""
+        ...
 
 
 def exact_of(backend: Backend) -> Backend | None:

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 
 from sdm.core.as_grid import GridLike, as_grid
+from sdm.core.grid import Grid
+from sdm.fit.model.backend import Backend
 from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.scaled_family import ScaledFamily, factor_of, scaled_grid, unscaled
 from sdm.fit.solve.estimate_blur import estimate_blur
@@ -48,17 +50,37 @@ def fit_family(
     Returns:
         As `fit_shape`, in the image's lengths.
     """
-    grid = as_grid(grid)
     factor = factor_of(family)
-    if options is None:
-        options = FitOptions(
-            blur=BLUR * max(grid.spacing), fine=FitOptions.fine / factor, shift=FitOptions.shift / factor
-        )
+    backend = ExactBackend(family if factor == 1 else ScaledFamily(family, factor), device)
+    return fit_scaled(
+        image, grid, backend, factor, options=options, with_blur=with_blur, with_formation=with_formation, report=report
+    )
+
+
+def usual_options(grid: Grid, factor: float, **given: Any) -> FitOptions:
+    """Options for an image of shapes that fits see `factor` times as large; what is None counts as not given."""
+    usual = {"blur": BLUR * max(grid.spacing), "fine": FitOptions.fine / factor, "shift": FitOptions.shift / factor}
+    return FitOptions(**{**usual, **{key: value for key, value in given.items() if value is not None}})
+
+
+def fit_scaled(
+    image: Any,
+    grid: GridLike,
+    backend: Backend,
+    factor: float,
+    *,
+    options: FitOptions | None = None,
+    with_blur: bool = False,
+    with_formation: bool = False,
+    report: Callable[[str, int, Point], None] | None = None,
+) -> FitResult:
+    """As `fit_family`, by a backend whose lengths are `factor` times those of the image and of the options."""
+    grid = as_grid(grid)
+    options = usual_options(grid, factor) if options is None else options
     lengths = {name: getattr(options, name) * factor for name in ("blur", "fine", "shift")}
     pose = None if options.pose is None else (options.pose[0], options.pose[1] * factor)
     length = None if options.length is None else options.length * factor
     own = replace(options, pose=pose, length=length, **lengths)
-    backend = ExactBackend(family if factor == 1 else ScaledFamily(family, factor), device)
     there = grid if factor == 1 else scaled_grid(grid, factor)
     found = fit_shape(image, there, backend, options=own, report=report)
     if with_formation:

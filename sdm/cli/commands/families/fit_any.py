@@ -1,9 +1,15 @@
-"""`sdm fit` of any family: to an image by exact distances, or to points."""
+"""`sdm fit` of any family, or of a DeepSDF: to an image, or to points."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sdm.fit.model.backend import Backend
 
 
 def fit_any_family(
@@ -25,7 +31,7 @@ def fit_any_family(
 
     Args:
         image: The image's file.
-        name: The family, as every command takes it.
+        name: The family, as every command takes it, or a DeepSDF's file.
         out: Report, JSON.
         mesh: Surface, or None.
         picture: Picture, or None.
@@ -40,30 +46,20 @@ def fit_any_family(
     import sdm
     from sdm.cli.common.fit_report import print_fit, save_residuals
     from sdm.cli.common.progress import StageProgress
-    from sdm.fit import ExactBackend, FitOptions
-    from sdm.fit.model.scaled_family import MirroredFamily, factor_of
-    from sdm.fit.solve.fit_family import BLUR, fit_family
-    from sdm.shapes import load_family
+    from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
-    family = load_family(name, triangles=triangles)
-    family = MirroredFamily(family) if mirror else family
+    fitted = shapes_to_fit(name, triangles, device, mirror=mirror)
     scan = sdm.load(image)
-    factor = factor_of(family)
-    usual = {
-        "blur": BLUR * max(scan.grid.spacing),
-        "fine": FitOptions.fine / factor,
-        "shift": FitOptions.shift / factor,
-    }
-    options = FitOptions(**{**usual, **{key: value for key, value in given.items() if value is not None}})
+    options = usual_options(scan.grid, fitted.factor, **given)
     with StageProgress() as progress:
-        result = fit_family(
+        result = fit_scaled(
             scan.values,
             scan.grid,
-            family,
+            fitted.backend(fitted.factor),
+            fitted.factor,
             options=options,
             with_blur=with_blur,
             with_formation=with_formation,
-            device=device,
             report=lambda stage, step, _: progress.draw(f"{stage}, step {step}", 0, None),
         )
     result.save(out)
@@ -72,49 +68,87 @@ def fit_any_family(
     if mesh is not None or picture is not None:
         from sdm.viz.fit_figure import draw_fit, write_surface
 
-        backend = ExactBackend(family, device)
+        backend = fitted.backend(1.0)
         if mesh is not None:
             write_surface(backend, result, mesh)
         if picture is not None:
             draw_fit(scan.values, scan.grid, backend, result, picture)
-    print_fit(result, options.blur, _unit(family))
+    print_fit(result, options.blur, fitted.unit)
+
+
+@dataclass(frozen=True)
+class ShapesToFit:
+    """Shapes that a fit chooses among.
+
+    Args:
+        backend: Their distances, in lengths that are so many times theirs.
+        factor: At which fits work.
+        unit: Of their lengths, or nothing.
+    """
+
+    backend: Callable[[float], Backend]
+    factor: float
+    unit: str
+
+
+def shapes_to_fit(name: str, triangles: int | None, device: str, *, mirror: bool = False) -> ShapesToFit:
+    """Shapes by the name of a family, or by a DeepSDF's file, MODEL.pt.
+
+    Raises:
+        SDMError: Triangles or mirror images of a DeepSDF.
+    """
+    if name.lower().endswith(".pt"):
+        from sdm.deepsdf import DeepSDF
+        from sdm.deepsdf.infer.fit_backend import DeepSDFBackend, factor_of_model
+        from sdm.errors import SDMError
+
+        if triangles is not None or mirror:
+            raise SDMError(f"{name} is a DeepSDF: --triangles and --mirror are for families of meshes")
+        model = DeepSDF.load(name, device)
+        return ShapesToFit(partial(DeepSDFBackend, model), factor_of_model(model), "")
+    from sdm.fit import ExactBackend
+    from sdm.fit.model.scaled_family import MirroredFamily, ScaledFamily, factor_of
+    from sdm.shapes import load_family
+
+    family = load_family(name, triangles=triangles)
+    family = MirroredFamily(family) if mirror else family
+    return ShapesToFit(
+        lambda factor: ExactBackend(family if factor == 1 else ScaledFamily(family, factor), device),
+        factor_of(family),
+        _unit(family),
+    )
 
 
 def fit_family_points(
     points: Path, name: str, out: Path, mesh: Path | None, turn: float, triangles: int | None, device: str
 ) -> None:
-    """Fit a family to points of a file, and write report and surface."""
+    """Fit a family, or a DeepSDF, to points of a file, and write report and surface."""
     import json
 
-    from sdm.core.mesh import TriangleMesh
     from sdm.errors import SDMError
-    from sdm.fit import ExactBackend
-    from sdm.fit.model.jacobian import vertices_of
     from sdm.fit.solve.fit_points import fit_points
     from sdm.io.files.atomic import replacing
     from sdm.io.meshes.write import save_mesh
-    from sdm.shapes import load_family
+    from sdm.viz.fit_figure import surface_at
 
-    family = load_family(name, triangles=triangles)
+    fitted = shapes_to_fit(name, triangles, device)
     found = points_of(points)
-    backend = ExactBackend(family, device)
+    backend = fitted.backend(1.0)
     fit = fit_points(found, backend, turn=turn)
-    record = {**fit.record(family.parameters), "points": len(found)}
+    record = {**fit.record(backend.parameters), "points": len(found)}
     with replacing(out) as part:
         part.write_text(json.dumps(record, indent=1) + "\n")
     if not fit.converged:
         raise SDMError(f"the fit did not converge: {points} may be no shape of this family, or turned further (--turn)")
     state = fit.posterior.state
     if mesh is not None:
-        vertices = state.to_world(vertices_of(family, state.theta)).float().cpu()
-        save_mesh(TriangleMesh(vertices, family.faces, "fit", check=False), mesh)
-    unit = _unit(family)
+        save_mesh(surface_at(backend, state), mesh)
     for key, value in record["theta"].items():
         low, high = value["interval"]
         print(f"{key:<6} {value['estimate']:.4f}, 90 % within {low:.4f} to {high:.4f}")
-    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {unit}".rstrip())
+    print(f"centre {', '.join(f'{x:.3f}' for x in state.translation.tolist())} {fitted.unit}".rstrip())
     print(
-        f"{len(found):,} points, {fit.mean_distance:.4g} {unit}".rstrip()
+        f"{len(found):,} points, {fit.mean_distance:.4g} {fitted.unit}".rstrip()
         + " from the shape on average; intervals take "
         "them to be independent"
     )

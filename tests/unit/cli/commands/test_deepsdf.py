@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -179,3 +180,38 @@ def test_a_pickle_given_as_a_model_is_one_sentence(tmp_path: Path, capfd: pytest
     assert main(words) == 2
     said = capfd.readouterr().err
     assert said == f"sdm: {tmp_path / 'model.pt'} is no DeepSDF model, or it is damaged; train it again\n"
+
+
+def test_size_and_code_are_fitted_to_an_image_and_to_points(work: Path, tmp_path: Path) -> None:
+    truth, model = sdm.load_mesh(work / "new.ply"), str(work / "model" / "model.pt")
+    grid = sdm.Grid((6.0, -4.0, -3.5), (0.5, 0.5, 0.5), (17, 17, 15))
+    inside = torch.sigmoid(-sdm.signed_distance_map(truth, grid).values / 0.15)
+    noise = torch.randn(grid.shape, generator=torch.Generator().manual_seed(0))
+    image, out, surface = tmp_path / "image.nii.gz", tmp_path / "fit.json", tmp_path / "fit.ply"
+    sdm.save(sdm.SDM(100 * inside + 5 * noise, grid), image)
+    files = ["-o", str(out), "--mesh", str(surface), "--family", model, "--fine", "0.5", "--device", "cpu"]
+    assert main(["fit", str(image), *files, "--picture", str(tmp_path / "fit.png")]) == 0
+    found = json.loads(out.read_text())
+    assert found["trusted"]
+    assert list(found["theta"])[:2] == ["size", "code1"]
+    assert found["theta"]["size"]["estimate"] == pytest.approx(3.09, rel=0.1)
+    assert found["pose"]["translation_mm"] == pytest.approx([10, 0, 0], abs=0.3)
+    assert float(sdm.signed_distance(truth, sdm.load_mesh(surface).vertices).abs().mean()) < 0.15
+    assert main(["fit", "--points", str(work / "new.ply"), *files]) == 0
+    assert float(sdm.signed_distance(truth, sdm.load_mesh(surface).vertices).abs().mean()) < 0.15
+
+
+def test_an_image_of_nothing_has_no_fit(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = sdm.Grid((0.0, 0.0, 0.0), (0.4, 0.4, 0.4), (16, 16, 16))
+    noise = torch.randn(grid.shape, generator=torch.Generator().manual_seed(0))
+    sdm.save(sdm.SDM(noise, grid), tmp_path / "image.nii.gz")
+    words = ["fit", str(tmp_path / "image.nii.gz"), "-o", str(tmp_path / "fit.json"), "--device", "cpu", "--family"]
+    assert main([*words, str(work / "model" / "model.pt")]) == 2
+    assert "no shape of this family found" in capsys.readouterr().err
+    assert not json.loads((tmp_path / "fit.json").read_text())["trusted"]
+    assert main([*words, str(work / "model" / "model.pt"), "--triangles", "500"]) == 2
+    assert "is a DeepSDF: --triangles and --mirror are for families of meshes" in capsys.readouterr().err
+    assert main([*words, str(tmp_path / "none.pt")]) == 2
+    assert "none.pt" in capsys.readouterr().err
+    assert main(["family", "check", str(work / "model" / "model.pt")]) == 2
+    assert "has codes and no meshes" in capsys.readouterr().err
