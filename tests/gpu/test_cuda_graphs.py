@@ -25,7 +25,7 @@ CALLS = graphs.CALLS
 @pytest.fixture(autouse=True)
 def afresh(monkeypatch):
     # Those of a class at the third call, as all.
-    monkeypatch.setattr(graph_cache, "EARLIER", 0)
+    monkeypatch.setattr(graph_cache, "_NEEDED", dict.fromkeys((False, True), graphs.CALLS))
     graphs.clear()
     yield
     graphs.clear()
