@@ -228,8 +228,8 @@ def doubt(field: Field):
 
 
 @wp.func
-def largest_share(field: Field, half: wp.vec3):
-    """A bound of the caps' share all over a box of these half-widths."""
+def most_change(field: Field, half: wp.vec3):
+    """A bound of how far the caps' share is from that at the centre, all over a box of these half-widths."""
     slope = wp.dot(wp.abs(field.slope), half)
     curved = wp.dot(wp.abs(field.squares), wp.cw_mul(half, half)) + wp.abs(field.products[0]) * half[0] * half[1]
     curved = curved + wp.abs(field.products[1]) * half[0] * half[2] + wp.abs(field.products[2]) * half[1] * half[2]
@@ -240,11 +240,11 @@ def largest_share(field: Field, half: wp.vec3):
     cubic = x * x * (wp.abs(c[0]) * x + wp.abs(c[1]) * y + wp.abs(c[2]) * z)
     cubic = cubic + y * y * (wp.abs(c[3]) * x + wp.abs(c[6]) * y + wp.abs(c[7]) * z)
     cubic = cubic + z * z * (wp.abs(c[5]) * x + wp.abs(c[8]) * y + wp.abs(c[9]) * z) + wp.abs(c[4]) * x * y * z
-    return (
-        wp.abs(float(field.value))
-        + slope
-        + curved
-        + cubic
-        + field.error
-        + wp.where(field.near > 0, field.left_out, 0.0)
-    ) / FULL
+    return (slope + curved + cubic) / FULL
+
+
+@wp.func
+def largest_share(field: Field, change: float):
+    """A bound of the caps' share all over a box where it changes by no more than that."""
+    most = wp.abs(float(field.value)) + field.error + wp.where(field.near > 0, field.left_out, 0.0)
+    return most / FULL + change

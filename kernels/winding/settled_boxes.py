@@ -13,7 +13,7 @@ from sdm.kernels.geometry.block_table import VOXELS, inner_of
 from sdm.kernels.geometry.voxel_box import VoxelBox, is_within
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, voxel
 from sdm.kernels.primitives.lanes import ballot, bits_of_some, on_cpu, one_on_cpu, sum_of_some
-from sdm.kernels.winding.cap_field import Field, doubt, largest_share, share_at
+from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, share_at
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import Sixteen, eight_angles, place_in_box
 from sdm.kernels.winding.near_caps import FULL, UNIT, near_angle
@@ -102,7 +102,8 @@ def settle_box(
     `lanes` may be a part of a group, of which each has a box of its own with its near caps at `listed_at`: boxes are of
     one size, and a part without any is idle.
     """
-    far = largest_share(field, box.half) < LARGEST_SHARE
+    change = most_change(field, box.half)
+    far = largest_share(field, change) < LARGEST_SHARE
     hopeless = field.near > most_near or doubt(field) > MOST_DOUBT
     look = not idle and (far or not hopeless)
     left = int(0)
@@ -115,6 +116,12 @@ def settle_box(
         share = one_on_cpu(wp.max(1, lanes >> (3 * bits)))
         together = on_cpu() and bits > 0 and field.near > 0
         angles = Sixteen()
+        # Where the share at the centre leaves no side open for any whole number, it is that of all voxels.
+        middle = float(field.value) / FULL
+        error = doubt(field)
+        plain = far or (field.near == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change))
+        if plain:
+            error = error + change
         number = lane / share
         while number < 1 << (3 * bits):
             at = place_in_box(number, bits)
@@ -124,23 +131,26 @@ def settle_box(
             whole = float(0.5)
             if look and is_within(slab, v):
                 whole = winding_at(values, mesh, v)
-            p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
             angle = float(0.0)
             wrong = float(0.0)
-            if is_whole(whole) and together:
-                angle = angles[number & 7]
-                wrong = angles[8 + (number & 7)]
-            elif is_whole(whole):
-                angle, wrong = near_angle(caps, field.near, p, stack, listed_at, lane & (share - 1), share)
+            far_share = middle
+            if is_whole(whole) and not plain:
+                p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
+                far_share = share_at(field, p - box.centre)
+                if together:
+                    angle = angles[number & 7]
+                    wrong = angles[8 + (number & 7)]
+                elif field.near > 0:
+                    angle, wrong = near_angle(caps, field.near, p, stack, listed_at, lane & (share - 1), share)
             if bits > 0 and share > 1:
                 # Also, all have read the whole number before it goes.
                 angle = sum_of_some(angle, share)
                 wrong = sum_of_some(wrong, share) + 2.0 * UNIT * FULL
             winding = whole
             if not far:
-                winding = whole - angle / FULL - share_at(field, p - box.centre)
+                winding = whole - angle / FULL - far_share
             if is_whole(whole):
-                if far or is_sure(winding, whole, doubt(field) + wrong / FULL):
+                if far or is_sure(winding, whole, error + wrong / FULL):
                     if (lane & (share - 1)) == 0:
                         put_winding(values, mesh, v, opened(winding))
                 else:
