@@ -16,6 +16,7 @@ from typing import Any
 
 from sdm.cli.commands.bench import program
 from sdm.cli.common import examples
+from sdm.cli.common.addresses import with_stand_ins
 from sdm.cli.common.argument_types import NUMBERS
 from sdm.cli.common.compile_notice import announce_compiling
 from sdm.cli.common.error_sentence import sentence_of
@@ -103,11 +104,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     thresholds = gc.get_threshold()
     gc.set_threshold(*GARBAGE_THRESHOLDS)
     try:
-        command = _parse(words)
-        if words and words[0] in WITH_KERNELS and command is not _nothing:
-            announce_compiling()
-        with _warnings_in_a_line():
-            code = command()
+        with with_stand_ins(words) as local:
+            command = _parse(local)
+            if words and words[0] in WITH_KERNELS and command is not _nothing:
+                announce_compiling()
+            with _warnings_in_a_line():
+                code = _told_by_addresses(command)
         sys.stdout.flush()
     except UsageError as error:
         return _complain(str(error))
@@ -126,6 +128,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         gc.set_threshold(*thresholds)
     return DONE if code is None else code
+
+
+def _told_by_addresses(command: Callable[[], int | None]) -> int | None:
+    """Run a command whose errors are told while it is known which paths stand for addresses."""
+    try:
+        return command()
+    except Exception as error:
+        reason = sentence_of(error)
+        if reason is None:
+            raise
+        return _complain(reason)
 
 
 @contextmanager

@@ -7,6 +7,10 @@ from typing import Any
 
 from sdm.errors import SDMError
 from sdm.io.files.one_line import one_line
+from sdm.io.files.remote import is_remote
+from sdm.io.files.stand_in import address_of, to_read
+from sdm.io.files.stand_in import known as known_stand_ins
+from sdm.io.meshes.formats import mesh_endings
 from sdm.shapes import Family, families, load_family, make_family
 from sdm.shapes.named_family import CODE, MODEL, differs_from, family_record
 
@@ -36,7 +40,7 @@ def describe(name: str, options: dict[str, Any]) -> dict[str, Any]:
         )
     if "triangles" in given:
         raise SDMError("--triangles is for a family; meshes of a folder have their own")
-    return {"folder": str(Path(name).resolve()), **given}
+    return {"folder": address_of(Path(name)) or str(Path(name).resolve()), **given}
 
 
 def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
@@ -52,7 +56,7 @@ def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
     options = dict(source)
     try:
         if "folder" in options:
-            folder = options.pop("folder")
+            folder = _here(options.pop("folder"))
             if isinstance(options.get("scale"), list):
                 options["scale"] = tuple(options["scale"])
             return make_family(FOLDER, folder, skip_bad=True, **options)
@@ -65,6 +69,15 @@ def family_from(source: dict[str, Any], *, named: bool = True) -> Family:
     # Of options that it has not, or of another type.
     except TypeError as error:
         raise SDMError(f"the dataset's source {source} is no family: {one_line(error)}") from error
+
+
+def _here(folder: str) -> str:
+    """A folder of meshes, or a stand-in for one at an address."""
+    if not is_remote(folder):
+        return folder
+    known = next((one.place for one in known_stand_ins() if one.address == folder.rstrip("/")), None)
+    endings = mesh_endings()
+    return str(known or to_read(folder, later=lambda name: name.lower().endswith(endings)))
 
 
 def _of_file(options: dict[str, Any], named: bool) -> Family:

@@ -30,6 +30,7 @@ from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.errors import FormatError
 from sdm.io.files.atomic import own_name, put, write_all
+from sdm.io.files.stand_in import bring
 
 UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.
@@ -66,6 +67,7 @@ def create(folder: Path, manifest: dict[str, Any]) -> None:
     try:
         _empty(fresh, manifest)
         fresh.rename(folder)
+        bring(folder)
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
 

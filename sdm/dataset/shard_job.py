@@ -19,6 +19,7 @@ from sdm.core.grid import Grid
 from sdm.dataset.layout import rows_of, write_shard
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError
+from sdm.io.files.stand_in import StandIn, adopt
 from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.outcome import Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -57,6 +58,7 @@ class Job:
         truncate: Largest distance, None for any.
         sign: The method by which maps are signed.
         hole_size: Of a flood.
+        stand_ins: Paths that stand for addresses, for other processes.
     """
 
     folder: Path
@@ -69,6 +71,7 @@ class Job:
     truncate: float | None
     sign: Sign = "winding"
     hole_size: float | None = None
+    stand_ins: tuple[StandIn, ...] = ()
 
     def maker(self, device: str | torch.device) -> Maker:
         """Makes the samples."""
@@ -95,6 +98,7 @@ class Job:
             FormatError: The disk is full, or cannot be written.
         """
         times = StageTimes() if times is None else times
+        adopt(self.stand_ins)
         scratch = self.folder / f".{os.getpid()}-{secrets.token_hex(4)}.part"
         threads = threads_beside(maker.device)
         try:

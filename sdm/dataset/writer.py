@@ -20,6 +20,7 @@ from sdm.dataset.shard_job import Job
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
+from sdm.io.files.stand_in import known, moved
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
@@ -130,7 +131,7 @@ def generate(
         same(read_manifest(target), wanted, target)
         return target
     manifest = begin(target, folder, manifest, wanted if resume else None)
-    job = Job(folder, manifest, family, at, as_sampler(sampler), seed, dtype, truncate, sign, hole_size)
+    job = Job(folder, manifest, family, at, as_sampler(sampler), seed, dtype, truncate, sign, hole_size, known())
     with alone(folder):
         fill(job, devices, ray, progress, times)
         finish(folder, target)
@@ -223,6 +224,7 @@ def finish(folder: Path, target: Path) -> None:
         shutil.rmtree(leftover, ignore_errors=True) if leftover.is_dir() else leftover.unlink()
     try:
         folder.rename(target)
+        moved(folder, target)
     except OSError as error:
         raise FormatError(f"{target} cannot be written: {error.strerror or error}; the data is in {folder}") from error
 

@@ -112,6 +112,7 @@ def generate(
     from sdm import dataset
     from sdm.cli.common.progress import CountProgress
     from sdm.errors import SDMError
+    from sdm.io.files.stand_in import shown
     from sdm.runtime.pipeline.stage_times import StageTimes
 
     options = {
@@ -164,7 +165,7 @@ def generate(
         dataset.generate(family, grid, count, out, source=known, progress=progress, times=times, **where, **asked)
     written = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
     print(
-        f"{out}: {count:,} maps of {family.name}, {' x '.join(map(str, grid.shape))} voxels of "
+        f"{shown(out)}: {count:,} maps of {family.name}, {' x '.join(map(str, grid.shape))} voxels of "
         f"{grid.spacing[0]:.4g}, {written / 2**20:,.1f} MiB"
     )
     return None

@@ -10,7 +10,10 @@ def sentence_of(error: BaseException) -> str | None:
     from sdm.errors import SDMError
 
     if isinstance(error, SDMError):
-        return " ".join(str(error).split())
+        # Its package imports what a mistyped command needs none of.
+        from sdm.io.files.stand_in import shown
+
+        return shown(" ".join(str(error).split()))
     # The allocators of torch raise this class, which cannot be named before torch is imported.
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError" or _is_full_host(error):
         return "there is not enough memory: choose a lower resolution or a smaller batch"

@@ -23,6 +23,7 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.inspect.quick_look import look_at
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
+from sdm.io.files.stand_in import fetched
 from sdm.io.bands.save_and_load import check_band_target, save_band
 from sdm.io.maps.formats import check_target_name, format_of, require_memory_to_write
 from sdm.io.maps.record import digest_of
@@ -180,6 +181,7 @@ def _later(found: Measured, seconds: float) -> Measured:
 def _finished(task: MapTask, grid: Grid, digest: str) -> bool:
     """True if a file is a map, on this grid, of the mesh with this digest."""
     try:
-        return grid_like(task.target) == grid and made_from(task.target) == digest
+        with fetched(task.target):
+            return grid_like(task.target) == grid and made_from(task.target) == digest
     except SDMError:
         return False

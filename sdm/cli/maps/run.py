@@ -14,6 +14,7 @@ from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.cli.maps.work import MapTask, Written
 from sdm.errors import FormatError
+from sdm.io.files.stand_in import shown
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
@@ -100,13 +101,13 @@ def _entry(
             raise outcome.error
         if is_full_disk(outcome.error):
             raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return MeshEntry(mesh=str(source), state="failed", reason=sentence)
+        return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
     found = outcome.value
     mesh = found.read.measured
     return MeshEntry(
-        mesh=str(source),
+        mesh=shown(source),
         state="there already" if found.read.there else "done",
-        output=str(target),
+        output=shown(target),
         triangles=len(mesh),
         closed=found.closed,
         sign=settings.sign,
@@ -126,12 +127,12 @@ def _names(sources: list[Path]) -> list[str]:
 def _tell(name: str, found: Written, settings: Settings, progress: FileProgress) -> None:
     read, grid = found.read, found.read.grid
     if read.there:
-        progress.print(f"{name}: {read.task.target} is there already")
+        progress.print(f"{name}: {shown(read.task.target)} is there already")
         return
     spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
     progress.print(
         f"{name}: {len(read.mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
-        f"{found.seconds:.2f} s on {settings.device}, written to {read.task.target}"
+        f"{found.seconds:.2f} s on {settings.device}, written to {shown(read.task.target)}"
     )
     for warning in found.warnings:
         progress.print(f"sdm: warning: {name}{warning}", warn=True)

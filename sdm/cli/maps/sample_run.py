@@ -15,6 +15,7 @@ from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
+from sdm.io.files.stand_in import shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -121,7 +122,7 @@ def run(
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
     done = sum(entry.state != "failed" for entry in entries)
-    print(f"{out}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
+    print(f"{shown(out)}: {recipe.count:,} samples of each of {done:,} meshes, layout {layout_name}")
     return sum_up(entries, skip_bad)
 
 
@@ -158,15 +159,15 @@ def _entry(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> Mes
             raise outcome.error
         if is_full_disk(outcome.error):
             raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return MeshEntry(mesh=str(source), state="failed", reason=sentence)
+        return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
     found = outcome.value
     if found.there:
-        return MeshEntry(mesh=str(source), state="there already", sign=sign)
+        return MeshEntry(mesh=shown(source), state="there already", sign=sign)
     unsure = [f"the flood does not prove the sign of {found.unsure:,} samples"] if found.unsure else []
     return MeshEntry(
-        mesh=str(source),
+        mesh=shown(source),
         state="done",
-        output=None if found.path is None else str(found.path),
+        output=None if found.path is None else shown(found.path),
         triangles=found.triangles,
         closed=found.closed,
         sign=sign,

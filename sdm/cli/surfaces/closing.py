@@ -16,6 +16,7 @@ from sdm.cli.surfaces.closing_stages import Closed, Closing, ClosingStages
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
 from sdm.errors import FormatError, MeshError
+from sdm.io.files.stand_in import shown
 from sdm.io.meshes.write import WRITERS, ending_to_write
 from sdm.remeshing import WatertightReport
 from sdm.runtime.pipeline.outcome import Failed
@@ -105,8 +106,8 @@ def run(
             if isinstance(outcome, Failed):
                 entries.append(_failed(outcome.error, source, alone=alone))
             else:
-                found[str(source)] = _told(outcome.value, target, journal, progress)
-                entries.append(_entry(source, target, outcome.value, found[str(source)]))
+                found[shown(source)] = _told(outcome.value, target, journal, progress)
+                entries.append(_entry(source, target, outcome.value, found[shown(source)]))
             progress.end()
             if outcome.number + 1 < len(jobs):
                 progress.begin(jobs[outcome.number + 1][0].name)
@@ -122,13 +123,13 @@ def _failed(error: Exception, source: Path, *, alone: bool) -> MeshEntry:
         raise error
     if is_full_disk(error):
         raise FormatError(f"{sentence}; --resume goes on from there") from error
-    return MeshEntry(mesh=str(source), state="failed", reason=sentence)
+    return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
 
 
 def _told(made: Closed, target: Path, journal: Journal, progress: FileProgress) -> dict[str, Any]:
     """The report's part about a surface, which is kept and printed."""
     if made.report is None:
-        progress.print(f"{made.read.mesh.name}: {target} is there already")
+        progress.print(f"{made.read.mesh.name}: {shown(target)} is there already")
         return made.read.known or {}
     progress.print(_line(made.report, made.seconds, target))
     return journal.add(target, made.read.digest, made.report.as_dict())
@@ -136,9 +137,9 @@ def _told(made: Closed, target: Path, journal: Journal, progress: FileProgress) 
 
 def _entry(source: Path, target: Path, made: Closed, told: dict[str, Any]) -> MeshEntry:
     return MeshEntry(
-        mesh=str(source),
+        mesh=shown(source),
         state="there already" if made.report is None else "done",
-        output=str(target),
+        output=shown(target),
         triangles=len(made.read.mesh),
         closed=told.get("closed"),
         sign=told.get("sign"),
@@ -152,5 +153,5 @@ def _line(made: WatertightReport, seconds: float, target: Path) -> str:
         f"{made.name}: {made.triangles:,} triangles, {'closed' if made.closed else 'not closed'}; "
         f"{made.output_triangles:,} at an offset of {made.offset:.4g} by voxels of {made.spacing:.4g}; "
         f"mesh to surface at most {forth.largest:.4g}, on average {forth.mean:.4g}; "
-        f"surface to mesh {back.largest:.4g}, {back.mean:.4g}; {seconds:.2f} s, written to {target}"
+        f"surface to mesh {back.largest:.4g}, {back.mean:.4g}; {seconds:.2f} s, written to {shown(target)}"
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sdm.errors import FormatError
+from sdm.io.files.stand_in import address_of, bring, gone
 
 NAME = "unfinished.jsonl"
 
@@ -34,10 +35,11 @@ class Journal:
             self._read(report)
         elif self._path is not None:
             self._path.unlink(missing_ok=True)
+            gone(self._path)
 
     def find(self, output: Path, made_from: str) -> dict[str, Any] | None:
         """Facts of a surface that is there as it was written, from the same mesh in the same way; None of another."""
-        found = self._known.get(str(output))
+        found = self._known.get(_name(output))
         if found is None or found.get("made_from") != made_from:
             return None
         with contextlib.suppress(OSError):
@@ -47,7 +49,7 @@ class Journal:
 
     def add(self, output: Path, made_from: str, told: dict[str, Any]) -> dict[str, Any]:
         """Keep the facts of a surface that was written; returns them with its marks."""
-        told = {**told, "output": str(output), "made_from": made_from, "bytes": output.stat().st_size}
+        told = {**told, "output": _name(output), "made_from": made_from, "bytes": output.stat().st_size}
         if self._path is not None:
             try:
                 with self._path.open("a", encoding="utf-8") as file:
@@ -55,12 +57,14 @@ class Journal:
                     file.write("\n" + json.dumps(told))
             except OSError as error:
                 raise FormatError(f"{self._path} cannot be written: {error.strerror or error}") from error
+            bring(self._path, keep=True)
         return told
 
     def close(self) -> None:
         """Remove the lines: the report has them."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
+            gone(self._path)
 
     def _read(self, report: Path | None) -> None:
         lines: list[Any] = []
@@ -74,3 +78,8 @@ class Journal:
                     with contextlib.suppress(ValueError):
                         lines.append(json.loads(line))
         self._known = {str(found["output"]): found for found in lines if isinstance(found, dict) and "output" in found}
+
+
+def _name(output: Path) -> str:
+    """A surface's file by its path, or by the address that this stands for."""
+    return address_of(output) or str(output)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sdm.errors import FormatError
 from sdm.io.files.rename_exchange import exchange
+from sdm.io.files.stand_in import bring
 
 # What a killed write leaves behind: hidden files or folders that end like this.
 LEFTOVER = ".part"
@@ -24,7 +25,8 @@ def replacing(target: Path) -> Iterator[Path]:
     """A temporary path beside `target`: what the block makes there, a file or a folder, then takes its place.
 
     The name is `.NAME.PID-TOKEN.part`. If the block fails, nothing is left; if the process is killed, what is left has
-    that name and `target` is what it was, or already the new one. An older folder changes places with the new one;
+    that name and `target` is what it was, or already the new one. Where `target` stands for an address
+    (`sdm.io.files.stand_in`) it is then brought there. An older folder changes places with the new one;
     where the file system cannot do that in one step it is put aside first, as `.NAME.PID-TOKEN-old.part`.
 
     Raises:
@@ -36,6 +38,7 @@ def replacing(target: Path) -> Iterator[Path]:
         if part.is_file():
             _flush(part)
         _take_place(part, target)
+        bring(target)
     except OSError as error:
         raise FormatError(f"{target} cannot be written: {error.strerror or error}") from error
     finally:
@@ -64,6 +67,7 @@ def put(target: Path, content: bytes | Path) -> None:
             part.unlink(missing_ok=True)
     # Without this a power cut may forget the renaming.
     _flush(target.parent)
+    bring(target)
 
 
 def write_all(file: RawIOBase, pieces: Sequence[bytes | bytearray | memoryview]) -> None:

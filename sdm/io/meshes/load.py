@@ -14,6 +14,7 @@ from sdm.inspect.positions import are_distinct, first_at_position
 from sdm.io.files.list_files import visible
 from sdm.io.files.one_line import one_line
 from sdm.io.files.remote import is_remote, local_copy
+from sdm.io.files.stand_in import address_of
 from sdm.io.meshes.archive import unpacked
 from sdm.io.meshes.formats import ARCHIVES, READERS, ending_of, mesh_endings
 from sdm.io.meshes.polygons import triangulate
@@ -44,6 +45,8 @@ def load_mesh(path: str | Path) -> TriangleMesh:
         except FormatError as error:
             raise MeshError(str(error)) from error
     source = Path(path)
+    if (address := address_of(source)) is not None:
+        return load_mesh(address)
     _check_file(source)
     vertices, faces = _read(source, ending_of(source))
     # Whatever read them has looked at the indices.

@@ -13,6 +13,7 @@ import numpy as np
 from torch import Tensor
 
 from sdm.core.normalization import Normal, Normalization
+from sdm.io.files.atomic import put
 from sdm.sampling.law import OCCUPANCY, SURFACE, SampleLaw
 from sdm.sampling.layouts.instance import Instance, lists_of
 from sdm.sampling.layouts.npz_file import write_npz
@@ -64,7 +65,7 @@ class OccupancyLayout:
         for part, classes in lists_of(self._instances, done, parts).items():
             for category, names in classes.items():
                 # That loader splits at newlines: one at the end would be a mesh without a name.
-                (self._folder / category / f"{part}.lst").write_text("\n".join(names))
+                put(self._folder / category / f"{part}.lst", "\n".join(names).encode())
 
     def _place(self, number: int) -> Path:
         instance = self._instances[number]

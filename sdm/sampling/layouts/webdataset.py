@@ -17,7 +17,7 @@ import numpy as np
 from torch import Tensor
 
 from sdm.core.normalization import Normal
-from sdm.io.files.atomic import replacing
+from sdm.io.files.atomic import put, replacing
 from sdm.sampling.law import PAPER, SampleLaw
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.sample import PointSamples
@@ -63,7 +63,7 @@ class WebDatasetLayout:
         names = "".join(
             f"{self._file(n).name}\n" for n in range(-(-len(done) // self._each)) if self._file(n).is_file()
         )
-        (self._folder / "shards.lst").write_text(names)
+        put(self._folder / "shards.lst", names.encode())
 
     def _members(self, number: int, samples: PointSamples) -> list[tuple[str, bytes]]:
         instance = self._instances[number]

@@ -17,6 +17,7 @@ from zarr.codecs import Crc32cCodec
 
 from sdm.core.normalization import Normal
 from sdm.io.files.atomic import put
+from sdm.io.files.stand_in import bring
 from sdm.sampling.law import PAPER, SampleLaw
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.sample import PointSamples
@@ -48,6 +49,7 @@ class ZarrLayout:
                 fill_value=float("nan"),
                 config={"write_empty_chunks": True},
             )
+        bring(folder)
 
     def is_done(self, number: int) -> bool:
         """See `Layout`."""
