@@ -134,6 +134,8 @@ def _told_by_addresses(command: Callable[[], int | None]) -> int | None:
     """Run a command whose errors are told while it is known which paths stand for addresses."""
     try:
         return command()
+    except BrokenPipeError:
+        raise
     except Exception as error:
         reason = sentence_of(error)
         if reason is None:

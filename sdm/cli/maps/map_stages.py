@@ -23,8 +23,8 @@ from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
 from sdm.inspect.quick_look import look_at
 from sdm.io import check_target, grid_like, load_mesh, write_streamed
-from sdm.io.files.stand_in import fetched
 from sdm.io.bands.save_and_load import check_band_target, save_band
+from sdm.io.files.stand_in import fetched
 from sdm.io.maps.formats import check_target_name, format_of, require_memory_to_write
 from sdm.io.maps.record import digest_of
 from sdm.io.maps.save_and_load import made_from, write_made_from

@@ -1,4 +1,4 @@
-"""Commands that read and write at addresses: memory:// stands for an object store, a server of this machine for the web."""
+"""Commands that read and write at addresses: in memory, on a server of S3's protocol, of a web server."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ import trimesh
 
 import sdm
 from sdm.cli.app import main
-from sdm.dataset import SDMDataset
+from sdm.dataset import SDMDataset, shard_job
 from sdm.io.files import stand_in
+
+# Sessions of s3fs are closed when they like.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 fsspec = pytest.importorskip("fsspec", reason="needs fsspec, of the extra remote")
 
@@ -135,19 +138,19 @@ def test_generate_and_its_resumption(base, tmp_path, monkeypatch):
     words = ["generate", "cochlea", "--triangles", "500", "--resolution", "8", "--count", "6", "--shard", "2"]
     words += ["--device", "cpu"]
     assert main([*words, "-o", str(tmp_path / "set.zarr")]) == 0
-    written = sdm.dataset.shard_job.write_shard
+    written = shard_job.write_shard
 
     def dies(*given):
         if given[2] == 2:
             raise KeyboardInterrupt
         written(*given)
 
-    monkeypatch.setattr(sdm.dataset.shard_job, "write_shard", dies)
+    monkeypatch.setattr(shard_job, "write_shard", dies)
     assert main([*words, "-o", f"{base}/set.zarr"]) == 130
     assert not there(f"{base}/set.zarr")
     assert there(f"{base}/set.zarr.part")
     made = []
-    monkeypatch.setattr(sdm.dataset.shard_job, "write_shard", lambda *given: (made.append(given[2]), written(*given)))
+    monkeypatch.setattr(shard_job, "write_shard", lambda *given: (made.append(given[2]), written(*given)))
     assert main(["generate", "-o", f"{base}/set.zarr", "--resume", "--device", "cpu"]) == 0
     assert 0 not in made
     assert there(f"{base}/set.zarr") == here(tmp_path / "set.zarr")
