@@ -82,12 +82,15 @@ class RaycastingScene:
         if not self._meshes:
             raise MeshError("the scene is empty: add a mesh first (add_triangles)")
         if self._built is None:
-            begins = np.cumsum([0, *(len(mesh.vertices) for mesh in self._meshes)])
-            vertices, faces = zip(*(mesh.numpy() for mesh in self._meshes), strict=True)
-            shifted = [part + begin for part, begin in zip(faces, begins, strict=False)]
-            whole = TriangleMesh(np.concatenate(vertices), np.concatenate(shifted), "the scene", check=False)
+            whole = self._meshes[0] if len(self._meshes) == 1 else self._together()
             self._built = PointsIndex(whole, self._device)
         return self._built
+
+    def _together(self) -> TriangleMesh:
+        begins = np.cumsum([0, *(len(mesh.vertices) for mesh in self._meshes)])
+        vertices, faces = zip(*(mesh.numpy() for mesh in self._meshes), strict=True)
+        shifted = [part + begin for part, begin in zip(faces, begins, strict=False)]
+        return TriangleMesh(np.concatenate(vertices), np.concatenate(shifted), "the scene", check=False)
 
 
 def _is_open3d(values: Any) -> bool:

@@ -113,7 +113,13 @@ def queue_pairing(faces: Tensor, count: int, within: Tensor | None = None) -> tu
         the faces are written without any: each is brought into it.
     """
     total = faces.numel()
-    first, flags = torch.zeros(count + FLAGS, dtype=torch.int32, device=faces.device).split([count, FLAGS])
+    counts = torch.empty(count + FLAGS, dtype=torch.int32, device=faces.device)
+    if counts.is_cuda:
+        counts.zero_()
+    else:
+        # Without torch's threads, which take longer to meet.
+        counts.numpy().fill(0)
+    first, flags = counts.split([count, FLAGS])
     unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
     around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):
