@@ -26,7 +26,7 @@ CASES = [
     ("compute <empty> -o new.npz", "an argument is empty"),
     ("compute ball.ply -o <empty>", "an argument is empty"),
     ("inspect <empty>", "an argument is empty"),
-    ("compute loop.ply -o new.npz", "there is no mesh file loop.ply"),
+    ("compute loop.ply -o new.npz", "loop.ply cannot be read: "),
     ("compute folder.ply -o new.npz", "no mesh file was found"),
     ("compute empty.ply -o new.npz", "empty.ply is empty"),
     ("compute empty.stl -o new.npz", "empty.stl is empty"),
@@ -41,7 +41,7 @@ CASES = [
     ("compute ball.ply -o ball.ply", "does not end like a map"),
     ("compute ball.ply -o map.npz --grid-like map.npz", "is an input too"),
     ("inspect folder.ply", "folder.ply is a folder"),
-    ("inspect loop.ply", "there is no mesh file loop.ply"),
+    ("inspect loop.ply", "loop.ply cannot be read: "),
     ("inspect map.npz", "no mesh has the ending .npz"),
     # Numbers.
     ("compute ball.ply -o new.npz --resolution 1e9", "takes a whole number"),
