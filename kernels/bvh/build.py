@@ -228,14 +228,18 @@ def _bound_levels(begin: int, lanes: int, tree: Tree, lowest: int, width: int, m
         wait_for_lanes()
 
 
+def reset_bounds(bounds: wp.array) -> None:
+    """Make `bounds` (6 * meshes,) float32 ready for `reduce_bounds`."""
+    launch(_reset_bounds, bounds.shape[0], [bounds], bounds.device)
+
+
 def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.array) -> None:
-    """Fill `bounds` (6 * meshes,) float32 with each mesh's lowest coordinates, and its highest ones with a minus.
+    """Lower `bounds` (6 * meshes,) float32 to each mesh's lowest coordinates, and its highest ones with a minus.
 
     The rest as for `build_tree`.
     """
     device: Any = vertices.device
     meshes, lanes = vertices.shape[0], GPU_LANES if device.is_cuda else 1
-    launch(_reset_bounds, 6 * meshes, [bounds], device)
     groups = meshes * -(-tree.count // (RUN * lanes))
     launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, RUN, bounds], device)
 
@@ -261,6 +265,8 @@ def build_tree(
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
     """
     meshes = vertices.shape[0]
+    # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
+    launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
     reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals)

@@ -22,7 +22,7 @@ from sdm.engine.thick_slices import AS_IT_IS
 from sdm.kernels.band.block_bits import BLOCKS, CHUNKS, COUNTS, REGIONS, block_bits, list_bits, words_of
 from sdm.kernels.band.block_lists import unpack_keys
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE
-from sdm.kernels.bvh.build import reduce_bounds
+from sdm.kernels.bvh.build import reduce_bounds, reset_bounds
 from sdm.kernels.geometry.block_table import BlockTable
 from sdm.kernels.launch import set_array
 from sdm.runtime.torch_warp import as_warp
@@ -103,7 +103,9 @@ def queue_list(band: BandSlab, room: Room) -> Listed:
         torch.maximum(numbers, more, out=numbers)
     if band.mesh is not None:
         corners, faces = as_warp(band.mesh.vertices[None], wp.vec3), as_warp(band.mesh.faces, wp.int32)
-        reduce_bounds(tree, corners, faces, as_warp(counts[-BOUNDS:].view(torch.float32), wp.float32))
+        bounds = as_warp(counts[-BOUNDS:].view(torch.float32), wp.float32)
+        reset_bounds(bounds)
+        reduce_bounds(tree, corners, faces, bounds)
     ends = torch.empty(2 * rows, dtype=torch.int32, device=device)
     blocks = torch.empty((room.blocks, 3), dtype=torch.int32, device=device)
     order = torch.empty(room.blocks, dtype=torch.int32, device=device)
