@@ -16,14 +16,16 @@ class Pipeline:
     """A pipeline as `sdm.cli.maps.run` builds it.
 
     Args:
-        threads: Of reading, and as many of writing.
+        readers: Threads of reading.
+        writers: Threads of writing.
         together: Items that are measured in one call.
         read: Seconds of reading for so many items.
         measure: Seconds of the calls that measure up to `together` items.
         write: Seconds of writing for so many items.
     """
 
-    threads: int
+    readers: int
+    writers: int
     together: int
     read: Draw
     measure: Draw
@@ -32,13 +34,13 @@ class Pipeline:
     def seconds(self, count: int) -> float:
         """Seconds until `count` items are written.
 
-        Queues are bounded as in `sdm.runtime.pipeline.stages`: reading is ahead by two items a thread, or by one call
-        where that is more; the caller waits for the oldest item in writing once two items a thread are held there.
+        Queues are bounded as in `sdm.runtime.pipeline.stages`: reading is ahead by two items a reader, or by two calls
+        where that is more; the caller waits for the oldest item in writing once two items a writer are held there.
         """
-        ahead, held = max(2 * self.threads, self.together), 2 * self.threads
+        ahead, held = 2 * max(self.readers, self.together), 2 * self.writers
         read, write, calls = self.read(count), self.write(count), self.measure(-(-count // self.together))
         taken, written = np.zeros(count), np.zeros(count)
-        readers, writers = [0.0] * self.threads, [0.0] * self.threads
+        readers, writers = [0.0] * self.readers, [0.0] * self.writers
         begun, ready, now = 0, np.zeros(count), 0.0
         for call, first in enumerate(range(0, count, self.together)):
             last = min(first + self.together, count)

@@ -24,7 +24,7 @@ from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.disk.pipelines import small_run, together_on
 from sdm.bench.disk.queues import Draw, Pipeline
-from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.runtime.pipeline.thread_count import readers_beside, threads_beside, writers_beside
 
 COUNTS = (1_000, 10_000, 100_000)
 # The job whose cost is told.
@@ -61,7 +61,14 @@ def from_run(folder: Path, files: int, resolution: int, device: str) -> dict[str
     spans = {stage: [span for span in times.spans if span.stage == stage] for stage in times.seconds}
     together = together_on(where)
     drawn = [_resampled([span.end - span.begin for span in spans[stage]][::20]) for stage in ("read", device, "write")]
-    model = Pipeline(threads=threads_beside(where), together=together, read=drawn[0], measure=drawn[1], write=drawn[2])
+    model = Pipeline(
+        readers=readers_beside(where),
+        writers=writers_beside(where),
+        together=together,
+        read=drawn[0],
+        measure=drawn[1],
+        write=drawn[2],
+    )
     simulated = model.seconds(files)
     return {
         "machine": describe(device),
@@ -85,11 +92,12 @@ def from_record(record: dict[str, Any], work: str) -> dict[str, Any]:
     row = rows[work]
     device = next(stage for stage in row["busy_seconds"] if stage not in ("read", "write"))
     where = torch.device(device)
-    together = together_on(where) if work.startswith("compute") else 1
+    compute, cores = work.startswith("compute"), record["cores"]
+    together = together_on(where) if compute else 1
     each = {stage: busy / row["count"] for stage, busy in row["busy_seconds"].items()}
-    cores = record["cores"]
     model = Pipeline(
-        threads=max(1, min(16, cores if where.type == "cuda" else cores // 2)),
+        readers=readers_beside(where, cores) if compute else threads_beside(where, cores),
+        writers=writers_beside(where, cores) if compute else threads_beside(where, cores),
         together=together,
         read=_constant(each.get("read", 0.0)),
         measure=_constant(each[device] * together),

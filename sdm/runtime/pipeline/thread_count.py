@@ -10,9 +10,13 @@ from sdm.kernels.launch import cores
 MOST = 16
 
 
-def threads_beside(device: torch.device) -> int:
-    """Threads of a stage beside a device: the cores of a GPU's host, half of them beside an engine on the host."""
-    return max(1, min(MOST, cores() if device.type == "cuda" else cores() // 2))
+def threads_beside(device: torch.device, of: int | None = None) -> int:
+    """Threads of a stage beside a device: the cores of a GPU's host, half of them beside an engine on the host.
+
+    `of` so many cores, by default this machine's.
+    """
+    of = cores() if of is None else of
+    return max(1, min(MOST, of if device.type == "cuda" else of // 2))
 
 
 # Meshes are read by short steps that hold Python's lock, for which more threads only wait.
@@ -21,11 +25,11 @@ MOST_READERS = 4
 MOST_WRITERS = 8
 
 
-def readers_beside(device: torch.device) -> int:
-    """Threads that read meshes of this machine beside a device."""
-    return min(MOST_READERS, threads_beside(device))
+def readers_beside(device: torch.device, of: int | None = None) -> int:
+    """Threads that read meshes of this machine beside a device, see `threads_beside`."""
+    return min(MOST_READERS, threads_beside(device, of))
 
 
-def writers_beside(device: torch.device) -> int:
-    """Threads that write maps beside a device."""
-    return min(MOST_WRITERS, threads_beside(device))
+def writers_beside(device: torch.device, of: int | None = None) -> int:
+    """Threads that write maps beside a device, see `threads_beside`."""
+    return min(MOST_WRITERS, threads_beside(device, of))
