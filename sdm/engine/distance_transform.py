@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 import torch
@@ -23,29 +23,32 @@ Classes = Sequence[int] | int | Literal["all"]
 A = TypeVar("A", Tensor, np.ndarray)
 
 
+class TransformOptions(TypedDict, total=False):
+    """Signs, ends and classes of a transform, as the overloads share them."""
+
+    signed: bool
+    surface: str
+    missing: float
+    classes: Classes | None
+
+
 @overload
 def euclidean_distance_transform(
     mask: A,
     spacing: float | Sequence[float] = 1.0,
     *,
-    signed: bool = False,
-    surface: str = "centres",
-    missing: float = math.inf,
-    classes: Classes | None = None,
     out: A | None = None,
     return_nearest: Literal[False] = False,
+    **options: Unpack[TransformOptions],
 ) -> A: ...
 @overload
 def euclidean_distance_transform(
     mask: A,
     spacing: float | Sequence[float] = 1.0,
     *,
-    signed: bool = False,
-    surface: str = "centres",
-    missing: float = math.inf,
-    classes: Classes | None = None,
     out: A | None = None,
     return_nearest: Literal[True],
+    **options: Unpack[TransformOptions],
 ) -> tuple[A, NearestVoxels]: ...
 def euclidean_distance_transform(
     mask: Any,

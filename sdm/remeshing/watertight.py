@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args, overload
+from typing import Literal, TypedDict, Unpack, get_args, overload
 
 import numpy as np
 import torch
@@ -32,6 +32,14 @@ BORDER = 2
 SMALLEST = 8
 
 
+class SurfaceOptions(TypedDict, total=False):
+    """Kind and device of a surface, as the overloads share them."""
+
+    hidden: Hidden
+    method: Method
+    device: str | torch.device | None
+
+
 @overload
 def watertight(
     mesh: MeshLike,
@@ -39,10 +47,8 @@ def watertight(
     offset: float | None = None,
     hole_size: float | None = None,
     *,
-    hidden: Hidden = "drop",
-    method: Method = "cubes",
-    device: str | torch.device | None = None,
     return_report: Literal[False] = False,
+    **options: Unpack[SurfaceOptions],
 ) -> TriangleMesh: ...
 @overload
 def watertight(
@@ -51,10 +57,8 @@ def watertight(
     offset: float | None = None,
     hole_size: float | None = None,
     *,
-    hidden: Hidden = "drop",
-    method: Method = "cubes",
-    device: str | torch.device | None = None,
     return_report: Literal[True],
+    **options: Unpack[SurfaceOptions],
 ) -> tuple[TriangleMesh, WatertightReport]: ...
 def watertight(
     mesh: MeshLike,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Sequence
-from typing import Any, TypeAlias, overload
+from typing import Any, TypeAlias, Unpack, overload
 
 import numpy as np
 import torch
@@ -15,7 +15,7 @@ from sdm.core.device import choose_device
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
-from sdm.engine.arguments import Orient, Sign, SignMethod
+from sdm.engine.arguments import Orient, Sign, SignMethod, SignOptions
 from sdm.engine.band import repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.flood_bands import flood_band
@@ -32,33 +32,28 @@ BandGrid: TypeAlias = Grid | float | Sequence[float]
 LEAST_HALF_WIDTH = 1.5
 
 
+class BandOptions(SignOptions, total=False):
+    """Grid, width, device and signs of a band, as the overloads share them."""
+
+    spacing: float | Sequence[float] | None
+    resolution: int | Sequence[int] | None
+    half_width: float
+    margin: float | None
+    device: str | torch.device | None
+    orient: Orient
+
+
 @overload
 def narrow_band(
     mesh: list[MeshLike] | tuple[TriangleMesh, ...],
     grid: BandGrid | Sequence[Grid] | None = None,
-    *,
-    spacing: float | Sequence[float] | None = None,
-    resolution: int | Sequence[int] | None = None,
-    half_width: float = 3.0,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
+    **options: Unpack[BandOptions],
 ) -> list[SparseSDM]: ...
 @overload
 def narrow_band(
     mesh: MeshLike,
     grid: BandGrid | None = None,
-    *,
-    spacing: float | Sequence[float] | None = None,
-    resolution: int | Sequence[int] | None = None,
-    half_width: float = 3.0,
-    margin: float | None = None,
-    device: str | torch.device | None = None,
-    orient: Orient = "keep",
-    sign: Sign = "winding",
-    hole_size: float | None = None,
+    **options: Unpack[BandOptions],
 ) -> SparseSDM: ...
 def narrow_band(
     mesh: Any,
