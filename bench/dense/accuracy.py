@@ -183,7 +183,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--meshes", nargs="+", metavar="MESH", help="names, torus-N or files (default: all)")
     parser.add_argument("--out", type=Path, help="JSON file; a .md beside it (default: bench/results/accuracy-DEVICE)")
-    parser.add_argument("--processes", type=int, default=1, help="that many meshes at once, a process with one thread each")
+    parser.add_argument("--processes", type=int, default=1, help="that many meshes at once, each in a process")
     parser.add_argument("--resume", action="store_true", help="keep the file's results of the same commit and machine")
     options = parser.parse_args(argv)
     gpu = options.device.startswith("cuda")
