@@ -40,10 +40,10 @@ from sdm.kernels.points.packets import (
     scale_of,
 )
 from sdm.kernels.points.plan import PointsPlan
-from sdm.kernels.points.signs import INSIDE, UNKNOWN, find_sides
+from sdm.kernels.points.signs import INSIDE, OUTSIDE, UNKNOWN, find_sides
 from sdm.kernels.primitives.lanes import GPU_LANES, gpu_workers, on_cpu
 from sdm.kernels.winding.ray_crossings import winding_of_closed
-from sdm.kernels.winding.winding_number import Winding, inside_at, winding_at
+from sdm.kernels.winding.winding_number import UNSIGNED, Winding, inside_at, winding_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -115,10 +115,14 @@ def _finish(
     i = numbered(order, at)
     if i < 0:
         return
-    if slots[at] >= 0 and sides[at] != UNKNOWN and is_finite(points[i]):
+    # Without a sign there are no sides.
+    side = OUTSIDE
+    if sides.shape[0] > 0:
+        side = sides[at]
+    if slots[at] >= 0 and side != UNKNOWN and is_finite(points[i]):
         mesh = mesh_of(packets, at / PACKET)
         hit = exact_hit(tree, slots[at], scale_of(tree, mesh) * wp.vec3d(points[i]))
-        answer(tree, mesh, slots[at], hit.distance2, sides[at] == INSIDE, i, values, hits)
+        answer(tree, mesh, slots[at], hit.distance2, side == INSIDE, i, values, hits)
 
 
 @wp.kernel
@@ -154,6 +158,9 @@ def _query(
             side = UNKNOWN
             if slots.shape[0] > 0:
                 slot = slots[at]
+            if winding.kind == UNSIGNED:
+                side = OUTSIDE
+            elif sides.shape[0] > 0:
                 side = sides[at]
             if not is_finite(point):
                 values[i] = float(wp.nan)
@@ -248,7 +255,8 @@ def query_points(
         tree: One mesh's hierarchy, or that of meshes that differ.
         features: Its triangles' balls.
         cones: Its cones of normals.
-        winding: How its winding number is found; meshes that differ are taken for closed.
+        winding: How its winding number is found; of the kind `UNSIGNED` all points are taken for outside. Meshes that
+            differ are taken for closed.
         points: (N,) vec3; one that is not finite gives NaN and face -1.
         order: (N,) the order to go through them, or empty: as they come. Where meshes differ (packets * PACKET,): of
             each packet the points of one mesh, and -1 for places without one.
@@ -273,13 +281,15 @@ def query_points(
     packets.counts.zero_()
     look_around(tree, winding, points, order, packets, scratch, workers, lanes)
     slots = empty(count if plan.lists else 0, wp.int32)
-    sides = empty(count if plan.lists else 0, wp.int32)
+    signed = winding.kind != UNSIGNED
+    sides = empty(count if plan.lists and signed else 0, wp.int32)
     wanted = Hits()
     wanted.wanted = int(hits is not None)
     wanted.points, wanted.faces, wanted.barycentric = hits or (empty(0, wp.vec3), empty(0, wp.int32), empty(0, wp.vec3))
     if plan.lists:
         find_nearest(tree, features.balls, cones, points, order, packets, scratch, slots, workers, lanes)
-        find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
+        if signed:
+            find_sides(tree, winding, points, order, packets, scratch, sides, workers, lanes)
         launch(_finish, count, [tree, points, order, packets, slots, sides, values, wanted], device)
     inputs = [plan.run, tree, winding, points, order, packets, slots, sides, values, wanted]
     launch(_query, -(-count // plan.run), inputs, device, smallest=16)

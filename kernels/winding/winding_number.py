@@ -25,8 +25,8 @@ class Winding:
 
 # Without a boundary; with few boundary edges, all of which are visited for a point; with many, which are visited where
 # a group of points shares the cost; with more, which are visited for single voxels of a map in doubt; with so many
-# that only the tree of dipoles is used.
-CLOSED, OPEN, MANY, DIRTY, SOUP = 0, 1, 2, 3, 4
+# that only the tree of dipoles is used; and of points whose side nobody asks for, no data at all.
+CLOSED, OPEN, MANY, DIRTY, SOUP, UNSIGNED = 0, 1, 2, 3, 4, 5
 
 
 @wp.func

@@ -44,6 +44,7 @@ class MeshKind(IntEnum):
     MANY = winding_number.MANY
     DIRTY = winding_number.DIRTY
     SOUP = winding_number.SOUP
+    UNSIGNED = winding_number.UNSIGNED  # of points whose side nobody asks for
 
 
 # Kinds whose boundary edges are visited one by one, and those with a tree of dipoles.
@@ -188,8 +189,7 @@ class AccelerationStructure:
     @classmethod
     def from_tensors(cls, tensors: Sequence[Tensor], kind: int, meshes: int) -> AccelerationStructure:
         """The structure that was handed to an operator as `tensors` and its kind."""
-        spans = []
-        count = {}
+        spans, count = [], {}
         for array, tensor in zip(ARRAYS, tensors, strict=True):
             length = tensor.shape[0] // wp.types.type_size_in_bytes(array.dtype)
             spans.append((tensor.data_ptr(), length))

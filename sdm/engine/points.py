@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
 from typing import Any, Literal, overload
 
 import torch
@@ -10,7 +12,7 @@ from torch import Tensor
 from sdm.core.as_mesh import MeshLike, as_mesh
 from sdm.core.device import choose_device
 from sdm.core.mesh import TriangleMesh, as_tensor
-from sdm.engine.acceleration import AccelerationStructure, build
+from sdm.engine.acceleration import AccelerationStructure, MeshKind, build
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.engine.closest_points import Closest
 from sdm.engine.ops import points_closest, points_distance
@@ -18,6 +20,7 @@ from sdm.engine.plan_override import OPTIONS
 from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError, SDMError
 from sdm.kernels.points.plan import plan_points
+from sdm.kernels.winding.winding_number import Winding
 from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
 
@@ -66,9 +69,10 @@ def at_points(
     """
     check_sign_at_points(sign)
     if sign == "none":
-        found = _signed(mesh, points, return_closest, structure or unbounded(mesh), repeated, whole)
+        found = _distances(mesh, points, return_closest, without_sign(structure or unbounded(mesh)), repeated, whole)
+        # Nothing changes but gradients on the surface, which are zero.
         return found.abs() if isinstance(found, Tensor) else (found[0].abs(), found[1])
-    return _signed(mesh, points, return_closest, structure, repeated, whole)
+    return _distances(mesh, points, return_closest, structure, repeated, whole)
 
 
 def search_needs_tree_alone(device: torch.device) -> bool:
@@ -82,7 +86,21 @@ def unbounded(mesh: TriangleMesh) -> AccelerationStructure:
     return build(mesh.vertices.detach()[None], mesh.faces, mesh.faces.new_empty((0, 2)), tree_alone=alone)
 
 
-def _signed(
+@cache
+def unsigned_winding() -> Any:
+    """The kernels' `Winding` of points whose side nobody asks for, without data. Nobody may write into it."""
+    winding = Winding()
+    winding.kind = int(MeshKind.UNSIGNED)
+    return winding
+
+
+def without_sign(structure: AccelerationStructure) -> AccelerationStructure:
+    """The same arrays, for distances of at least 0."""
+    sizes = structure.sizes._replace(kind=MeshKind.UNSIGNED)
+    return replace(structure, sizes=sizes, view=structure.view._replace(winding=unsigned_winding()))
+
+
+def _distances(
     mesh: TriangleMesh,
     points: Any,
     return_closest: bool,
@@ -92,12 +110,16 @@ def _signed(
 ) -> Tensor | tuple[Tensor, Closest]:
     at = as_points(points, mesh.device)
     shape, at = at.shape[:-1], at.reshape(-1, 3)
+    # Without a sign copies change nothing but the names of faces.
+    signed = repeated if structure is None or structure.kind is not MeshKind.UNSIGNED else None
     if not return_closest and not (at.requires_grad or mesh.vertices.requires_grad):
         values = points_distance(mesh.vertices, mesh.faces, at, structure)
-        return (values if repeated is None else repeated.signed(values, at)).reshape(shape)
+        return (values if signed is None else signed.signed(values, at)).reshape(shape)
     values, point, face, barycentric = points_closest(mesh.vertices, mesh.faces, at, structure)
+    if signed is not None:
+        values = signed.signed(values, at)
     if repeated is not None:
-        values, face = repeated.signed(values, at), repeated.faces(face)
+        face = repeated.faces(face)
     values = values.reshape(shape)
     if not return_closest:
         return values

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sdm.engine.ops import SMALLEST_SORT
 from sdm.engine.plan_override import OPTIONS
+from sdm.engine.points import unsigned_winding
 from sdm.engine.ragged.structure import RaggedStructure
 from sdm.kernels.points.packets import PACKET
 from sdm.kernels.points.plan import plan_points
@@ -22,7 +23,7 @@ from sdm.runtime.torch_warp import as_warp, on_current_stream, to_device, worksp
 
 
 def ragged_points(
-    structure: RaggedStructure, places: Sequence[int], points: Sequence[Tensor], hits: bool
+    structure: RaggedStructure, places: Sequence[int], points: Sequence[Tensor], hits: bool, signed: bool = True
 ) -> list[tuple[Tensor, ...]]:
     """Signed distances (N,) of points (N,3) from meshes, and with `hits` closest points, faces and coordinates.
 
@@ -31,6 +32,7 @@ def ragged_points(
         places: Those that are asked about, by their places there, from low to high.
         points: (N,3) float32 for each of these, on their device: as many as there are, or none.
         hits: Whether closest points are wanted.
+        signed: Whether sides are: else distances are what they are outside.
     """
     at = torch.cat(list(points))
     counts, device = [part.shape[0] for part in points], at.device
@@ -68,7 +70,7 @@ def ragged_points(
                 tree,
                 features,
                 cones,
-                winding,
+                winding if signed else unsigned_winding(),
                 where,
                 as_warp(in_places, wp.int32),
                 as_warp(values, wp.float32),

@@ -94,9 +94,10 @@ def _together(chunk: Sequence[PointsJob], closest: bool, sign: Sign) -> dict[int
         structure = RaggedBuild([job.mesh for job in jobs]).finish([job.number for job in jobs])
         kept = [i for i, job in enumerate(jobs) if not may_be_crowded(job.mesh, structure.boundary_of(i))]
         joint = [i for i in kept if sign == "none" or i not in structure.topologies]
-        some = ragged_points(structure, joint, [jobs[i].points.reshape(-1, 3) for i in joint], closest) if joint else []
+        rows, signed = [jobs[i].points.reshape(-1, 3) for i in joint], sign != "none"
+        some = ragged_points(structure, joint, rows, closest, signed) if joint else []
         for i, (values, *hit) in zip(joint, some, strict=True):
-            found[jobs[i].number] = _shaped(jobs[i], values.abs() if sign == "none" else values, hit)
+            found[jobs[i].number] = _shaped(jobs[i], values, hit)
         # Those with holes have winding numbers of their own kinds.
         for i in set(kept).difference(joint):
             job = jobs[i]

@@ -7,10 +7,11 @@ import torch
 
 from sdm.bench.common.meshes import load_case
 from sdm.core.mesh import TriangleMesh
+from sdm.engine.acceleration import MeshKind
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ops import CPU_SORT
 from sdm.engine.plan_override import plan_override
-from sdm.engine.points import PointsIndex
+from sdm.engine.points import PointsIndex, without_sign
 
 
 @pytest.mark.parametrize("name", ["torus", "open hemisphere", "repeated faces", "needle box", "overlapping shells"])
@@ -53,3 +54,35 @@ def test_lists_have_what_they_read():
     wanted = MeshIndex(mesh, "cpu", warn=False).signed_distance(points)
     with plan_override(points_method="lists"):
         assert torch.equal(PointsIndex(mesh, "cpu").signed_distance(points), wanted)
+
+
+@pytest.mark.parametrize("method", ["search", "lists"])
+@pytest.mark.parametrize(
+    ("name", "share", "kind"),
+    [
+        ("torus-20000", 1.0, MeshKind.CLOSED),
+        ("torus-20000", 0.999, MeshKind.OPEN),
+        ("torus-20000", 0.9, MeshKind.DIRTY),
+        ("repeated faces", 1.0, None),
+    ],
+)
+def test_without_a_sign_none_is_looked_for(name, share, kind, method, device):
+    """Distances and hits are those with a sign, though nothing is there by which one could be found."""
+    case, random = load_case(name), torch.Generator().manual_seed(2)
+    kept = torch.rand(len(case.faces), generator=random) < share
+    mesh = TriangleMesh(case.vertices, torch.from_numpy(case.faces)[kept], check=False)
+    low, high = (torch.tensor(corner, dtype=torch.float32) for corner in mesh.bounds)
+    points = (low + (1.4 * torch.rand(700, 3, generator=random) - 0.2) * (high - low)).to(device)
+    points[7] = torch.nan
+    with plan_override(points_method=method):
+        index = MeshIndex(mesh, device, warn=False)
+        assert kind in (None, index._structure.kind)
+        wanted, wanted_hit = index.signed_distance(points, return_closest=True)
+        found, hit = index.signed_distance(points, return_closest=True, sign="none")
+        alone = index.signed_distance(points, sign="none")
+    # Null pointers: whoever reads them crashes.
+    winding = without_sign(index._structure).view.winding
+    assert (winding.moments, winding.boundary.ends, winding.caps.moments) == (None, None, None)
+    assert torch.equal(found.view(torch.int32), wanted.abs().view(torch.int32))
+    assert torch.equal(alone.view(torch.int32), found.view(torch.int32))
+    assert torch.equal(hit.faces, wanted_hit.faces)
