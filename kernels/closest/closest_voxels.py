@@ -43,12 +43,12 @@ class Surroundings:
 
 @wp.struct
 class Named:
-    """The face that is named so far, and the one with the largest |cos|."""
+    """The face that is named so far, and the two largest |cos| of all: the other one may be the same again."""
 
     place: wp.int32  # 3 * face + corner, where the edge begins or the corner is
     back: wp.int32  # 1 if the edge leads the other way there
-    cos: float
     most: float
+    second: float
 
 
 @wp.kernel
@@ -79,43 +79,48 @@ def look_around(tree: Tree, faces: wp.array, neighbours: wp.array, around: Surro
 
 
 @wp.func
-def better(around: Surroundings, way: wp.vec3, named: Named, place: int, back: int):
-    """The face that is named once another one was looked at: as `facing_slot` has it."""
+def better(around: Surroundings, way: wp.vec3, named: Named, place: int, back: int, again: bool):
+    """The face that is named once another one was looked at: the largest |cos|, and `again` the smallest face.
+
+    As `facing` has it: of those whose |cos| is as large as the largest of all, in whichever order they come.
+    """
     face = place / 3
     n = load4(around.normals, face)
     cos = wp.abs(n[0] * way[0] + n[1] * way[1] + n[2] * way[2])
-    wins = (cos >= named.most - SAME and face < named.place / 3) or cos > named.cos + SAME
-    found = Named()
+    found = named
+    wins = cos > named.most
+    if again:
+        wins = cos >= named.most - SAME and face < named.place / 3
+    else:
+        found.second = wp.max(named.second, wp.min(named.most, cos))
+        found.most = wp.max(named.most, cos)
     found.place = wp.where(wins, place, named.place)
     found.back = wp.where(wins, back, named.back)
-    found.cos = wp.where(wins, cos, named.cos)
-    found.most = wp.max(named.most, cos)
     return found
 
 
 @wp.func
-def at_edge(around: Surroundings, way: wp.vec3, first: Named):
-    """The face to name at an edge."""
+def at_edge(around: Surroundings, way: wp.vec3, start: int, first: Named, again: bool):
+    """The face to name at an edge, from a look at all faces there but the one to start from."""
     named = first
-    start = int(first.place)
     code = around.rows[start / 3, start % 3]
     back = int(0)
     steps = int(0)
     while code >= 0 and code / 2 != start and steps < MOST_AROUND:
         other = code / 2
         back = wp.where(code % 2 == 1, back, 1 - back)
-        named = better(around, way, named, other, back)
+        named = better(around, way, named, other, back, again)
         code = around.rows[other / 3, other % 3]
         steps = steps + 1
     return named
 
 
 @wp.func
-def around_corner(around: Surroundings, way: wp.vec3, first: Named):
-    """The face to name at a corner."""
+def around_corner(around: Surroundings, way: wp.vec3, place: int, first: Named, again: bool):
+    """The face to name at a corner, from a look at all faces that are come to but the one to start from."""
     named = first
-    start = first.place / 3
-    corner = first.place % 3
+    start = place / 3
+    corner = place % 3
     turn = int(0)
     while turn < 2:
         # Over the edge that begins at the corner, or over the one that ends there.
@@ -128,7 +133,7 @@ def around_corner(around: Surroundings, way: wp.vec3, first: Named):
             begins = wp.where(code % 2 == 1, begins, 1 - begins)
             here = wp.where(begins == 1, side, (side + 1) % 3)
             leave = wp.where(begins == 1, (side + 2) % 3, here)
-            named = better(around, way, named, other - side + here, 0)
+            named = better(around, way, named, other - side + here, 0, again)
             code = around.rows[other / 3, leave]
             begins = 1 - begins
             steps = steps + 1
@@ -181,7 +186,7 @@ def _name_measured(begin: int, tree: Tree, slab: Slab, around: Surroundings, hit
         return
     slot = winner / 8
     part = winner % 8
-    a, b, c, n = load_corners(tree, slot)
+    a, b, c, _n = load_corners(tree, slot)
     face = tree.face[slot]
     _mesh, at = unravel(number, slab.shape)
     p = tree.frame[SCALE] * wp.vec3d(voxel(slab, at[0], at[1], at[2]))
@@ -203,14 +208,19 @@ def _name_measured(begin: int, tree: Tree, slab: Slab, around: Surroundings, hit
         length = wp.length(way)
         far = wp.max(wp.abs(float(p[0])), wp.max(wp.abs(float(p[1])), wp.abs(float(p[2]))))
         way = wp.where(length > ON_SURFACE * wp.max(1.0, far), way / length, wp.vec3())
+        start = 3 * face + corner
         named = Named()
-        named.place = 3 * face + corner
-        named.cos = wp.abs(wp.dot(n, way))
-        named.most = named.cos
-        if part >= 3:
-            named = at_edge(around, way, named)
-        else:
-            named = around_corner(around, way, named)
+        named.most = float(-1.0)
+        named.second = float(-1.0)
+        turn = int(0)
+        while turn < 2:
+            # Once more only where another one faces as much.
+            named = better(around, way, named, start, 0, turn == 1)
+            if part >= 3:
+                named = at_edge(around, way, start, named, turn == 1)
+            else:
+                named = around_corner(around, way, start, named, turn == 1)
+            turn = wp.where(named.second < named.most - SAME, 2, turn + 1)
         face = named.place / 3
         if named.back != 0:
             along = wp.float64(1.0) - along

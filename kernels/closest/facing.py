@@ -4,7 +4,9 @@ A closest point on an edge or a corner of the mesh is on all faces there. Of tho
 to within float64's rounding (`EQUAL`), the one whose plane faces it most is named, that is with the largest |cos| of
 the angle between its normal and the way from the closest point; of those whose |cos| is the same to within SAME, the
 one with the smallest number. Faces that are nearly segments have no plane, and |cos| 0; of a query point on the
-surface all have. (Where points far apart are equally near, `nearest_slot` takes the one of the smallest face.)
+surface all have. Where several follow each other by less than SAME, a chain of comparisons would end with another one
+in another order: so the largest |cos| is found first, then the smallest number. (Where points far apart are equally
+near, `nearest_slot` takes the one of the smallest face.)
 
 The rule depends on the mesh and the point alone, so that normals and textures that are looked up do. At an edge of two
 faces with normals m and n the way is v = a m + b n with a, b >= 0, outside of a convex one. Then (v.m)^2 - (v.n)^2 =
@@ -47,46 +49,49 @@ def facing(tree: Tree, slot: int, p: wp.vec3d, hit: Hit, least: wp.float64):
     return wp.abs(wp.dot(n, way)) / length
 
 
+@wp.struct
+class Facing:
+    """Distance and largest |cos| of the triangles that touch a closest point, as far as they were looked at."""
+
+    least: wp.float64  # distance from the query point
+    most: wp.float64  # |cos| of those that are as near, to within EQUAL
+    second: wp.float64  # the next largest one, or the same again
+    slot: wp.int32  # of the largest; in the end the one to name
+    seen: wp.int32  # triangles but for the given one
+
+
 @wp.func
-def faced(
-    tree: Tree,
-    other: int,
-    p: wp.vec3d,
-    reach: wp.float64,
-    least: wp.float64,
-    best: int,
-    best_facing: wp.float64,
-    most: wp.float64,
-):
-    """The state of `facing_slot` after a look at another triangle."""
+def faced(tree: Tree, other: int, p: wp.vec3d, largest: wp.float64, turn: int, found: Facing):
+    """The state of `facing_slot` after a look at a triangle in one of three turns; the order of looks does not matter.
+
+    The first finds the least distance; the second, of all that are as near, the two largest |cos|; the last, of those
+    whose |cos| is the same, the smallest face.
+    """
     hit = exact_hit(tree, other, p)
-    if wp.sqrt(hit.distance2) <= reach:
-        # The largest so far counts, not the chosen one's, which may be less.
-        faces = facing(tree, other, p, hit, least)
-        wins = faces >= most - SAME and tree.face[other] < tree.face[best]
-        wins = wins or faces > best_facing + SAME
-        most = wp.max(most, faces)
-        if wins:
-            best = other
-            best_facing = faces
-    return best, best_facing, most
+    distance = wp.sqrt(hit.distance2)
+    if turn == 0:
+        found.least = wp.min(found.least, distance)
+    elif distance <= found.least + EQUAL * largest:
+        faces = facing(tree, other, p, hit, ON_SURFACE * largest)
+        if turn == 1:
+            if faces > found.most:
+                found.second = found.most
+                found.most = faces
+                found.slot = other
+            else:
+                found.second = wp.max(found.second, faces)
+        elif faces >= found.most - SAME and tree.face[other] < tree.face[found.slot]:
+            found.slot = other
+    return found
 
 
 @wp.func
-def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
-    """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled)."""
-    largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
-    least = ON_SURFACE * largest
-    hit = exact_hit(tree, slot, p)
-    at = wp.vec3(hit.point)
-    reach = wp.sqrt(hit.distance2) + EQUAL * largest
-    best = int(slot)
-    most = facing(tree, slot, p, hit, least)
-    best_facing = most
+def touching(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing):
+    """`faced` of all triangles but the given one that touch a point, down the tree."""
     base = nodes_of(tree, 0)
     leaves = 1 << tree.depth
     if on_cpu():
-        # The same by eight boxes, and by the triangles of one or two leaves, at once.
+        # By eight boxes, and by the triangles of one or two leaves, at once.
         depth = eights_depth(tree)
         pairs = tree.depth - depth
         leaves = 1 << depth
@@ -100,8 +105,9 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
                 begin, count = eights_leaf(tree, 0, (at_node - leaves) << pairs, pairs)
                 squares = eight_triangles(tree.corners, begin, count, at)
                 for k in range(8):
-                    if squares[k] <= TOUCHING2 and begin + k != slot:
-                        best, best_facing, most = faced(tree, begin + k, p, reach, least, best, best_facing, most)
+                    if squares[k] <= TOUCHING2 and begin + k != given:
+                        found = faced(tree, begin + k, p, largest, turn, found)
+                        found.seen = found.seen + 1
             else:
                 step = eights_step(at_node, depth)
                 squares = eight_boxes(tree.boxes, base + (at_node << step), 1 << step, at)
@@ -109,19 +115,19 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
                     if squares[7 - k] <= TOUCHING2:
                         wide[above] = (at_node << step) + 7 - k
                         above = above + 1
-        return best
+        return found
     nodes = NodeStack()
     waiting = int(0)
     node = int(1)
-    # Always to the left first, so that the way does not depend on the slot that is given.
     while node > 0:
         if node >= leaves:
             leaf = node - leaves
             first = slots_of(tree, 0)
             for other in range(first + first_triangle(tree, leaf), first + first_triangle(tree, leaf + 1)):
                 d2, _part = slot_part(tree, other, at)
-                if d2 <= TOUCHING2 and other != slot:
-                    best, best_facing, most = faced(tree, other, p, reach, least, best, best_facing, most)
+                if d2 <= TOUCHING2 and other != given:
+                    found = faced(tree, other, p, largest, turn, found)
+                    found.seen = found.seen + 1
             node = int(0)
         else:
             left = node_distance2(tree, base + 2 * node, at) <= TOUCHING2
@@ -133,4 +139,29 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
         if node == 0 and waiting > 0:
             waiting = waiting - 1
             node = nodes[waiting]
-    return best
+    return found
+
+
+@wp.func
+def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
+    """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled).
+
+    It is the same for each of those that are equally near.
+    """
+    largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
+    hit = exact_hit(tree, slot, p)
+    at = wp.vec3(hit.point)
+    found = Facing()
+    found.least = wp.sqrt(hit.distance2)
+    found.most = wp.float64(-1.0)
+    found.second = wp.float64(-1.0)
+    found.slot = slot
+    turn = int(0)
+    while turn < 3:
+        found = faced(tree, slot, p, largest, turn, found)
+        found = touching(tree, slot, p, at, largest, turn, found)
+        turn = turn + 1
+        # Nothing else is there, or nothing else faces p as much.
+        if found.seen == 0 or (turn == 2 and found.second < found.most - SAME):
+            turn = int(3)
+    return found.slot

@@ -104,3 +104,42 @@ def test_both_ways_name_the_same_faces(mesh, seed):
             found.append(sdm.signed_distance(sdm.TriangleMesh(*mesh), points, return_closest=True, device="cpu")[1])
     assert found[0].faces.tolist() == found[1].faces.tolist()
     assert found[0].points.tolist() == found[1].points.tolist()
+
+
+def nearly_flat_cone(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Faces around a corner whose |cos| before it follow each other by less than FACING, and by more all together."""
+    rng = np.random.default_rng(seed)
+    angle = np.arange(7) * 2 * np.pi / 7
+    rim = np.stack([np.cos(angle), np.sin(angle), -0.5 - rng.uniform(0, 8e-6, 7)], 1)
+    faces = np.array([[0, 1 + k, 1 + (k + 1) % 7] for k in range(7)])
+    return np.concatenate([np.zeros((1, 3)), rim]).astype(np.float32), rng.permutation(faces)
+
+
+@pytest.mark.usefixtures("points_method")
+@pytest.mark.parametrize("seed", range(10))
+def test_the_order_of_looks_does_not_matter(seed):
+    """Also where the first and the last of some faces differ in |cos|, and none from the next."""
+    vertices, faces = nearly_flat_cone(seed)
+    points = np.array([[0, 0, 0.5], [0, 0, 1], [0, 0, 2]], np.float32)
+    _, hit = sdm.signed_distance(
+        sdm.TriangleMesh(vertices, faces), points, return_closest=True, sign="none", device="cpu"
+    )
+    assert hit.points.tolist() == [[0, 0, 0]] * 3
+    assert hit.faces.tolist() == named(vertices, faces, points, hit.points.numpy()).tolist()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_order_of_looks_does_not_matter_to_maps(seed):
+    """Maps compare in float32: no face before the named one faces clearly as much, and it nearly as much as any."""
+    vertices, faces = nearly_flat_cone(seed)
+    grid = sdm.Grid((0, 0, 0.25), (0.25,) * 3, (1, 1, 8))
+    with plan_override(method="cells"):
+        _, hit = sdm.signed_distance_map(
+            sdm.TriangleMesh(vertices, faces), grid, return_closest=True, sign="none", device="cpu"
+        )
+    corner = vertices.astype(np.float64)[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    cos = np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1)
+    for face in set(hit.faces.reshape(-1).tolist()):
+        assert cos[face] >= cos.max() - 1.3 * FACING
+        assert not (cos[:face] >= cos.max() - 0.7 * FACING).any()
