@@ -22,7 +22,7 @@ from sdm.fit import SCANNERS, FitResult, Image, Scanner
 from sdm.fit.model.backend import Distances
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State
-from sdm.fit.study.simulate import FINE
+from sdm.fit.study.simulate import FINE, SHARP
 from sdm.viz.fit_figure import surface_of
 
 # The mean shape is an average in a frame of its own: its base points along -x, so it is turned by this about z [rad],
@@ -73,7 +73,7 @@ def scan(mesh: TriangleMesh, scanner: Scanner, seed: int) -> Image:
     grid = Grid((low + high) / 2 - scanner.spacing * (shape - 1) / 2, (scanner.spacing,) * 3, shape)
     nowhere = torch.zeros(3, dtype=torch.float64)
     state = State(torch.zeros(0, dtype=torch.float64), torch.eye(3, dtype=torch.float64), nowhere, nowhere)
-    share = Renderer(grid, _OneMesh(mesh), blur=scanner.blur, length=FINE / 4, fine=FINE)(state, derivatives=False)
+    share = Renderer(grid, _OneMesh(mesh), blur=scanner.blur, length=FINE / SHARP, fine=FINE)(state, derivatives=False)
     noise = torch.from_numpy(np.random.Generator(np.random.Philox(seed)).standard_normal(grid.shape))
     values = scanner.outside + (scanner.inside - scanner.outside) * share.share + scanner.noise * noise
     return Image(values.float(), grid)

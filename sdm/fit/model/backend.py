@@ -65,6 +65,22 @@ def rough_of(backend: Backend) -> Backend:
 
 
 @runtime_checkable
+class HasFiner(Protocol):
+    """A backend that can do with finer meshes."""
+
+    def finer(self) -> Backend | None:
+        """The same shapes by meshes of four times as many triangles, turned about the same centre; None if its shapes
+        are those of their meshes.
+        """
+        ...
+
+
+def finer_of(backend: Backend) -> Backend | None:
+    """Backend of finer meshes, to see what the facets of the usual ones do; None if there is none."""
+    return backend.finer() if isinstance(backend, HasFiner) else None
+
+
+@runtime_checkable
 class HasExact(Protocol):
     """A surrogate that knows the backend which it stands for."""
 

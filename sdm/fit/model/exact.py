@@ -45,6 +45,7 @@ class ExactBackend:
         self.parameters = self.family.parameters
         self.faces = self.family.faces_on(self.device)
         self.evaluations = 0
+        self._finer: ExactBackend | None = None
         self._theta = torch.full((len(self.parameters),), torch.nan, dtype=torch.float64, device=self.device)
         self._jacobian: Tensor | None = None
         low, high = self._box()
@@ -58,6 +59,16 @@ class ExactBackend:
         rough = ExactBackend(family, self.device)
         rough.name, rough.centre = f"{self.name}, rough", self.centre
         return rough
+
+    def finer(self) -> ExactBackend | None:
+        """The same family from meshes of four times as many triangles; None where that is no matter of choice."""
+        if self._finer is None:
+            family = self.family.with_triangles(4 * self.faces.shape[0])
+            if family is None:
+                return None
+            self._finer = ExactBackend(family, self.device)
+            self._finer.name, self._finer.centre = f"{self.name}, finer", self.centre
+        return self._finer
 
     def distances(self, theta: Tensor, points: Tensor) -> Tensor:
         """Signed distances (N,) float64 of points (N,3) float64 for theta (P,)."""

@@ -41,12 +41,10 @@ class Samples:
 
     Args:
         share: (mx,my,mz) float64.
-        outward: (mx,my,mz) float32 its derivative as the whole surface moves outwards [1/mm], or None.
         by_step: (P+6,mx,my,mz) float32 its derivatives by the increments of `State.moved`, or None.
     """
 
     share: Tensor
-    outward: Tensor | None
     by_step: Tensor | None
 
 
@@ -60,12 +58,15 @@ class Renderer:
         length: The reference length l_ref of the logistic [mm].
         fine: Largest distance between sample points [mm]; with several points to a voxel, partial volume is exact to
             second order in it.
+        times: So many times as many sample points along each axis as `fine` asks for.
     """
 
-    def __init__(self, grid: Grid, backend: Backend, *, blur: float, length: float, fine: float) -> None:
+    def __init__(
+        self, grid: Grid, backend: Backend, *, blur: float, length: float, fine: float, times: int = 1
+    ) -> None:
         self.grid, self.backend, self.length = grid, backend, length
         device = backend.device
-        self.parts = [max(1, math.ceil(s / fine - 1e-9)) for s in grid.spacing]
+        self.parts = [times * max(1, math.ceil(s / fine - 1e-9)) for s in grid.spacing]
         pads = [math.ceil(3 * self._rest(blur) / s) for s in grid.spacing]
         wanted = [(n + 2 * p) * m for n, p, m in zip(grid.shape, pads, self.parts, strict=True)]
         self.count = [math.ceil(n / LEVELS[0]) * LEVELS[0] for n in wanted]
@@ -130,7 +131,7 @@ class Renderer:
         at = state.to_shape(self._points(near, 1))
         if not derivatives:
             share[tuple(near.T)] = torch.sigmoid(self.backend.distances(state.theta, at) / -self.length)
-            return Samples(share, None, None)
+            return Samples(share, None)
         found = self.backend.with_derivatives(state.theta, at)
         p = torch.sigmoid(found.values / -self.length)
         share[tuple(near.T)] = p
@@ -139,9 +140,7 @@ class Renderer:
         # Derivatives of 1e-7 relative accuracy are plenty, at half the memory.
         dense = torch.zeros(by_step.shape[1], *share.shape, device=share.device)
         dense[(slice(None), *near.T)] = by_step.T.float()
-        outward = torch.zeros(share.shape, device=share.device)
-        outward[tuple(near.T)] = slope.float()
-        return Samples(share, outward, dense)
+        return Samples(share, dense)
 
     def _points(self, index: Tensor, edge: int) -> Tensor:
         """Middles (N,3) of boxes of sample points."""

@@ -43,9 +43,13 @@ class State:
         return State(self.theta + step[:count], rotation, self.translation + step[count + 3 :], self.centre)
 
     def since(self, other: State) -> Tensor:
-        """The increment (P+6,) from another state to this one: `other.moved(self.since(other))` is this one."""
+        """The increment (P+6,) from another state to this one: `other.moved(self.since(other))` is this one.
+
+        Shapes that turn about different points are compared where the other's point is.
+        """
         turn = vector_from_rotation(other.rotation.T @ self.rotation)
-        return torch.cat([self.theta - other.theta, turn, self.translation - other.translation])
+        translation = self.to_world(other.centre[None])[0]
+        return torch.cat([self.theta - other.theta, turn, translation - other.translation])
 
     def chain(self, inside: Tensor, by_theta: Tensor, by_point: Tensor) -> Tensor:
         """Derivatives (N,P+6) of distances by the increment, at step 0.

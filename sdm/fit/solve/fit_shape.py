@@ -242,12 +242,13 @@ def _turns(turn: float, device: torch.device) -> list[Tensor]:
     return [rotation_from_vector(v.double().to(device)) for v in steps]
 
 
-def renderer_of(grid: Grid, backend: Backend, options: FitOptions) -> Renderer:
-    """The renderer of a model."""
+def renderer_of(grid: Grid, backend: Backend, options: FitOptions, times: int = 1) -> Renderer:
+    """The renderer of a model, with `times` as many sample points along each axis and as short a logistic."""
     if options.model == "labels":
-        length = options.length or min(grid.spacing) / 4
-        return Renderer(grid, backend, blur=0.0, length=length, fine=max(grid.spacing))
-    return Renderer(grid, backend, blur=options.blur, length=options.length or options.fine / 6, fine=options.fine)
+        length, blur, fine = options.length or min(grid.spacing) / 4, 0.0, max(grid.spacing)
+    else:
+        length, blur, fine = options.length or options.fine / 6, options.blur, options.fine
+    return Renderer(grid, backend, blur=blur, length=length / times, fine=fine, times=times)
 
 
 def prior_of(grid: Grid, backend: Backend, options: FitOptions) -> Prior:

@@ -17,6 +17,8 @@ from sdm.fit.model.pose import State
 
 # Sample points of a simulated image are this far apart at most [mm]: finer than any fit's.
 FINE = 0.05
+# The logistic's length is this part of that: it moves a round surface outwards by its square.
+SHARP = 8
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def simulate(
     """
     generator = np.random.default_rng(derive_seed(seed, "simulated image"))
     grid = _grid(state, scanner.spacing, margin, generator) if grid is None else as_grid(grid)
-    renderer = Renderer(grid, backend, blur=scanner.blur, length=FINE / 4, fine=FINE)
+    renderer = Renderer(grid, backend, blur=scanner.blur, length=FINE / SHARP, fine=FINE)
     share = renderer(state, derivatives=False).share.cpu()
     noise = torch.from_numpy(generator.standard_normal(grid.shape))
     values = scanner.outside + (scanner.inside - scanner.outside) * share + scanner.noise * noise

@@ -19,6 +19,7 @@ from sdm.fit.model.pose import State
 from sdm.fit.model.prior import Prior
 from sdm.fit.solve.diagnosis import diagnose
 from sdm.fit.solve.fit_shape import FitOptions, image_tensor, prior_of, renderer_of
+from sdm.fit.solve.formation.discretisation import Discretisation, discretisation
 from sdm.fit.solve.formation.intensity_field import Intensities, polynomials
 from sdm.fit.solve.formation.noise_correlation import Lag, autocorrelation, correlated_information, effective_share
 from sdm.fit.solve.formation.predictive_check import predictive_p
@@ -26,14 +27,13 @@ from sdm.fit.solve.posterior import Posterior
 from sdm.fit.solve.result import FitResult, Formation
 from sdm.fit.solve.solver import Outcome, Point
 
-# Steps; the length of a step, in posterior standard deviations, that ends them; halvings of a step that goes up.
-MOST_STEPS, STILL, HALVINGS = 15, 0.02, 5
+# Steps; the length of a step, in posterior standard deviations, after which the discretisation's error is taken out,
+# and that which ends them; halvings of a step that goes up.
+MOST_STEPS, NEAR, STILL, HALVINGS = 15, 0.5, 0.02, 5
 # A rise that facets alone may make [nats].
 ROUGHNESS = 0.01
 # Prior of the logarithm of the blur about the one that is named, and relative change for its derivative.
 BLUR_SPREAD, BLUR_STEP = 0.7, 0.02
-# Surface that the meshes' facets and the sample points leave uncertain, along its normal [mm].
-SURFACE_ERROR = 0.001
 # The model does not describe the image where the check's p is below the one, and the residuals at the surface that
 # noise does not explain are beyond the other, as a share of the contrast: facets alone leave less.
 LEAST_P, MATERIAL = 1e-3, 0.05
@@ -65,18 +65,21 @@ class _Seen:
 
     share: Tensor  # (N,)
     by_unknown: Tensor  # (P+7,N) by shape, pose and log blur
-    outward: Tensor  # (N,) by the whole surface as it moves outwards [1/mm]
+
+    def corrected(self, correction: Tensor) -> _Seen:
+        """The same with a correction (N,) of the shares."""
+        return replace(self, share=self.share + correction)
 
 
 def _seen(renderer: Renderer, blur: float, state: State) -> _Seen:
     """Voxels of a state by a renderer of this blur: its sample points are looked up once for all derivatives."""
     samples = renderer.sampled(state)
     rendered = renderer.rendered(samples)
-    assert rendered.by_step is not None and samples.outward is not None  # noqa: S101, PT018 - for the type checker
+    assert rendered.by_step is not None  # noqa: S101 - for the type checker
     more, less = (renderer.with_blur(blur * math.exp(s)).blurred(samples.share) for s in (BLUR_STEP, -BLUR_STEP))
     by_blur = ((more - less) / (2 * BLUR_STEP)).flatten()
     by_unknown = torch.cat([rendered.by_step.flatten(1).double(), by_blur[None]])
-    return _Seen(rendered.share.flatten(), by_unknown, renderer.blurred(samples.outward).double().flatten())
+    return _Seen(rendered.share.flatten(), by_unknown)
 
 
 def estimate_formation(
@@ -122,6 +125,7 @@ def estimate_formation(
     noise = (result.appearance.inside.deviation**2, result.appearance.outside.deviation**2)
     begun = Intensities(basis, means, noise, result.appearance.least)
     start = math.log(result.blur[0]) if result.blur is not None else named
+    error: Discretisation | None = None
 
     def evaluate(state: State, log_blur: float, seen: _Seen, intensities: Intensities) -> _At:
         objective = _objective(voxels, seen.share, intensities, state, log_blur)
@@ -136,6 +140,7 @@ def estimate_formation(
     def tried(state: State, log_blur: float, intensities: Intensities) -> _At:
         blur = math.exp(log_blur)
         seen = _seen(renderer_of(grid, backend, replace(options, blur=blur)), blur, state)
+        seen = seen if error is None else seen.corrected(error.correction)
         return evaluate(state, log_blur, seen, intensities.fitted(voxels, seen.share))
 
     def _objective(voxels: Tensor, share: Tensor, it: Intensities, state: State, log_blur: float) -> float:
@@ -144,19 +149,23 @@ def estimate_formation(
         uneven = 0.5 * float((it.precision() * it.coefficients**2).sum())
         return fit + uneven + prior.penalty(state) + 0.5 * ((log_blur - named) / BLUR_SPREAD) ** 2
 
-    at, steps = with_noise(tried(result.state, start, begun)), 0
+    at, steps, still = with_noise(tried(result.state, start, begun)), 0, NEAR
     while True:
         full, gradient = _normal(at, voxels, prior, named)
         step = _step(full, gradient, at.state, prior)
         length = float((step @ full @ step).clamp_min(0).sqrt())
-        converged = length < STILL
-        if converged or steps >= MOST_STEPS:
+        ends = length < still or steps >= MOST_STEPS
+        lower = None if ends else _down(at, step[: len(at.seen.by_unknown)], prior, tried)
+        if lower is not None:
+            at, steps = with_noise(lower), steps + 1
+        elif error is None:
+            # Far below the noise of most images, and far above the intervals of those with next to none.
+            seen = replace(options, blur=math.exp(at.log_blur))
+            error, still = discretisation(grid, backend, seen, at.state, at.share), STILL
+            at = with_noise(evaluate(at.state, at.log_blur, at.seen.corrected(error.correction), at.intensities))
+        else:
             break
-        lower = _down(at, step[: len(at.seen.by_unknown)], prior, tried)
-        if lower is None:
-            break
-        at, steps = with_noise(lower), steps + 1
-    return _finished(values, grid, result, prior, backend, at, full, length, converged, steps)
+    return _finished(values, grid, result, prior, backend, at, error, full, length, steps)
 
 
 def _down(at: _At, step: Tensor, prior: Prior, tried: Callable[[State, float, Intensities], _At]) -> _At | None:
@@ -168,13 +177,6 @@ def _down(at: _At, step: Tensor, prior: Prior, tried: Callable[[State, float, In
         if found.objective < at.objective + ROUGHNESS:
             return found
     return None
-
-
-def _systematic(at: _At, every: Tensor, inverse: Tensor) -> Tensor:
-    """(K,K) covariance of the unknowns by `SURFACE_ERROR` all over the surface, which no number of voxels averages."""
-    own = at.seen.outward * at.intensities.contrast() / at.intensities.variance(at.share)
-    shift = SURFACE_ERROR * (inverse @ (every @ own))
-    return shift[:, None] * shift
 
 
 def _normal(at: _At, voxels: Tensor, prior: Prior, named: float) -> tuple[Tensor, Tensor]:
@@ -211,7 +213,7 @@ def _step(full: Tensor, gradient: Tensor, state: State, prior: Prior) -> Tensor:
 
 def _finished(
     values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At,
-    full: Tensor, length: float, converged: bool, steps: int,
+    error: Discretisation, full: Tensor, length: float, steps: int,
 ) -> FitResult:  # fmt: skip
     rows = at.rows()
     shape, count = values.shape, rows.shape[0]
@@ -229,7 +231,9 @@ def _finished(
     inverse = torch.linalg.inv(full)
     covariance = inverse @ (correlated_information(scaled, lags) + white) @ inverse
     covariance = _not_narrower(covariance, inverse) if lags else covariance
-    covariance = (covariance + _systematic(at, torch.cat([rows, design.T]), inverse))[:count, :count]
+    # Shares that are off, in intensities, by their weights.
+    felt = torch.cat([rows, design.T]) * (it.contrast() / it.variance(at.share))
+    covariance = (covariance + inverse @ error.score(felt.view(-1, *shape)) @ inverse)[:count, :count]
 
     # The image as it were with even intensities, for the checks that know of no others.
     inside, outside = (float((w * (it.basis @ c)).sum() / w.sum().clamp_min(1e-12)) for w, c in zip(
@@ -241,7 +245,7 @@ def _finished(
     body = count - 1
     point = Point(at.state, appearance, at.objective, full[:body, 0] * 0, full[:body, :body], full, share)
     names = [q.name for q in backend.parameters]
-    told = diagnose(even, grid, Outcome(point, converged, length, steps, ()), prior, names)
+    told = diagnose(even, grid, Outcome(point, length < STILL, length, steps, ()), prior, names)
     contrast = abs(inside - outside)
     noise = float(residual[~near].std()) * float(deviation.view(shape)[near].mean()) if bool(near.any()) else 0.0
     left = noise * math.sqrt(max(0.0, excess - 1)) / max(contrast, 1e-300)
