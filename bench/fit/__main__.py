@@ -5,6 +5,7 @@
     python -m sdm.bench.fit mismatch --count 24     the same in images that do not fit the model. Resumable
     python -m sdm.bench.fit formation --count 40    the same with the image's formation estimated. Resumable
     python -m sdm.bench.fit refusals --count 500    how many images with an answer are refused? Resumable
+    python -m sdm.bench.fit campaign                both of these in one queue, a line of JSON a case. Resumable
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
 
@@ -25,6 +26,7 @@ import argparse
 from pathlib import Path
 
 from sdm.bench.common.checkout import docs_folder, results_folder
+from sdm.bench.fit.campaign import campaign
 from sdm.bench.fit.cases import cases
 from sdm.bench.fit.coverage import coverage
 from sdm.bench.fit.formation import formation
@@ -39,6 +41,7 @@ STUDIES = {
     "mismatch": mismatch,
     "formation": formation,
     "refusals": refusals,
+    "campaign": campaign,
     "real": real,
     "pictures": pictures,
 }
@@ -64,8 +67,8 @@ def main() -> None:
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
-    for name in ("coverage", "mismatch", "formation", "refusals"):
-        each[name].add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
+    for name in ("coverage", "mismatch", "formation", "refusals", "campaign"):
+        each[name].add_argument("--budget-s", "--limit-s", type=float, default=float("inf"), help="begin no fit after this long")
         each[name].add_argument("--processes", type=int, default=1, help="how many at once, a thread each")
         each[name].add_argument("--first", type=int, default=0, help="begin with this case: other machines do the rest")
     each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")
@@ -73,6 +76,10 @@ def main() -> None:
     for name, count in (("formation", 40), ("refusals", 500)):
         each[name].add_argument("--count", type=int, default=count, help="cases (under each condition)")
         each[name].add_argument("--folder", type=Path, default=Path(f"build/fit-{name}"), help="one file a case")
+    each["campaign"].add_argument("--count", type=int, default=400, help="cases under each condition")
+    each["campaign"].add_argument("--images", type=int, default=500, help="images of the study of refusals")
+    each["campaign"].add_argument("--folder", type=Path, default=Path("build/fit-campaign"), help="one file a case")
+    each["campaign"].add_argument("--lines", type=Path, default=Path("build/fit-campaign.jsonl"), help="a line a case")
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
     each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["pictures"].add_argument("--docs", type=Path, default=docs_folder())

@@ -93,7 +93,7 @@ def formation(options: argparse.Namespace) -> None:
         for name in CASES
         if not _path(name, number, options).is_file()
     ]
-    run_cases(_run, jobs, options.processes)
+    run_cases(run, jobs, options.processes)
     report = {name: {"note": case.note, **_summary(name, options)} for name, case in CASES.items()}
     write(options.out, {"wanted": options.count, "named_blur_mm": NAMED_BLUR, "conditions": report,
                         "machine": describe(options.device)})  # fmt: skip
@@ -106,7 +106,8 @@ def _path(name: str, number: int, options: argparse.Namespace) -> Path:
     return options.folder / f"{name}-{number}.json"
 
 
-def _run(job: tuple[str, int, argparse.Namespace, float]) -> None:
+def run(job: tuple[str, int, argparse.Namespace, float]) -> None:
+    """Fit one case, if there is time, and write its file."""
     name, number, options, deadline = job
     if time.monotonic() > deadline:
         return

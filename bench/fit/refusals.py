@@ -43,7 +43,7 @@ def refusals(options: argparse.Namespace) -> None:
     deadline = time.monotonic() + options.budget_s
     numbers = range(options.first, options.count)
     jobs = [(number, options, deadline) for number in numbers if not _path(number, options).is_file()]
-    run_cases(_run, jobs, options.processes)
+    run_cases(run, jobs, options.processes)
     found = summary(counted(_path(number, options) for number in range(options.count)))
     write(options.out, {"wanted": options.count, **found, "machine": describe(options.device)})
     print(json.dumps({key: value for key, value in found.items() if key != "cases"}, indent=1))
@@ -97,7 +97,8 @@ def _path(number: int, options: argparse.Namespace) -> Path:
     return options.folder / f"{number}.json"
 
 
-def _run(job: tuple[int, argparse.Namespace, float]) -> None:
+def run(job: tuple[int, argparse.Namespace, float]) -> None:
+    """Fit one image, if there is time, and write its file."""
     number, options, deadline = job
     if time.monotonic() > deadline:
         return

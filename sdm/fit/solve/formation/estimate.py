@@ -25,13 +25,11 @@ from sdm.fit.solve.formation.noise_correlation import Lag, autocorrelation, corr
 from sdm.fit.solve.formation.predictive_check import predictive_p
 from sdm.fit.solve.posterior import Posterior
 from sdm.fit.solve.result import FitResult, Formation
-from sdm.fit.solve.solver import Outcome, Point
+from sdm.fit.solve.solver import FLAT, PATIENCE, ROUGHNESS, Outcome, Point
 
 # Steps; the length of a step, in posterior standard deviations, after which the discretisation's error is taken out,
 # and that which ends them; halvings of a step that goes up.
 MOST_STEPS, NEAR, STILL, HALVINGS = 15, 0.5, 0.02, 5
-# A rise that facets alone may make [nats].
-ROUGHNESS = 0.01
 # Prior of the logarithm of the blur about the one that is named, and relative change for its derivative.
 BLUR_SPREAD, BLUR_STEP = 0.7, 0.02
 # The model does not describe the image where the check's p is below the one, and the residuals at the surface that
@@ -149,23 +147,27 @@ def estimate_formation(
         uneven = 0.5 * float((it.precision() * it.coefficients**2).sum())
         return fit + uneven + prior.penalty(state) + 0.5 * ((log_blur - named) / BLUR_SPREAD) ** 2
 
-    at, steps, still = with_noise(tried(result.state, start, begun)), 0, NEAR
-    while True:
-        full, gradient = _normal(at, voxels, prior, named)
-        step = _step(full, gradient, at.state, prior)
-        length = float((step @ full @ step).clamp_min(0).sqrt())
-        ends = length < still or steps >= MOST_STEPS
-        lower = None if ends else _down(at, step[: len(at.seen.by_unknown)], prior, tried)
-        if lower is not None:
+    def descended(at: _At, still: float) -> tuple[_At, Tensor, float, bool, int]:
+        """The last state, its information, the length of the step that is left, whether it converged, and steps."""
+        steps, shortest, waited = 0, math.inf, 0
+        while True:
+            full, gradient = _normal(at, voxels, prior, named)
+            step = _step(full, gradient, at.state, prior)
+            length = float((step @ full @ step).clamp_min(0).sqrt())
+            waited = 0 if length < 0.5 * shortest or length > FLAT else waited + 1
+            shortest, converged = min(shortest, length), length < still or waited > PATIENCE
+            ends = converged or steps >= MOST_STEPS
+            lower = None if ends else _down(at, step[: len(at.seen.by_unknown)], prior, tried)
+            if lower is None:
+                return at, full, length, converged, steps
             at, steps = with_noise(lower), steps + 1
-        elif error is None:
-            # Far below the noise of most images, and far above the intervals of those with next to none.
-            seen = replace(options, blur=math.exp(at.log_blur))
-            error, still = discretisation(grid, backend, seen, at.state, at.share), STILL
-            at = with_noise(evaluate(at.state, at.log_blur, at.seen.corrected(error.correction), at.intensities))
-        else:
-            break
-    return _finished(values, grid, result, prior, backend, at, error, full, length, steps)
+
+    at, _, _, _, before = descended(with_noise(tried(result.state, start, begun)), NEAR)
+    # Far below the noise of most images, and far above the intervals of those with next to none.
+    error = discretisation(grid, backend, replace(options, blur=math.exp(at.log_blur)), at.state, at.share)
+    at = with_noise(evaluate(at.state, at.log_blur, at.seen.corrected(error.correction), at.intensities))
+    at, full, length, converged, after = descended(at, STILL)
+    return _finished(values, grid, result, prior, backend, at, error, full, length, converged, before + after)
 
 
 def _down(at: _At, step: Tensor, prior: Prior, tried: Callable[[State, float, Intensities], _At]) -> _At | None:
@@ -213,7 +215,7 @@ def _step(full: Tensor, gradient: Tensor, state: State, prior: Prior) -> Tensor:
 
 def _finished(
     values: Tensor, grid: Any, result: FitResult, prior: Prior, backend: Backend, at: _At,
-    error: Discretisation, full: Tensor, length: float, steps: int,
+    error: Discretisation, full: Tensor, length: float, converged: bool, steps: int,
 ) -> FitResult:  # fmt: skip
     rows = at.rows()
     shape, count = values.shape, rows.shape[0]
@@ -245,7 +247,7 @@ def _finished(
     body = count - 1
     point = Point(at.state, appearance, at.objective, full[:body, 0] * 0, full[:body, :body], full, share)
     names = [q.name for q in backend.parameters]
-    told = diagnose(even, grid, Outcome(point, length < STILL, length, steps, ()), prior, names)
+    told = diagnose(even, grid, Outcome(point, converged, length, steps, ()), prior, names)
     contrast = abs(inside - outside)
     noise = float(residual[~near].std()) * float(deviation.view(shape)[near].mean()) if bool(near.any()) else 0.0
     left = noise * math.sqrt(max(0.0, excess - 1)) / max(contrast, 1e-300)

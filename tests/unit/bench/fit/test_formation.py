@@ -42,7 +42,7 @@ def test_scenes_are_what_they_say(truth: ExactBackend, monkeypatch: pytest.Monke
 
 
 def test_a_study_is_summed_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(formation, "_run", lambda job: pytest.fail("a case was fitted again"))
+    monkeypatch.setattr(formation, "run", lambda job: pytest.fail("a case was fitted again"))
     for name in CASES:
         for number, z in enumerate([0.0, 1.7 if name == "thick" else 1.0]):
             row = {"number": number, "z": [z] * 4 + [0.0] * 6, "z_before": [2.0] * 10, "deviations": [1.0] * 10}
