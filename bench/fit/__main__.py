@@ -68,7 +68,9 @@ def main() -> None:
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
     for name in ("coverage", "mismatch", "formation", "refusals", "campaign"):
-        each[name].add_argument("--budget-s", "--limit-s", type=float, default=float("inf"), help="begin no fit after this long")
+        each[name].add_argument(
+            "--budget-s", "--limit-s", type=float, default=float("inf"), help="begin no fit after this long"
+        )
         each[name].add_argument("--processes", type=int, default=1, help="how many at once, a thread each")
         each[name].add_argument("--first", type=int, default=0, help="begin with this case: other machines do the rest")
     each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")

@@ -1,7 +1,7 @@
-"""The studies `formation` and `refusals` in one queue, a line of JSON for each case: for a machine that is lent for long.
+"""The studies `formation` and `refusals` in one queue, a line of JSON for each case.
 
-Cases are ordered so that whenever the queue stops, each condition has about the same share of those that it wants. Lines
-are written as cases end; the next run goes on from them, on any machine.
+Cases are ordered so that whenever the queue stops, each condition has about the same share of those that it wants.
+Lines are written as cases end; the next run goes on from them, on any machine.
 """
 
 from __future__ import annotations

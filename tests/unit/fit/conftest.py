@@ -14,4 +14,5 @@ def coarse_simulation() -> Iterator[None]:
     """Simulated images of an eighth of the sample points: still finer than any fit's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sdm.fit.study.simulate, "FINE", 0.1)
+        patch.setattr(sdm.fit.study.simulate, "SHARP", 4)
         yield

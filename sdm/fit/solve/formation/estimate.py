@@ -227,8 +227,10 @@ def _finished(
     near = ((at.share > 0.02) & (at.share < 0.98)).view(shape)
     p, excess = predictive_p(residual, near, count, lags)
     scaled = (torch.cat([rows, design.T]) / deviation).view(-1, *shape)
-    if excess > 1:
-        scaled = scaled * torch.where(near, math.sqrt(excess), 1.0)
+    # Beyond the noise that is taken for granted, which may be more than there is elsewhere.
+    level = float((residual[near] ** 2).sum()) / max(1, int(near.sum()) - count)
+    if excess > 1 and level > 1:
+        scaled = scaled * torch.where(near, math.sqrt(min(excess, level)), 1.0)
     white = full - (torch.cat([rows, design.T]) / deviation**2) @ torch.cat([rows, design.T]).T
     inverse = torch.linalg.inv(full)
     covariance = inverse @ (correlated_information(scaled, lags) + white) @ inverse
