@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from sdm.bench.fit import formation, refusals
+from sdm.bench.fit import campaign, formation, refusals
 from sdm.bench.fit.formation import CASES, scene
 from sdm.bench.fit.tools import counted, run_cases
 from sdm.core.grid import Grid
@@ -97,3 +97,20 @@ def test_every_job_is_done_once(tmp_path: Path, processes: int, monkeypatch: pyt
         monkeypatch.setenv(name, "1")
     run_cases(Path.touch, [tmp_path / str(n) for n in range(5)], processes)
     assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_a_queue_that_stops_leaves_every_condition_with_the_same_share(tmp_path: Path):
+    cases = campaign.queue(40, 50)
+    assert len(set(cases)) == len(cases) == 40 * len(CASES) + 50
+    for end in (100, 200):
+        counts = [sum(case[:2] == ("formation", name) for case in cases[:end]) for name in CASES]
+        assert max(counts) - min(counts) <= 1
+        assert abs(sum(case[0] == "refusals" for case in cases[:end]) - end * 50 / len(cases)) < 3
+    lines = tmp_path / "lines.jsonl"
+    campaign._append(lines, {"study": "refusals", "condition": "", "number": 3, "record": {"number": 3}})
+    campaign._append(lines, {"study": "formation", "condition": "blur", "number": 1, "record": {"number": 1}})
+    with lines.open("a") as file:
+        file.write('{"study": "ref')
+    assert campaign.unpack(lines, tmp_path) == {("refusals", "", 3), ("formation", "blur", 1)}
+    assert json.loads((tmp_path / "refusals" / "3.json").read_text()) == {"number": 3}
+    assert (tmp_path / "formation" / "blur-1.json").is_file()
