@@ -123,6 +123,7 @@ def query_blocks(
     plan: Plan,
     empty: Callable[[int, Any], wp.array],
     chunks: int | None = None,
+    join_winding: Callable[[], None] | None = None,
 ) -> None:
     """Fill the values of blocks, where winding numbers are, with signed distances.
 
@@ -138,6 +139,7 @@ def query_blocks(
         plan: Of a dense query of the measured grid.
         empty: Allocates workspace.
         chunks: Of the pool on a GPU, if it is known how many are needed. What finds no room there is searched.
+        join_winding: Called before winding numbers are looked at.
     """
     device: Any = to.values.device
     out: Any = Output()
@@ -146,7 +148,9 @@ def query_blocks(
     set_array(out, "address", empty(1, wp.int64))
     set_array(out, "winners", empty(0, wp.int32))
     set_array(out, "searched", empty(0, wp.int32))
+    join = join_winding or _nothing
     if plan.method == "search":
+        join()
         set_array(out, "missed", empty(1, wp.int32))
         _search_blocks(slab, to, surface.tree, measured, out, max(1, to.values.size // 8), everywhere=True)
         return
@@ -161,7 +165,7 @@ def query_blocks(
         measure,
         partial(_search_blocks, slab, to),
     )
-    run_stages(surface, measured, out, plan, empty, partial(nullcontext, _nothing), _nothing, own)
+    run_stages(surface, measured, out, plan, empty, partial(nullcontext, _nothing), join, own)
 
 
 def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | None = None) -> Plan:

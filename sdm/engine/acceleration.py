@@ -361,6 +361,20 @@ def fill_surface(
     tree_alone: bool = False,
 ) -> None:
     """Queue the kernels that do not depend on a boundary, and fill each mesh's `bounds`, as `build_tree` does."""
+    start_surface(view, vertices, faces, neighbours, bounds, join, tree_alone=tree_alone)()
+
+
+def start_surface(
+    view: KernelView,
+    vertices: Tensor,
+    faces: Tensor,
+    neighbours: Tensor,
+    bounds: wp.array,
+    join: Join | None = None,
+    *,
+    tree_alone: bool = False,
+) -> Join:
+    """`fill_surface`, of which features may be under way on a branch: to be joined before they are read."""
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
     if view.tree.meshes:
@@ -372,14 +386,19 @@ def fill_surface(
     if join is not None:
         join()
     if tree_alone:
-        return
+        return lambda: None
     shared = as_warp(neighbours, wp.int32)
     # None of these fills a GPU by itself.
     with kernels_beside(vertices) as join_parts:
         voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
     triangle_frames.make_frames(view.tree, view.frames)
     normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-    join_parts()
+
+    def joined_with(_kept: Any = empty) -> None:
+        # The branch reads normals, whose memory is kept until here.
+        join_parts()
+
+    return joined_with
 
 
 def fill_boundary(

@@ -23,6 +23,7 @@ from sdm.kernels.dense.block.winners import BlockOutput
 from sdm.kernels.dense.plan import memory_of
 from sdm.kernels.dense.query import Surface
 from sdm.kernels.launch import set_array
+from sdm.runtime.graphs.branches import kernels_beside
 from sdm.runtime.torch_warp import as_warp, warp_name, workspace
 
 BLOCK_BYTES = 4 * BLOCK**3
@@ -84,28 +85,21 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | N
     near, layer = torch.zeros(room + beside, dtype=torch.int32, device=device).split([room, beside])
     flat, counts = as_warp(values.view(-1), wp.float32), as_warp(listed.counts, wp.int32)
     blocks, lost = (as_warp(listed.counts[number : number + 1], wp.int32) for number in (BLOCKS, LOST))
-    if band.signed:
-        whole_windings(
-            tree,
-            winding,
-            band.slab,
-            listed.table,
-            as_warp(listed.order, wp.int32),
-            blocks,
-            as_warp(layer, wp.int32),
-            flat,
-            lost,
-        )
-        if winding.caps.tree.count > 0:
-            open_blocks(tree, winding.boundary, winding.caps, band.slab, listed.table, flat, empty)
-    else:
-        values.zero_()
+    # Lists are made meanwhile.
+    with kernels_beside(values) as join_winding:
+        if band.signed:
+            order, ends = as_warp(listed.order, wp.int32), as_warp(layer, wp.int32)
+            whole_windings(tree, winding, band.slab, listed.table, order, blocks, ends, flat, lost)
+            if winding.caps.tree.count > 0:
+                open_blocks(tree, winding.boundary, winding.caps, band.slab, listed.table, flat, empty)
+        else:
+            flat.zero_()
     to: Any = BlockOutput()
     to.table, to.width, to.shifts = listed.table, band.width, wp.vec3i(*band.shifts)
     set_array(to, "values", flat)
     set_array(to, "near", as_warp(near, wp.int32))
     surface, regions = Surface(tree, frames, features, cones), as_warp(listed.regions, wp.vec4i)
-    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks)
+    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks, join_winding)
     kept = torch.empty(room, dtype=torch.int32, device=device)
     places = as_warp(kept, wp.int32)
     keep_near(to.near, empty(room, wp.int32), places, counts)

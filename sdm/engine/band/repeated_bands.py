@@ -19,7 +19,7 @@ from torch import Tensor
 from sdm.core.block_lookup import blocks_along
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, fill_surface, layout
+from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, layout, start_surface
 from sdm.engine.band.band_slab import BandSlab, plan_for
 from sdm.engine.band.block_distances import BLOCK_BYTES, BandBlocks, Measured, queue_measure, taken
 from sdm.engine.band.listed_blocks import Room, fits, is_beyond, queue_list
@@ -127,8 +127,10 @@ def queue_band(
     band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed=True)
     bounds = torch.empty(6, dtype=torch.float32, device=vertices.device)
     with on_current_stream(vertices, vertices, within, neighbours):
-        fill_surface(structure.view, vertices[None], within, neighbours, as_warp(bounds, wp.float32), join)
+        box = as_warp(bounds, wp.float32)
+        join_features = start_surface(structure.view, vertices[None], within, neighbours, box, join)
         listed = queue_list(band, room)
+        join_features()
         measured = queue_measure(band, listed, gaps=True, chunks=room.chunks)
     # The highest coordinates with a minus, as counts have them.
     bounds[3:].neg_()
