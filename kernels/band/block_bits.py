@@ -11,7 +11,6 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.geometry.block_table import BlockTable, place_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.bits import first_of, members_of, set_bits, without_first
@@ -61,6 +60,22 @@ def mark_block(bits: BlockBits, at: wp.vec3i):
     set_bits(bits.words, bits.rows * bits.deep + line * bits.wide + (at[0] >> 5), 1 << (at[0] & 31))
 
 
+@wp.func
+def is_marked(bits: BlockBits, at: wp.vec3i):
+    """True if the bits of a block are set, or about to be by another."""
+    word = bits.words[(at[0] * bits.along[1] + at[1]) * bits.deep + (at[2] >> 5)]
+    return (word & (1 << (at[2] & 31))) != 0
+
+
+@wp.func
+def marked_before(bits: BlockBits, first: int, word: int):
+    """Number of bits that are set in so many words from a first one on."""
+    total = int(0)
+    for before in range(word):
+        total = total + members_of(bits.words[first + before])
+    return total
+
+
 @wp.kernel
 def _count_rows(begin: int, bits: BlockBits, counts: wp.array(dtype=wp.int32)):
     row = begin + wp.tid()
@@ -69,10 +84,7 @@ def _count_rows(begin: int, bits: BlockBits, counts: wp.array(dtype=wp.int32)):
     if row >= bits.rows:
         size = bits.wide
         first = bits.rows * bits.deep + (row - bits.rows) * bits.wide
-    total = int(0)
-    for word in range(size):
-        total = total + members_of(bits.words[first + word])
-    counts[row] = total
+    counts[row] = marked_before(bits, first, size)
 
 
 @wp.kernel
@@ -85,24 +97,29 @@ def _write_blocks(
     rows: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
 ):
-    row = begin + wp.tid()
+    """A word of a row along z: its blocks; and of the first word where the row begins."""
+    number = begin + wp.tid()
+    row = number / bits.deep
+    word = number - row * bits.deep
     place = int(0)
     if row > 0:
         place = ends[row - 1]
-    rows[row] = wp.min(place, room)
-    if row + 1 == bits.rows:
-        counts[BLOCKS] = ends[row]
-        rows[row + 1] = wp.min(ends[row], room)
+    if word == 0:
+        rows[row] = wp.min(place, room)
+        if row + 1 == bits.rows:
+            counts[BLOCKS] = ends[row]
+            rows[row + 1] = wp.min(ends[row], room)
+    left = bits.words[number]
+    if left == 0:
+        return
     x = row / bits.along[1]
     y = row - x * bits.along[1]
-    if place < ends[row]:
-        for word in range(bits.deep):
-            left = bits.words[row * bits.deep + word]
-            while left != 0:
-                if place < room:
-                    blocks[place] = wp.vec3i(x, y, WORD * word + first_of(left))
-                place = place + 1
-                left = without_first(left)
+    place = place + marked_before(bits, row * bits.deep, word)
+    while left != 0:
+        if place < room:
+            blocks[place] = wp.vec3i(x, y, WORD * word + first_of(left))
+        place = place + 1
+        left = without_first(left)
 
 
 @wp.kernel
@@ -110,26 +127,32 @@ def _write_order(
     begin: int,
     bits: BlockBits,
     ends: wp.array(dtype=wp.int32),
-    table: BlockTable,
     order: wp.array(dtype=wp.int32),
 ):
-    line = begin + wp.tid()
-    before = ends[bits.rows - 1]
-    place = int(0)
+    """A word of a row along x: the places of its blocks, which are counted in their rows along z."""
+    number = begin + wp.tid()
+    line = number / bits.wide
+    word = number - line * bits.wide
+    first = bits.rows * bits.deep
+    left = bits.words[first + number]
+    if left == 0:
+        return
+    place = marked_before(bits, first + line * bits.wide, word)
     if line > 0:
-        place = ends[bits.rows + line - 1] - before
-    end = ends[bits.rows + line] - before
+        place = place + ends[bits.rows + line - 1] - ends[bits.rows - 1]
     y = line / bits.along[2]
     z = line - y * bits.along[2]
-    if place < end:
-        for word in range(bits.wide):
-            left = bits.words[bits.rows * bits.deep + line * bits.wide + word]
-            while left != 0:
-                if place < order.shape[0]:
-                    # Of blocks without room nothing is asked.
-                    order[place] = wp.max(place_of(table, wp.vec3i(WORD * word + first_of(left), y, z)), 0)
-                place = place + 1
-                left = without_first(left)
+    while left != 0:
+        if place < order.shape[0]:
+            row = (WORD * word + first_of(left)) * bits.along[1] + y
+            mine = marked_before(bits, row * bits.deep, z >> 5)
+            mine = mine + members_of(bits.words[row * bits.deep + (z >> 5)] & ((1 << (z & 31)) - 1))
+            if row > 0:
+                mine = mine + ends[row - 1]
+            # Of blocks without room nothing is asked.
+            order[place] = wp.where(mine < order.shape[0], mine, 0)
+        place = place + 1
+        left = without_first(left)
 
 
 @wp.kernel
@@ -141,39 +164,31 @@ def _list_regions(
     regions: wp.array(dtype=wp.vec4i),
     counts: wp.array(dtype=wp.int32),
 ):
-    """A word of four or of sixteen rows: the regions of 2^3 cells, of edge^3 blocks, with some."""
+    """A region of 2^3 cells, of edge^3 blocks: listed if it has some."""
     thread = begin + wp.tid()
-    word = thread % bits.deep
-    y = (thread / bits.deep) % along[1]
-    x = thread / bits.deep / along[1]
+    z = thread % along[2]
+    y = (thread / along[2]) % along[1]
+    x = thread / along[2] / along[1]
     edge = 1 << edge_bits
-    some = int(0)
+    half = edge >> 1
+    low = (1 << half) - 1
+    word = (z << edge_bits) >> 5
+    shift = (z << edge_bits) & (WORD - 1)
+    cells = int(0)
     for i in range(edge):
         for j in range(edge):
             if edge * x + i < bits.along[0] and edge * y + j < bits.along[1]:
                 row = (edge * x + i) * bits.along[1] + edge * y + j
-                some = some | bits.words[row * bits.deep + word]
-    if some == 0:
-        return
-    half = edge >> 1
-    low = (1 << half) - 1
-    for k in range(WORD >> edge_bits):
-        shift = k << edge_bits
-        if ((some >> shift) & ((low << half) | low)) != 0:
-            cells = int(0)
-            for i in range(edge):
-                for j in range(edge):
-                    if edge * x + i < bits.along[0] and edge * y + j < bits.along[1]:
-                        row = (edge * x + i) * bits.along[1] + edge * y + j
-                        mine = bits.words[row * bits.deep + word] >> shift
-                        first = 4 * (i / half) + 2 * (j / half)
-                        if (mine & low) != 0:
-                            cells = cells | (1 << first)
-                        if ((mine >> half) & low) != 0:
-                            cells = cells | (2 << first)
-            place = fetch_add(counts, REGIONS, 1)
-            if place < regions.shape[0]:
-                regions[place] = wp.vec4i(x, y, (WORD >> edge_bits) * word + k, cells)
+                mine = bits.words[row * bits.deep + word] >> shift
+                first = 4 * (i / half) + 2 * (j / half)
+                if (mine & low) != 0:
+                    cells = cells | (1 << first)
+                if ((mine >> half) & low) != 0:
+                    cells = cells | (2 << first)
+    if cells != 0:
+        place = fetch_add(counts, REGIONS, 1)
+        if place < regions.shape[0]:
+            regions[place] = wp.vec4i(x, y, z, cells)
 
 
 def list_bits(
@@ -202,10 +217,11 @@ def list_bits(
     numbers, summed = ends[: rows + lines], ends[rows + lines :]
     launch(_count_rows, rows + lines, [bits, numbers], device)
     wp.utils.array_scan(numbers, summed, inclusive=True)
-    launch(_write_blocks, rows, [bits, summed, order.size, table.blocks, table.rows, counts], device)
-    launch(_write_order, lines, [bits, summed, table, order], device)
+    inputs = [bits, summed, order.size, table.blocks, table.rows, counts]
+    launch(_write_blocks, rows * int(bits.deep), inputs, device)
+    launch(_write_order, lines * int(bits.wide), [bits, summed, order], device)
     if cell_bits is not None:
         edge = 2 << cell_bits
-        along = wp.vec3i(-(-bits.along[0] // edge), -(-bits.along[1] // edge), 0)
-        inputs = [bits, cell_bits + 1, along, regions, counts]
-        launch(_list_regions, along[0] * along[1] * int(bits.deep), inputs, device)
+        x, y, z = (-(-n // edge) for n in bits.along)
+        inputs = [bits, cell_bits + 1, wp.vec3i(x, y, z), regions, counts]
+        launch(_list_regions, x * y * z, inputs, device)

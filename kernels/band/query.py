@@ -123,6 +123,7 @@ def query_blocks(
     plan: Plan,
     empty: Callable[[int, Any], wp.array],
     chunks: int | None = None,
+    join_surface: Callable[[], None] | None = None,
     join_winding: Callable[[], None] | None = None,
 ) -> None:
     """Fill the values of blocks, where winding numbers are, with signed distances.
@@ -139,7 +140,8 @@ def query_blocks(
         plan: Of a dense query of the measured grid.
         empty: Allocates workspace.
         chunks: Of the pool on a GPU, if it is known how many are needed. What finds no room there is searched.
-        join_winding: Called before winding numbers are looked at.
+        join_surface: Called before features and cones are looked at.
+        join_winding: Called before winding numbers are, and before `to` is.
     """
     device: Any = to.values.device
     out: Any = Output()
@@ -148,20 +150,25 @@ def query_blocks(
     set_array(out, "address", empty(1, wp.int64))
     set_array(out, "winners", empty(0, wp.int32))
     set_array(out, "searched", empty(0, wp.int32))
-    join = join_winding or _nothing
+    join_both, join = join_surface or _nothing, join_winding or _nothing
     if plan.method == "search":
+        join_both()
         join()
         set_array(out, "missed", empty(1, wp.int32))
         _search_blocks(slab, to, surface.tree, measured, out, max(1, to.values.size // 8), everywhere=True)
         return
     plan = band_plan(plan, regions.size, surface.tree.face.shape[0], device.is_cuda, chunks)
 
+    def find(*given: Any) -> None:
+        find_listed_witnesses(regions, counts, *given)
+        join_both()
+
     def measure(*given: Any) -> None:
         measure_blocks(*given, kernel=_measure_band, more=[to])
         launch(_note_chunks, 1, [given[POOL], counts], device)
 
     own = OwnStages(
-        partial(find_listed_witnesses, regions, counts),
+        find,
         measure,
         partial(_search_blocks, slab, to),
     )

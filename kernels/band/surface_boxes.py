@@ -40,9 +40,10 @@ def box_gap2(low: wp.vec3, high: wp.vec3, box: VoxelBox):
 
 
 @wp.func
-def may_reach(tree: Tree, slot: int, box: VoxelBox, reach: float, reach2: float):
+def triangle_may_reach(
+    a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3, box: VoxelBox, reach: float, reach2: float
+):
     """False only for triangles that are further than `reach` from all points of a box."""
-    a, b, c, n = load_corners(tree, slot)
     if box_gap2(wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c)), box) > reach2:
         return False
     h = box.half
@@ -72,7 +73,8 @@ def is_near(tree: Tree, box: VoxelBox, reach: float):
         if node >= leaves:
             leaf = node - leaves
             for t in range(first_triangle(tree, leaf), first_triangle(tree, leaf + 1)):
-                if may_reach(tree, slots_of(tree, 0) + t, box, within, within2):
+                a, b, c, n = load_corners(tree, slots_of(tree, 0) + t)
+                if triangle_may_reach(a, b, c, n, box, within, within2):
                     return True
             node = int(0)
         else:

@@ -7,6 +7,7 @@ arrays that it is given. Meshes that differ are built at once too: `tree_of` say
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -252,6 +253,7 @@ def build_tree(
     keys: wp.array,
     slots: wp.array,
     normals: wp.array,
+    gathered: Callable[[], None] | None = None,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
 
@@ -263,13 +265,14 @@ def build_tree(
         keys: (2 * slots) int64, workspace.
         slots: (2 * slots) int32, workspace.
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
+        gathered: Called once all is queued but the nodes' boxes.
     """
     meshes = vertices.shape[0]
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
     launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
     reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
-    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals)
+    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered)
 
 
 def build_in_frame(
@@ -280,6 +283,7 @@ def build_in_frame(
     keys: wp.array,
     slots: wp.array,
     normals: wp.array,
+    gathered: Callable[[], None] | None = None,
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
@@ -290,6 +294,8 @@ def build_in_frame(
     # The meshes' numbers are above the curve's codes.
     wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
     launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device, smallest=LIGHT_SHARE)
+    if gathered is not None:
+        gathered()
     level = tree.depth + 1
     while level > 0:
         # A launch costs more than a few boxes one after the other.

@@ -47,6 +47,8 @@ class MeshKind(IntEnum):
     UNSIGNED = winding_number.UNSIGNED  # of points whose side nobody asks for
 
 
+# Branch of a graph on which features are found, beside cones on the first.
+FEATURES = 2
 # Kinds whose boundary edges are visited one by one, and those with a tree of dipoles.
 VISITING = frozenset((MeshKind.OPEN, MeshKind.MANY, MeshKind.DIRTY))
 WITH_DIPOLES = frozenset((MeshKind.MANY, MeshKind.DIRTY, MeshKind.SOUP))
@@ -373,8 +375,12 @@ def start_surface(
     join: Join | None = None,
     *,
     tree_alone: bool = False,
+    gathered: Callable[[], None] | None = None,
 ) -> Join:
-    """`fill_surface`, of which features may be under way on a branch: to be joined before they are read."""
+    """`fill_surface`, of which features and cones may be under way on branches: to be joined before they are read.
+
+    `gathered`: see `build_tree`.
+    """
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
     if view.tree.meshes:
@@ -382,23 +388,25 @@ def start_surface(
         corners = repeated_row(corners, view.tree.meshes)
     normals = empty(4 * count, wp.float32)
     keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)
-    build_tree(view.tree, corners, triples, bounds, keys, slots, normals)
+    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, gathered)
     if join is not None:
         join()
     if tree_alone:
         return lambda: None
     shared = as_warp(neighbours, wp.int32)
     # None of these fills a GPU by itself.
-    with kernels_beside(vertices) as join_parts:
+    with kernels_beside(vertices) as join_cones:
+        normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
+    with kernels_beside(vertices, FEATURES) as join_features:
         voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
     triangle_frames.make_frames(view.tree, view.frames)
-    normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
 
-    def joined_with(_kept: Any = empty) -> None:
-        # The branch reads normals, whose memory is kept until here.
-        join_parts()
+    def join_parts(_kept: Any = empty) -> None:
+        # Branches read normals, whose memory is kept until here.
+        join_cones()
+        join_features()
 
-    return joined_with
+    return join_parts
 
 
 def fill_boundary(

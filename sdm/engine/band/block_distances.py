@@ -23,9 +23,11 @@ from sdm.kernels.dense.block.winners import BlockOutput
 from sdm.kernels.dense.plan import memory_of
 from sdm.kernels.dense.query import Surface
 from sdm.kernels.launch import set_array
-from sdm.runtime.graphs.branches import kernels_beside
+from sdm.runtime.graphs.branches import Join, kernels_beside
 from sdm.runtime.torch_warp import as_warp, warp_name, workspace
 
+# Branch of a graph on which blocks are listed, and winding numbers found at their voxels.
+LISTS = 1
 BLOCK_BYTES = 4 * BLOCK**3
 # Bytes that are always there; asking takes time.
 SMALL = 1 << 26
@@ -65,7 +67,9 @@ class BandBlocks(NamedTuple):
     room: Room | None = None
 
 
-def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | None = None) -> Measured:
+def queue_measure(
+    band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | None = None, join_surface: Join | None = None
+) -> Measured:
     """Measure the listed blocks, without a wait, and list those that are kept.
 
     To be called on the current stream.
@@ -75,18 +79,19 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | N
         listed: The blocks that may have a voxel in the band, with or without room behind them.
         gaps: Whether to list the runs of blocks that are inside: the mesh is closed, and has its sign.
         chunks: See `query_blocks`.
+        join_surface: The same.
     """
     structure, device, room = band.structure, band.structure.device, len(listed.blocks)
     tree, winding, frames, features, cones = structure.view
     empty = workspace(device)
     values = torch.empty((room, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device)
     beside = band.shape[1] * band.shape[2] if band.signed and band.beyond else 0
-    # Few launches: the host takes most of a small band's time.
-    near, layer = torch.zeros(room + beside, dtype=torch.int32, device=device).split([room, beside])
     flat, counts = as_warp(values.view(-1), wp.float32), as_warp(listed.counts, wp.int32)
     blocks, lost = (as_warp(listed.counts[number : number + 1], wp.int32) for number in (BLOCKS, LOST))
     # Lists are made meanwhile.
-    with kernels_beside(values) as join_winding:
+    with kernels_beside(values, LISTS) as join_winding:
+        # Few launches: the host takes most of a small band's time.
+        near, layer = torch.zeros(room + beside, dtype=torch.int32, device=device).split([room, beside])
         if band.signed:
             order, ends = as_warp(listed.order, wp.int32), as_warp(layer, wp.int32)
             whole_windings(tree, winding, band.slab, listed.table, order, blocks, ends, flat, lost)
@@ -99,7 +104,7 @@ def queue_measure(band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | N
     set_array(to, "values", flat)
     set_array(to, "near", as_warp(near, wp.int32))
     surface, regions = Surface(tree, frames, features, cones), as_warp(listed.regions, wp.vec4i)
-    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks, join_winding)
+    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks, join_surface, join_winding)
     kept = torch.empty(room, dtype=torch.int32, device=device)
     places = as_warp(kept, wp.int32)
     keep_near(to.near, empty(room, wp.int32), places, counts)

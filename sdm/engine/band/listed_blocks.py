@@ -138,10 +138,13 @@ def fits(counts: list[int], room: Room, boxes: list[int]) -> bool:
     return there and counts[BLOCKS] <= room.blocks and counts[REGIONS] <= room.regions
 
 
-def is_beyond(counts: list[int], grid: Grid) -> bool:
-    """True if the mesh of the layers, of whose lists these are the counts, reaches beyond their grid."""
+def is_beyond(counts: list[int], grid: Grid, *, minus: bool = True) -> bool:
+    """True if the mesh of the layers, of whose lists these are the counts, reaches beyond their grid.
+
+    `minus`: whether its highest coordinates have one.
+    """
     bounds = np.array(counts[-BOUNDS:], np.int32).view(np.float32).astype(np.float64)
-    return reaches_beyond(bounds[:3], -bounds[3:], grid)
+    return reaches_beyond(bounds[:3], -bounds[3:] if minus else bounds[3:], grid)
 
 
 def reaches_beyond(low: np.ndarray, high: np.ndarray, grid: Grid) -> bool:

@@ -1,4 +1,4 @@
-"""Blocks of voxels near a surface, found from large boxes down to blocks of 8^3."""
+"""Blocks of voxels near a surface: found from large boxes down to blocks of 8^3, or triangle by triangle."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, keys_of
 from sdm.core.grid import Grid
 from sdm.kernels.band.block_lists import pack_keys
+from sdm.kernels.band.near_triangles import mark_triangles
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes, mark_boxes
 from sdm.kernels.geometry.block_table import BITS
 from sdm.runtime.torch_warp import as_warp
@@ -22,6 +23,8 @@ MOST_FIRST = {"cpu": 512, "cuda": 1 << 15}
 # Boxes that there is room for where lengths of lists are not read in between.
 MOST_BOXES = 1 << 20
 LISTED = (0, 0, 0)
+# Devices where each triangle marks its blocks, if the grid is not turned. On a CPU descents of the tree take less.
+BY_TRIANGLES = ("cuda",)
 
 
 def levels_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
@@ -35,6 +38,11 @@ def levels_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
 def rooms_of(shape: tuple[int, int, int], device: torch.device) -> list[int]:
     """Boxes that `mark_near` has room for at each level but the last."""
     return [min(math.prod(_boxes_of(shape, size)), MOST_BOXES) for size in levels_of(shape, device)[:-1]]
+
+
+def marks_by_triangles(slab: Any, device: torch.device) -> bool:
+    """True if `mark_near` looks at the triangles alone, and not at the boxes of their tree."""
+    return device.type in BY_TRIANGLES and slab.turned == 0
 
 
 def mark_near(
@@ -51,8 +59,11 @@ def mark_near(
         reach: In the mesh's unit.
         bits: See `sdm.kernels.band.block_bits`.
         counts: Zeros, two for each level and for what is before the first: see `surface_boxes`. Where more boxes were
-            counted than `rooms_of` says, bits are missing.
+            counted than `rooms_of` says, bits are missing. They stay zeros where triangles mark the blocks.
     """
+    if marks_by_triangles(slab, counts.device):
+        mark_triangles(tree, slab, reach, bits)
+        return
     device, levels = counts.device, levels_of(shape, counts.device)
     # Kept until all is queued.
     lists: list[Tensor] = []

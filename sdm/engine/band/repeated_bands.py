@@ -21,9 +21,9 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, layout, start_surface
 from sdm.engine.band.band_slab import BandSlab, plan_for
-from sdm.engine.band.block_distances import BLOCK_BYTES, BandBlocks, Measured, queue_measure, taken
-from sdm.engine.band.listed_blocks import Room, fits, is_beyond, queue_list
-from sdm.engine.band.near_blocks import rooms_of
+from sdm.engine.band.block_distances import BLOCK_BYTES, LISTS, BandBlocks, Measured, queue_measure, taken
+from sdm.engine.band.listed_blocks import Listed, Room, fits, is_beyond, queue_list
+from sdm.engine.band.near_blocks import marks_by_triangles, rooms_of
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.repeated_faces import CROWDED
 from sdm.engine.thick_slices import Slices
@@ -32,7 +32,7 @@ from sdm.kernels.dense.plan import Plan, memory_of
 from sdm.kernels.topology.edge_pairing import FLAGS
 from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
-from sdm.runtime.graphs.branches import beside
+from sdm.runtime.graphs.branches import Join, beside, kernels_beside
 from sdm.runtime.torch_warp import as_warp, on_current_stream, warp_name
 from sdm.topology.face_pairing import queue_pairing
 
@@ -126,14 +126,29 @@ def queue_band(
     structure = AccelerationStructure.in_block(_sizes(faces.shape[0]), vertices.device)
     band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed=True)
     bounds = torch.empty(6, dtype=torch.float32, device=vertices.device)
+    lists: list[tuple[Listed, Join]] = []
+
+    def list_blocks() -> None:
+        # Beside the rest of the build, where triangles mark their blocks.
+        with kernels_beside(vertices, LISTS) as join_lists:
+            lists.append((queue_list(band, room), join_lists))
+
+    early = marks_by_triangles(band.slab, vertices.device)
     with on_current_stream(vertices, vertices, within, neighbours):
-        box = as_warp(bounds, wp.float32)
-        join_features = start_surface(structure.view, vertices[None], within, neighbours, box, join)
-        listed = queue_list(band, room)
-        join_features()
-        measured = queue_measure(band, listed, gaps=True, chunks=room.chunks)
-    # The highest coordinates with a minus, as counts have them.
-    bounds[3:].neg_()
+        join_surface = start_surface(
+            structure.view,
+            vertices[None],
+            within,
+            neighbours,
+            as_warp(bounds, wp.float32),
+            join,
+            gathered=list_blocks if early else None,
+        )
+        if not early:
+            list_blocks()
+        ((listed, join_lists),) = lists
+        join_lists()
+        measured = queue_measure(band, listed, gaps=True, chunks=room.chunks, join_surface=join_surface)
     numbers = torch.cat([flags, listed.counts[: -len(bounds)], bounds.view(torch.int32)])
     return numbers, listed.blocks, *measured
 
@@ -143,7 +158,7 @@ def finish_band(grid: Grid, width: float, room: Room, made: tuple[Tensor, ...]) 
     numbers, blocks, *rest = made
     said = numbers.tolist()
     counts = said[FLAGS:]
-    if any(said[:FLAGS]) or is_beyond(counts, grid) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
+    if any(said[:FLAGS]) or is_beyond(counts, grid, minus=False) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
         return None
     with on_current_stream(blocks):
         found = taken(grid.shape, 0, width, blocks, Measured(*rest), counts)

@@ -19,26 +19,37 @@ from sdm.runtime.torch_warp import on_current_stream, warp_stream
 Join: TypeAlias = Callable[[], None]
 
 
+# Branches that a graph may have.
+BRANCHES = 3
+
+
 @cache
-def side_stream(index: int) -> torch.cuda.Stream:
-    """The stream of a GPU that becomes the branch of every graph; made before a recording begins."""
+def side_stream(index: int, branch: int = 0) -> torch.cuda.Stream:
+    """The stream of a GPU that becomes a branch of every graph; made before a recording begins."""
     stream = torch.cuda.Stream(index)
     warp_stream(torch.device("cuda", index), stream)
     return stream
 
 
+def make_side_streams(index: int) -> None:
+    """Make the streams of all branches of a GPU's graphs."""
+    for branch in range(BRANCHES):
+        side_stream(index, branch)
+
+
 @contextmanager
-def beside(device: torch.device) -> Iterator[Join]:
-    """Queue what is queued inside on a branch of the graph being recorded.
+def beside(device: torch.device, branch: int = 0) -> Iterator[Join]:
+    """Queue what is queued inside on a branch, one of `BRANCHES`, of the graph being recorded.
 
     Gives a function that makes the current stream wait for the branch: to be called, once, after the block. What the
-    branch reads and writes has to live until then. Blocks follow each other and do not lie within each other.
+    branch reads and writes has to live until then. Blocks of one branch follow each other and do not
+    lie within each other; those of several run beside each other.
     """
     if not is_recording(device):
         yield _nothing
         return
     main = torch.cuda.current_stream()
-    side = side_stream(main.device_index)
+    side = side_stream(main.device_index, branch)
     side.wait_stream(main)
     done = torch.cuda.Event()
 
@@ -51,12 +62,12 @@ def beside(device: torch.device) -> Iterator[Join]:
 
 
 @contextmanager
-def kernels_beside(tensor: Tensor) -> Iterator[Join]:
+def kernels_beside(tensor: Tensor, branch: int = 0) -> Iterator[Join]:
     """`beside`, for Warp's kernels on `tensor`'s device, whose current stream is Warp's already."""
     if not is_recording(tensor.device):
         yield _nothing
         return
-    with beside(tensor.device) as join, on_current_stream(tensor):
+    with beside(tensor.device, branch) as join, on_current_stream(tensor):
         yield join
 
 
