@@ -94,13 +94,20 @@ def _gather(
     width: float,
     kept: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
+    runs: wp.array(dtype=wp.vec4i),
+    counts: wp.array(dtype=wp.int32),
     found_blocks: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.float32),
+    found_runs: wp.array(dtype=wp.vec4i),
 ):
     thread = begin + wp.tid()
     # Four voxels of a row.
     number = thread >> 7
     quad = thread & 127
+    if quad < 2 and 2 * number + quad < wp.min(counts[RUNS], found_runs.shape[0]):
+        found_runs[2 * number + quad] = runs[2 * number + quad]
+    if number >= wp.min(counts[KEPT], found_blocks.shape[0]):
+        return
     place = kept[number]
     block = blocks[place]
     if quad == 0:
@@ -123,23 +130,29 @@ def gather_blocks(
     width: float,
     kept: wp.array,
     values: wp.array,
+    runs: wp.array,
+    counts: wp.array,
     found_blocks: wp.array,
     found: wp.array,
+    found_runs: wp.array,
 ) -> None:
-    """Copy blocks and values of some places; voxels beyond a grid of this shape get the width.
+    """Copy blocks and values of some places, and runs; voxels beyond a grid of this shape get the width.
 
     Args:
         blocks: (N,) vec3i, all.
         shape: Voxels of the grid.
         first: Added to the x of those copied.
         width: See above.
-        kept: (M,) int32 places.
+        kept: (N,) int32 places, as many as there are.
         values: (N * 512) of all.
-        found_blocks: (M,) vec3i, filled.
-        found: (M * 512), filled.
+        runs: vec4i, as many as there are.
+        counts: `KEPT` and `RUNS` are read.
+        found_blocks: (M,) vec3i, filled as far as there are places.
+        found: (M * 512), filled as far.
+        found_runs: At most (2 * M,) vec4i, filled as far as there are runs.
     """
-    inputs = [blocks, wp.vec3i(*shape), first, width, kept, values, found_blocks, found]
-    launch(_gather, (VOXELS // 4) * kept.size, inputs, found.device)
+    inputs = [blocks, wp.vec3i(*shape), first, width, kept, values, runs, counts, found_blocks, found, found_runs]
+    launch(_gather, (VOXELS // 4) * found_blocks.size, inputs, found.device)
 
 
 @wp.func

@@ -43,6 +43,9 @@ wp.set_module_options({"enable_backward": False})
 CPU_REGIONS = 1 << 11
 # Of a GPU's pool, entries for each triangle and at least.
 ENTRIES_OF_TRIANGLE, LEAST_ENTRIES = 32, 1 << 22
+# And of one pass at most so many chunks, a gibibyte: with more there are more passes, which cost some launches each.
+MOST_CHUNKS = (1 << 30) // (4 * CHUNK)
+LEAST_REGIONS = 1 << 10
 # Which argument of `measure_blocks` is the pool.
 POOL = 6
 
@@ -110,7 +113,7 @@ def _search_voxels(begin: int, workers: int, everywhere: int, tree: Tree, slab: 
 
 @wp.kernel
 def _note_chunks(begin: int, pool: ChunkPool, counts: wp.array(dtype=wp.int32)):
-    counts[CHUNKS] = wp.max(counts[CHUNKS], pool.reserved + pool.counters[NEXT_CHUNK])
+    counts[CHUNKS] = counts[CHUNKS] + pool.reserved + pool.counters[NEXT_CHUNK]
 
 
 def query_blocks(
@@ -136,7 +139,7 @@ def query_blocks(
         regions: (R,) vec4i, the measured grid's regions of 2^3 cells that have voxels of blocks, see
             `find_listed_witnesses`.
         counts: See `block_bits`: `REGIONS` is read, with fewer than R the rest is room; to `AMBIGUOUS` the near voxels
-            with an unclear winding number are added; `CHUNKS` is what a pass had of the pool, or would have had.
+            with an unclear winding number are added; `CHUNKS` is what all passes had of the pool, or would have had.
         plan: Of a dense query of the measured grid.
         empty: Allocates workspace.
         chunks: Of the pool on a GPU, if it is known how many are needed. What finds no room there is searched.
@@ -180,16 +183,20 @@ def band_plan(plan: Plan, regions: int, triangles: int, gpu: bool, known: int | 
 
     On a GPU the pool is their share of the dense query's, and as much again, as those along the surface are alike in
     few ways with all: or, where triangles are in few of them, room for the lists of these; or as many chunks as are
-    `known` to be needed.
+    `known` to be needed. Of the first two no pass gets more than `MOST_CHUNKS`.
     """
     most = min(regions, MOST_REGIONS if gpu else CPU_REGIONS, plan.most)
-    passes = -(-regions // most)
-    most = -(-regions // passes)
     chunks = plan.chunks
     if gpu:
-        share = -(-2 * plan.chunks * most // plan.most)
-        chunks = min(chunks, max(share, (ENTRIES_OF_TRIANGLE * triangles + LEAST_ENTRIES) // CHUNK))
-        chunks = min(chunks, known or chunks)
+        least = (ENTRIES_OF_TRIANGLE * triangles + LEAST_ENTRIES) // CHUNK
+        needed = known or -(-2 * chunks * regions // plan.most)
+        most = min(most, max(LEAST_REGIONS, MOST_CHUNKS * regions // needed))
+        passes = -(-regions // most)
+        # Passes are not quite alike.
+        share = needed if passes == 1 else needed * 9 // (8 * passes)
+        chunks = min(chunks, share if known else max(share, least))
+    passes = -(-regions // most)
+    most = -(-regions // passes)
     return replace(
         plan,
         regions=(0, 0, 0),

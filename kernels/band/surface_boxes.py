@@ -40,9 +40,7 @@ def box_gap2(low: wp.vec3, high: wp.vec3, box: VoxelBox):
 
 
 @wp.func
-def triangle_may_reach(
-    a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3, box: VoxelBox, reach: float, reach2: float
-):
+def triangle_may_reach(a: wp.vec3, b: wp.vec3, c: wp.vec3, n: wp.vec3, box: VoxelBox, reach: float, reach2: float):
     """False only for triangles that are further than `reach` from all points of a box."""
     if box_gap2(wp.min(a, wp.min(b, c)), wp.max(a, wp.max(b, c)), box) > reach2:
         return False

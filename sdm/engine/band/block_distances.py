@@ -29,6 +29,8 @@ from sdm.runtime.torch_warp import as_warp, warp_name, workspace
 # Branch of a graph on which blocks are listed, and winding numbers found at their voxels.
 LISTS = 1
 BLOCK_BYTES = 4 * BLOCK**3
+# Blocks that are copied, with room for all of a list, before it is known how many are kept.
+MOST_EARLY = 1 << 16
 # Bytes that are always there; asking takes time.
 SMALL = 1 << 26
 
@@ -104,7 +106,19 @@ def queue_measure(
     set_array(to, "values", flat)
     set_array(to, "near", as_warp(near, wp.int32))
     surface, regions = Surface(tree, frames, features, cones), as_warp(listed.regions, wp.vec4i)
-    query_blocks(surface, band.slab, band.measured_slab, to, regions, counts, band.plan, empty, chunks, join_surface, join_winding)
+    query_blocks(
+        surface,
+        band.slab,
+        band.measured_slab,
+        to,
+        regions,
+        counts,
+        band.plan,
+        empty,
+        chunks,
+        join_surface,
+        join_winding,
+    )
     kept = torch.empty(room, dtype=torch.int32, device=device)
     places = as_warp(kept, wp.int32)
     keep_near(to.near, empty(room, wp.int32), places, counts)
@@ -115,42 +129,95 @@ def queue_measure(
     return Measured(values, kept, runs)
 
 
-def taken(
-    shape: tuple[int, int, int],
-    first: int,
-    width: float,
-    blocks: Int32[Tensor, "n 3"],
-    measured: Measured,
-    counts: list[int],
-) -> BandBlocks:
-    """The blocks that are kept, in memory of their own, given the counts as numbers.
+class Layers(NamedTuple):
+    """Voxels of the layers that a band is of, the first of them, and the band's width: see `BandSlab`."""
+
+    shape: tuple[int, int, int]
+    first: int
+    width: float
+
+
+class Gathered(NamedTuple):
+    """Blocks that are kept, in memory of their own, with or without room behind them: see `BandBlocks`."""
+
+    blocks: Int32[Tensor, "n 3"]
+    values: Float32[Tensor, "n 8 8 8"]
+    runs: Int32[Tensor, "r 4"]
+
+
+def queue_gather(
+    layers: Layers, blocks: Int32[Tensor, "n 3"], measured: Measured, counts: Int32[Tensor, " c"], kept: int, runs: int
+) -> Gathered:
+    """Copies of the blocks that are kept and of the runs, without a wait.
 
     To be called on the current stream.
 
     Args:
-        shape: Voxels of the layers.
-        first: Of these.
-        width: See `BandSlab`.
+        layers: What was asked.
         blocks: All that were listed.
         measured: What was measured of them.
-        counts: As numbers.
+        counts: The list's.
+        kept: How many blocks there is room for in the copy.
+        runs: The same, at most twice as many.
     """
-    found = blocks.new_empty((counts[KEPT], 3))
-    values = measured.values.new_empty((counts[KEPT], BLOCK, BLOCK, BLOCK))
+    device = blocks.device
+    found = Gathered(
+        torch.empty((kept, 3), dtype=torch.int32, device=device),
+        torch.empty((kept, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=device),
+        torch.empty((runs, 4), dtype=torch.int32, device=device),
+    )
     gather_blocks(
         as_warp(blocks, wp.vec3i),
-        shape,
-        first // BLOCK,
-        width,
-        as_warp(measured.kept[: counts[KEPT]], wp.int32),
+        layers.shape,
+        layers.first // BLOCK,
+        layers.width,
+        as_warp(measured.kept, wp.int32),
         as_warp(measured.values.view(-1), wp.float32),
-        as_warp(found, wp.vec3i),
-        as_warp(values.view(-1), wp.float32),
+        as_warp(measured.runs, wp.vec4i),
+        as_warp(counts, wp.int32),
+        as_warp(found.blocks, wp.vec3i),
+        as_warp(found.values.view(-1), wp.float32),
+        as_warp(found.runs, wp.vec4i),
     )
-    runs = measured.runs[: counts[RUNS]].clone()
-    return BandBlocks(
-        found, values, counts[AMBIGUOUS], runs, room=Room(counts[BLOCKS], counts[REGIONS], counts[CHUNKS])
-    )
+    return found
+
+
+def gather_early(
+    layers: Layers, blocks: Int32[Tensor, "n 3"], measured: Measured, counts: Int32[Tensor, " c"]
+) -> Gathered | None:
+    """`queue_gather` with room for all blocks that were listed, before it is known how many are kept; None if many.
+
+    The device then has something to do while the host reads the numbers.
+    """
+    if len(blocks) > MOST_EARLY:
+        return None
+    return queue_gather(layers, blocks, measured, counts, len(blocks), len(measured.runs))
+
+
+def taken(
+    layers: Layers,
+    blocks: Int32[Tensor, "n 3"],
+    measured: Measured,
+    counts: Int32[Tensor, " c"],
+    said: list[int],
+    early: Gathered | None,
+) -> BandBlocks:
+    """The blocks that are kept, in memory of their own.
+
+    To be called on the current stream.
+
+    Args:
+        layers: What was asked.
+        blocks: All that were listed, with or without room behind them.
+        measured: What was measured of them.
+        counts: The list's.
+        said: These as numbers.
+        early: What `gather_early` gave.
+    """
+    found = early or queue_gather(layers, blocks, measured, counts, said[KEPT], said[RUNS])
+    needed = Room(said[BLOCKS], said[REGIONS], said[CHUNKS])
+    kept = found.blocks[: said[KEPT]], found.values[: said[KEPT]]
+    return BandBlocks(*kept, said[AMBIGUOUS], found.runs[: said[RUNS]], room=needed)
 
 
 def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
@@ -160,8 +227,9 @@ def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
     """
     if len(listed.blocks):
         measured = queue_measure(band, listed, gaps=gaps)
-        counts = listed.counts[:COUNTS].tolist()
-        found = taken(band.shape, band.layers[0], band.width, listed.blocks, measured, counts)
+        layers, counts = Layers(band.shape, band.layers[0], band.width), listed.counts[:COUNTS]
+        early = gather_early(layers, listed.blocks, measured, counts)
+        found = taken(layers, listed.blocks, measured, counts, counts.tolist(), early)
     else:
         values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=band.structure.device)
         found = BandBlocks(listed.blocks, values, 0, listed.blocks.new_empty((0, 4)))

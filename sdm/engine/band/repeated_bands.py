@@ -21,7 +21,16 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, layout, start_surface
 from sdm.engine.band.band_slab import BandSlab, plan_for
-from sdm.engine.band.block_distances import BLOCK_BYTES, LISTS, BandBlocks, Measured, queue_measure, taken
+from sdm.engine.band.block_distances import (
+    BLOCK_BYTES,
+    LISTS,
+    BandBlocks,
+    Layers,
+    Measured,
+    gather_early,
+    queue_measure,
+    taken,
+)
 from sdm.engine.band.listed_blocks import Listed, Room, fits, is_beyond, queue_list
 from sdm.engine.band.near_blocks import marks_by_triangles, rooms_of
 from sdm.engine.plan_override import OPTIONS
@@ -156,10 +165,14 @@ def queue_band(
 def finish_band(grid: Grid, width: float, room: Room, made: tuple[Tensor, ...]) -> tuple[Tensor, ...] | None:
     """The band of what `queue_band` made, in memory of its own; None if that was guessed wrong. Waits once."""
     numbers, blocks, *rest = made
-    said = numbers.tolist()
-    counts = said[FLAGS:]
-    if any(said[:FLAGS]) or is_beyond(counts, grid, minus=False) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
-        return None
+    measured, layers, numbered = Measured(*rest), Layers(grid.shape, 0, width), numbers[FLAGS:]
     with on_current_stream(blocks):
-        found = taken(grid.shape, 0, width, blocks, Measured(*rest), counts)
+        early = gather_early(layers, blocks, measured, numbered)
+        said = numbers.tolist()
+        counts = said[FLAGS:]
+        if any(said[:FLAGS]) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
+            return None
+        if is_beyond(counts, grid, minus=False):
+            return None
+        found = taken(layers, blocks, measured, numbered, counts, early)
     return found[:2] if found.runs is None else (found.blocks, found.values, found.runs)
