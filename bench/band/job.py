@@ -17,6 +17,7 @@ from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
 from sdm.bench.peers import newton, openvdb
+from sdm.bench.peers.physicsnemo import PhysicsNeMo
 from sdm.core.voxel_points import voxel_points
 
 OURS, PEER = "sdm", "OpenVDB"
@@ -38,8 +39,9 @@ def measure(
     *,
     with_peer: bool,
     with_newton: bool = False,
+    with_physicsnemo: bool = False,
 ) -> list[dict[str, Any]]:
-    """The rows of the table: ours, and OpenVDB's and Newton's if they are there."""
+    """The rows of the table: ours, and those of the others that are there."""
     grid = cube_around(case, resolution)
     band = sdm.narrow_band(fresh(case, device), grid, half_width=half_width, device=device)
     voxels = _some_voxels(band, samples)
@@ -48,6 +50,7 @@ def measure(
     rows[0] |= _errors(band.at(voxels).cpu().double().numpy(), truth, grid)
     rows[0]["peak"] = _peak(case, device, resolution, half_width)
     times: dict[str, list[tuple[float, float]]] = {OURS: [], PEER: []}
+    near = _near_voxels(band) if with_physicsnemo else None
     del band
     for _ in range(runs):
         mesh, begin = fresh(case, device), time.process_time()
@@ -68,7 +71,28 @@ def measure(
         row |= {"seconds": statistics.median(wall), "cpu": statistics.median(cpu), "all_seconds": list(wall)}
     if with_newton:
         rows.append(_newton_row(case, device, resolution, half_width, voxel_points(grid, voxels).numpy(), runs))
+    if near is not None:
+        rows.append(_physicsnemo_row(case, device, resolution, voxel_points(grid, voxels), truth, near, runs))
     return rows
+
+
+def _physicsnemo_row(
+    case: Case,
+    device: str,
+    resolution: int,
+    some: torch.Tensor,
+    truth: tuple[np.ndarray, np.ndarray],
+    near: torch.Tensor,
+    runs: int,
+) -> dict[str, Any]:
+    """PhysicsNeMo's row: it makes no bands, so it is told which voxels (N,3) are in ours, for nothing."""
+    peer, grid = PhysicsNeMo(device), cube_around(case, resolution)
+    peer.build(case)
+    row = _row(peer.name, case, resolution, len(near), 4 * len(near))
+    row |= _errors(peer.signed_distance(some.to(device)).cpu().double().numpy(), truth, grid)
+    points = voxel_points(grid, near)
+    seconds = [once(lambda: peer.signed_distance(points), device)[0] / 1e3 for _ in range(1 + runs)][1:]
+    return row | {"peak": 0, "seconds": statistics.median(seconds), "cpu": 0.0, "all_seconds": seconds}
 
 
 def _newton_row(
@@ -94,6 +118,12 @@ def _row(library: str, case: Case, resolution: int, active: int, nbytes: int) ->
         "active_voxels": active,
         "bytes": nbytes,
     }
+
+
+def _near_voxels(band: sdm.SparseSDM) -> torch.Tensor:
+    """Indices (N,3) of all voxels in the band."""
+    place, x, y, z = (band.values.abs() < band.width).nonzero().unbind(1)
+    return 8 * band.blocks[place].long() + torch.stack([x, y, z], 1)
 
 
 def _some_voxels(band: sdm.SparseSDM, count: int) -> torch.Tensor:

@@ -45,7 +45,7 @@ CPU_REGIONS = 1 << 11
 ENTRIES_OF_TRIANGLE, LEAST_ENTRIES = 32, 1 << 22
 # And of one pass at most so many chunks, a gibibyte: with more there are more passes, which cost some launches each.
 MOST_CHUNKS = (1 << 30) // (4 * CHUNK)
-LEAST_REGIONS = 1 << 10
+LEAST_REGIONS = 1 << 8
 # Which argument of `measure_blocks` is the pool.
 POOL = 6
 

@@ -57,8 +57,9 @@ def test_uneven_grids(turned):
     assert torch.equal(band.to_dense().values, dense.values.clamp(-band.width, band.width))
 
 
-def test_memory_grows_with_the_surface(whole_gpu):
-    made = mesh("torus")
+@pytest.mark.parametrize("name", ["torus", "torus-1000000"])
+def test_memory_grows_with_the_surface(name, whole_gpu):
+    made = mesh(name)
     sdm.narrow_band(made, 64)
     torch.cuda.synchronize()
     torch.cuda.reset_peak_memory_stats()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import sdm
 from sdm.bench.common.meshes import sphere
-from sdm.engine.band import band_slabs, listed_blocks
+from sdm.engine.band import band_slabs, block_distances, listed_blocks, near_blocks
 from sdm.engine.plan_override import plan_override
 from tests.helpers import strategies
 
@@ -47,8 +47,10 @@ efforts = st.fixed_dictionaries(
     even=st.booleans(),
     effort=efforts,
     by_bits=st.booleans(),
+    by_triangles=st.booleans(),
+    early=st.booleans(),
 )
-def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, effort, by_bits):
+def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, effort, by_bits, by_triangles, early):
     rng = np.random.default_rng(seed)
     used = mesh.vertices[mesh.faces].astype(np.float64)
     low, high = used.min((0, 1)), used.max((0, 1))
@@ -60,9 +62,13 @@ def test_any_mesh_and_grid(mesh, shape, half_width, sign, seed, turned, even, ef
     middle = rng.uniform(low, high + 1e-3 * size)
     grid = sdm.Grid(middle - turn @ (spacing * (np.array(shape) - 1) / 2), spacing, shape, turn)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu", warn=False)
-    # As of grids with very many blocks.
-    most = band_slabs.MOST_BLOCKS if by_bits else 0
-    with plan_override(**effort), mock.patch.object(listed_blocks, "MOST_BITS", most):
+    # As of grids with very many blocks; as a GPU marks blocks; and as bands are copied that have many.
+    with (
+        plan_override(**effort),
+        mock.patch.object(listed_blocks, "MOST_BITS", band_slabs.MOST_BLOCKS if by_bits else 0),
+        mock.patch.object(near_blocks, "BY_TRIANGLES", ("cpu",) if by_triangles else ()),
+        mock.patch.object(block_distances, "MOST_EARLY", block_distances.MOST_EARLY if early else 0),
+    ):
         band = index.narrow_band(grid, half_width=half_width, sign=sign)
         dense = index.signed_distance_map(grid, sign=sign)
     clamped = dense.values.clamp(-band.width, band.width)

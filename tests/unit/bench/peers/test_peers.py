@@ -12,6 +12,7 @@ import torch
 from sdm import Grid
 from sdm.bench.common.meshes import load_case
 from sdm.bench.peers import all_peers, newton
+from sdm.bench.peers.physicsnemo import file_alone
 from tests.helpers import oracle
 
 NAMES = [peer.name for peer in all_peers("cpu")]
@@ -103,6 +104,41 @@ def test_physicsnemo_is_asked_for_winding_numbers(asked, monkeypatch):
     assert winding
     assert vertices.shape == case.vertices.shape
     assert (faces.dtype, faces.shape) == (torch.int32, case.faces.shape)
+
+
+def test_physicsnemo_runs_without_what_its_package_needs(asked, monkeypatch, tmp_path):
+    """Its package does not import, and the file of its function does."""
+    package = tmp_path / "physicsnemo"
+    geometry = package / "nn" / "functional" / "geometry"
+    geometry.mkdir(parents=True)
+    (package / "core").mkdir()
+    (package / "core" / "spec.py").write_text("SIGN = -1.0\n")
+    for folder in (package, package / "core", package / "nn", package / "nn" / "functional", geometry):
+        (folder / "__init__.py").write_text("import a_package_that_is_not_there\n")
+    (geometry / "sdf.py").write_text(
+        "from physicsnemo.core.spec import SIGN\n"
+        "def signed_distance_field(vertices, faces, at, *, use_sign_winding_number):\n"
+        "    return SIGN * at[:, 0], at, None\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    file_alone.cache_clear()
+    before = set(sys.modules)
+    try:
+        peer = made("PhysicsNeMo")
+        case, points, _ = asked
+        assert peer.missing() is None
+        peer.build(case)
+        assert torch.equal(peer.signed_distance(points), -points[:, 0])
+        assert not {"physicsnemo", "physicsnemo.nn"} & set(sys.modules)
+        (geometry / "sdf.py").unlink()
+        file_alone.cache_clear()
+        sys.modules.pop("physicsnemo.nn.functional.geometry.sdf")
+        assert "nor does its function alone" in (peer.missing() or "")
+    finally:
+        file_alone.cache_clear()
+        for name in set(sys.modules) - before:
+            if name.startswith("physicsnemo"):
+                del sys.modules[name]
 
 
 def test_meshlib_takes_the_winding_numbers_of_a_gpu(asked, monkeypatch):

@@ -8,12 +8,16 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere, torus
-from sdm.engine.band import repeated_bands
+from sdm.engine.band import near_blocks, repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.calls import band_width
 from sdm.engine.band.listed_blocks import Room
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.band.block_bits import COUNTS, LOST
+from sdm.kernels.band.query import MOST_CHUNKS, band_plan
+from sdm.kernels.bvh.tree import depth_for
+from sdm.kernels.dense.plan import Workload, make_plan
+from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.topology.edge_pairing import FLAGS
 from sdm.runtime import graphs
 
@@ -37,7 +41,10 @@ def assert_same(found: tuple, band: sdm.SparseSDM) -> None:
 
 @pytest.mark.parametrize("cell", [8, 16])
 @pytest.mark.parametrize("half_width", [1.5, 4.2])
-def test_the_bits_of_a_band_made_step_by_step(cell, half_width):
+@pytest.mark.parametrize("devices", [("cuda",), ("cuda", "cpu")])
+def test_the_bits_of_a_band_made_step_by_step(cell, half_width, devices, monkeypatch):
+    """Also where blocks are marked by triangles, before the tree has boxes."""
+    monkeypatch.setattr(near_blocks, "BY_TRIANGLES", devices)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     turn[:, 2] *= np.linalg.det(turn)
     for arrays in (torus(3000), sphere(9)):
@@ -96,6 +103,22 @@ def test_the_room_that_a_band_leaves_for_the_next(monkeypatch):
         repeated_bands.note(mesh, grid, width, larger)
         assert noted[3].key != one.key
     repeated_bands._rooms.clear()
+
+
+@pytest.mark.parametrize(("triangles", "resolution"), [(20_000, 512), (1_000_000, 1024), (100_000, 4096)])
+def test_a_pass_takes_no_more_than_a_gibibyte_for_its_lists(triangles, resolution):
+    work = Workload(triangles, depth_for(triangles), 1, (resolution,) * 3, (0.01,) * 3, False)
+    dense = make_plan(work, 80 << 30, PlanOptions())
+    regions = 3000
+    guessed = band_plan(dense, regions, triangles, True)
+    assert guessed.passes * guessed.most >= regions
+    assert guessed.chunks <= MOST_CHUNKS * 9 // 8
+    # If few turn out to be needed, there is one pass, with as much room as that.
+    known = band_plan(dense, regions, triangles, True, 5000)
+    assert (known.passes, known.chunks, known.most) == (1, 5000, regions)
+    many = band_plan(dense, regions, triangles, True, 3 * MOST_CHUNKS)
+    assert many.passes >= 3
+    assert many.chunks <= MOST_CHUNKS * 9 // 8
 
 
 def test_few_launches(monkeypatch):
