@@ -6,6 +6,7 @@ Where the grid has too many blocks for that, or there are more than one query ta
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,9 +150,17 @@ def is_beyond(counts: list[int], grid: Grid, *, minus: bool = True) -> bool:
 
 def reaches_beyond(low: np.ndarray, high: np.ndarray, grid: Grid) -> bool:
     """True if a corner of a mesh's box is outside the grid, so that rows far from its surface may be inside."""
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), -1).reshape(-1, 3)
-    place = (corners - grid.origin) @ np.asarray(grid.direction) / grid.spacing
-    return bool(((place < 0) | (place > np.asarray(grid.shape) - 1)).any())
+    # By plain numbers: the device waits for this.
+    origin, spacing, shape = grid.origin, grid.spacing, grid.shape
+    if grid.is_axis_aligned:
+        ends = zip(low.tolist(), high.tolist(), origin, spacing, shape, strict=True)
+        return any((a - o) / s < 0 or (b - o) / s > n - 1 for a, b, o, s, n in ends)
+    for corner in product(*zip(low.tolist(), high.tolist(), strict=True)):
+        for axis in range(3):
+            way = sum((c - o) * row[axis] for c, o, row in zip(corner, origin, grid.direction, strict=True))
+            if not 0 <= way / spacing[axis] <= shape[axis] - 1:
+                return True
+    return False
 
 
 def narrowed(band: BandSlab, listed: Listed, counts: list[int]) -> Listed:
