@@ -47,8 +47,6 @@ class MeshKind(IntEnum):
     UNSIGNED = winding_number.UNSIGNED  # of points whose side nobody asks for
 
 
-# Branch of a graph on which features are found, beside cones on the first.
-FEATURES = 2
 # Kinds whose boundary edges are visited one by one, and those with a tree of dipoles.
 VISITING = frozenset((MeshKind.OPEN, MeshKind.MANY, MeshKind.DIRTY))
 WITH_DIPOLES = frozenset((MeshKind.MANY, MeshKind.DIRTY, MeshKind.SOUP))
@@ -168,8 +166,6 @@ class AccelerationStructure:
             live until the last kernel that uses them is queued.
         view: The arrays for kernels.
         pieces: If they are parts of one tensor, the bytes of each, followed by those that nobody uses.
-
-    Torch operators take and give the structure as `tensors` and `sizes.kind`, see `from_tensors`.
     """
 
     sizes: Sizes
@@ -179,10 +175,7 @@ class AccelerationStructure:
 
     @classmethod
     def in_block(cls, sizes: Sizes, device: torch.device, block: Tensor | None = None) -> AccelerationStructure:
-        """The structure whose arrays are parts of one block of bytes, by default a new one without content.
-
-        That is one allocation, and one tensor to tell of the streams that read it.
-        """
+        """The structure whose arrays are parts of one block of bytes, by default a new one without content."""
         length, _, pieces = layout(sizes)
         if block is None:
             block = torch.empty(length, dtype=torch.uint8, device=device)
@@ -203,9 +196,7 @@ class AccelerationStructure:
     @property
     def tensors(self) -> list[Tensor]:
         """One tensor of bytes for each of `ARRAYS`, over the same memory."""
-        if not self.pieces:
-            return list(self.memory)
-        return list(self.memory[0].split(self.pieces)[::2])
+        return list(self.memory[0].split(self.pieces)[::2] if self.pieces else self.memory)
 
     @property
     def kind(self) -> MeshKind:
@@ -292,8 +283,7 @@ def build(
         vertices: (B,V,3) float32.
         faces: (F,3) int32, shared.
         edges: (E,2) int32 boundary edges, found here if None.
-        tree_alone: Leave frames, features and cones without content: points are searched without them on a CPU, see
-            `search_needs_tree_alone`.
+        tree_alone: Leave frames, features and cones without content, see `search_needs_tree_alone`.
         for_maps: See `fill_boundary`.
 
     Raises:
@@ -318,12 +308,10 @@ def topology_for(vertices: Tensor, faces: Tensor, edges: Tensor | None = None) -
         )
     pairing = pairing_of(faces, vertices.shape[-2])
     if edges is None:
-        closed = pairing.unmatched.shape[0] == 0
-        edges = pairing.unmatched[:, :2] if closed else boundary_edges(vertices, faces)
+        edges = boundary_edges(vertices, faces) if pairing.unmatched.shape[0] else pairing.unmatched[:, :2]
     kind, caps = kind_of(edges.shape[0], faces.shape[0]), edges
     if kind in VISITING:
-        by_faces = closed_by_faces(kind, edges.shape[0], faces.shape[0])
-        caps = turned_faces(faces) if by_faces else cap_triangles(edges)
+        caps = turned_faces(faces) if closed_by_faces(kind, len(edges), len(faces)) else cap_triangles(edges)
     return MeshTopology(pairing.neighbours, edges, caps)
 
 
@@ -361,25 +349,12 @@ def fill_surface(
     join: Join | None = None,
     *,
     tree_alone: bool = False,
+    gathered: Join | None = None,
+    unjoined: list[Join] | None = None,
 ) -> None:
-    """Queue the kernels that do not depend on a boundary, and fill each mesh's `bounds`, as `build_tree` does."""
-    start_surface(view, vertices, faces, neighbours, bounds, join, tree_alone=tree_alone)()
+    """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with `gathered`.
 
-
-def start_surface(
-    view: KernelView,
-    vertices: Tensor,
-    faces: Tensor,
-    neighbours: Tensor,
-    bounds: wp.array,
-    join: Join | None = None,
-    *,
-    tree_alone: bool = False,
-    gathered: Callable[[], None] | None = None,
-) -> Join:
-    """`fill_surface`, of which features and cones may be under way on branches: to be joined before they are read.
-
-    `gathered`: see `build_tree`.
+    To `unjoined` is added what has to be called before features and cones are read, if it is to be called later.
     """
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
@@ -392,21 +367,20 @@ def start_surface(
     if join is not None:
         join()
     if tree_alone:
-        return lambda: None
+        return
     shared = as_warp(neighbours, wp.int32)
     # None of these fills a GPU by itself.
     with kernels_beside(vertices) as join_cones:
         normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-    with kernels_beside(vertices, FEATURES) as join_features:
+    with kernels_beside(vertices, 2) as join_features:
         voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
     triangle_frames.make_frames(view.tree, view.frames)
-
-    def join_parts(_kept: Any = empty) -> None:
-        # Branches read normals, whose memory is kept until here.
+    if unjoined is None:
         join_cones()
         join_features()
-
-    return join_parts
+    else:
+        # Branches read normals, whose memory is kept until then.
+        unjoined += [join_cones, join_features, lambda _kept=empty: None]
 
 
 def fill_boundary(

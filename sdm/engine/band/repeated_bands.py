@@ -19,7 +19,7 @@ from torch import Tensor
 from sdm.core.block_lookup import blocks_along
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, layout, start_surface
+from sdm.engine.acceleration import AccelerationStructure, MeshKind, Sizes, fill_surface, layout
 from sdm.engine.band.band_slab import BandSlab, plan_for
 from sdm.engine.band.block_distances import (
     BLOCK_BYTES,
@@ -136,6 +136,11 @@ def queue_band(
     band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed=True)
     bounds = torch.empty(6, dtype=torch.float32, device=vertices.device)
     lists: list[tuple[Listed, Join]] = []
+    unjoined: list[Join] = []
+
+    def join_surface() -> None:
+        for each in unjoined:
+            each()
 
     def list_blocks() -> None:
         # Beside the rest of the build, where triangles mark their blocks.
@@ -144,7 +149,7 @@ def queue_band(
 
     early = marks_by_triangles(band.slab, vertices.device)
     with on_current_stream(vertices, vertices, within, neighbours):
-        join_surface = start_surface(
+        fill_surface(
             structure.view,
             vertices[None],
             within,
@@ -152,6 +157,7 @@ def queue_band(
             as_warp(bounds, wp.float32),
             join,
             gathered=list_blocks if early else None,
+            unjoined=unjoined,
         )
         if not early:
             list_blocks()

@@ -19,44 +19,46 @@ from sdm.runtime.torch_warp import on_current_stream, warp_stream
 Join: TypeAlias = Callable[[], None]
 
 
-# Branches that a graph may have.
+# Branches that a graph may have beside each other.
 BRANCHES = 3
 
 
 @cache
-def side_stream(index: int, branch: int = 0) -> torch.cuda.Stream:
-    """The stream of a GPU that becomes a branch of every graph; made before a recording begins."""
-    stream = torch.cuda.Stream(index)
-    warp_stream(torch.device("cuda", index), stream)
-    return stream
-
-
-def make_side_streams(index: int) -> None:
-    """Make the streams of all branches of a GPU's graphs."""
-    for branch in range(BRANCHES):
-        side_stream(index, branch)
+def side_streams(index: int) -> tuple[torch.cuda.Stream, ...]:
+    """The streams of a GPU that become the branches of every graph; made before a recording begins."""
+    streams = tuple(torch.cuda.Stream(index) for _ in range(BRANCHES))
+    for stream in streams:
+        warp_stream(torch.device("cuda", index), stream)
+    return streams
 
 
 @contextmanager
-def beside(device: torch.device, branch: int = 0) -> Iterator[Join]:
-    """Queue what is queued inside on a branch, one of `BRANCHES`, of the graph being recorded.
+def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> Iterator[Join]:
+    """Queue what is queued inside on a branch of the graph being recorded.
 
-    Gives a function that makes the current stream wait for the branch: to be called, once, after the block. What the
-    branch reads and writes has to live until then. Blocks of one branch follow each other and do not
-    lie within each other; those of several run beside each other.
+    Gives a function that makes the stream that is current when it is called wait for the branch: to be called after the
+    block, at last on the stream that was current before it. What the branch reads and writes has to live until then.
+    Blocks of one branch follow each other, and do not lie within each other.
+
+    Args:
+        device: Of the graph.
+        branch: Which, of BRANCHES.
+        after: What of another branch comes before it.
     """
     if not is_recording(device):
         yield _nothing
         return
     main = torch.cuda.current_stream()
-    side = side_stream(main.device_index, branch)
+    side = side_streams(main.device_index)[branch]
     side.wait_stream(main)
     done = torch.cuda.Event()
 
     def join() -> None:
-        main.wait_event(done)
+        torch.cuda.current_stream().wait_event(done)
 
     with torch.cuda.stream(side):
+        if after is not None:
+            after()
         yield join
         done.record(side)
 

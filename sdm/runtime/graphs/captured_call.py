@@ -10,7 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.runtime.graphs.branches import make_side_streams
+from sdm.runtime.graphs.branches import side_streams
 from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
 from sdm.runtime.torch_warp import on_current_stream
@@ -58,7 +58,7 @@ class CapturedCall:
             # Loads what is loaded on first use, which a capture does not allow.
             work(unverified, *inputs)
             stream, handle = pool.open()
-            make_side_streams(stream.device_index)
+            side_streams(stream.device_index)
             before = torch.cuda.memory_reserved()
             with torch.cuda.stream(stream), on_current_stream(inputs[0]) as device:
                 self._capture(work, inputs, device.stream, handle)

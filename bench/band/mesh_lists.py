@@ -1,6 +1,6 @@
 """Bands of lists of meshes that differ: in one call, and mesh by mesh.
 
-    python -m sdm.bench.band.lists --device cuda --out band-lists-cuda.json
+    python -m sdm.bench.band.mesh_lists --device cuda --out band-lists-cuda.json
 
 `--meshes` tori of about `--triangles` triangles, each of another number and in new memory each time, on grids of
 their own, by turns. Before that each band of the list is compared with that of its own call, bit for bit.
