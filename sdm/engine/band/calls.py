@@ -132,7 +132,7 @@ def _bands_of(
     """The bands of meshes, on their devices, and grids: of closed ones on a GPU together, of others alone."""
     found: dict[int, SparseSDM] = {}
     if len(given) > 1 and method.sign == "winding" and orient == "keep":
-        # Those that share a device, whose meshes say so themselves.
+        # Of several GPUs those of one.
         places = [place for place, (mesh, _) in enumerate(given) if mesh.device.type in joint_bands.DEVICES]
         places = [place for place in places if given[place][0].device == given[places[0]][0].device]
         asked = [joint_bands.Asked(*given[place], band_width(given[place][1], half_width)) for place in places]
