@@ -2,7 +2,7 @@
 
     python -m sdm.bench.surface.watertight --device cuda --out watertight-cuda.json
 
-Each mesh is written as a PLY file, closed at each resolution and written again, by the command's own code:
+Each mesh is written as a PLY file, closed at each resolution and written again, by the command:
 
 - `process`: the whole command in a process of its own, Python and torch included; `torch` is what a process takes that
   imports torch alone. Kernels are in Warp's cache: the first such process, which may compile them, is not counted.
@@ -17,8 +17,7 @@ Each mesh is written as a PLY file, closed at each resolution and written again,
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
+import json
 import os
 import statistics
 import subprocess
@@ -35,8 +34,6 @@ import sdm
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import load_case, missing_note
-from sdm.cli.surfaces.closing import run, targets_of
-from sdm.cli.surfaces.closing_stages import Closing
 from sdm.io.meshes.write import save_mesh
 
 MESHES = ("fandisk", "rocker-arm", "nefertiti")
@@ -85,10 +82,11 @@ def measure(
     """A row of the record."""
     source, target = folder / "in.ply", folder / "out.ply"
     save_mesh(mesh, source)
-    words = [str(source), "-o", str(target), "--resolution", str(resolution), "--device", device]
+    how = ["--resolution", str(resolution), "--device", device]
+    words = [str(source), "-o", str(target), *how]
     row: dict[str, Any] = {"mesh": mesh.name, "triangles": len(mesh), "resolution": resolution}
     row["process"] = _processes([sys.executable, "-m", "sdm.cli", "watertight", *words], processes)
-    calls = [_seconds([source], target, resolution, device) for _ in range(1 + runs)]
+    calls = _seconds(words, 1 + runs)
     row |= {"first": calls[0], "warm": statistics.median(calls[1:]), "calls": calls}
     written = sdm.load_mesh(target)
     row |= {"output_triangles": len(written), "closed": _is_closed(written.faces.numpy())}
@@ -98,18 +96,31 @@ def measure(
     many.mkdir()
     for number in range(copies):
         save_mesh(mesh, many / f"{number}.ply")
-    row["folder"] = _seconds([many], folder / "closed", resolution, device) / copies
+    # A call before it, so that nothing of the process itself is counted.
+    row["folder"] = _seconds([str(many), "-o", str(folder / "closed"), *how], 2)[1] / copies
     return row
 
 
-def _seconds(sources: list[Path], target: Path, resolution: int, device: str) -> float:
-    """Seconds of one call of the command's code."""
-    options = Closing(resolution, None, None, "drop", "cubes", device)
+# Times calls of the command in one process: the number of calls, and its words. Benchmarks do not import commands.
+_CALLS = """
+import contextlib, io, json, sys, time
+from sdm.cli.app import main
+seconds = []
+for _ in range(int(sys.argv[1])):
     begin = time.perf_counter()
-    jobs, _ = targets_of(sources, target, None)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        run(jobs, options)
-    return time.perf_counter() - begin
+        code = main(sys.argv[2:])
+    seconds.append(time.perf_counter() - begin)
+    if code:
+        sys.exit(code)
+print(json.dumps(seconds))
+"""
+
+
+def _seconds(words: list[str], calls: int) -> list[float]:
+    """Seconds of calls of the command in a process of its own, without what the process itself takes."""
+    command = [sys.executable, "-c", _CALLS, str(calls), "watertight", *words]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def _without_report(source: Path, target: Path, resolution: int, device: str) -> float:
