@@ -264,8 +264,7 @@ def _view(sizes: Sizes, spans: Sequence[tuple[int, int]], device: torch.device) 
         if array.name == "frame":
             # Caps are in the meshes' own frame.
             set_array(winding.caps.tree, array.name, made)
-    structs["tree"].count = sizes.faces
-    structs["tree"].depth = tree.depth_for(sizes.faces)
+    structs["tree"].count, structs["tree"].depth = sizes.faces, tree.depth_for(sizes.faces)
     winding.boundary.count = sizes.edges if sizes.kind in VISITING else 0
     winding.caps.tree.count = sizes.caps
     winding.caps.tree.depth = cap_tree.depth_of_caps(sizes.caps)
