@@ -89,8 +89,8 @@ def _cone(axes: Axes) -> None:
             tuple((a + b) / 2),
             arrowprops={"arrowstyle": "->", "color": INK},
         )
-    _box(axes, (0.0, 1.35), 0.4, "kept")
-    _box(axes, (2.1, 0.2), 0.4, "dropped")
+    _box(axes, (0.0, 1.35), 0.5, "kept")
+    _box(axes, (2.1, 0.2), 0.5, "dropped")
     axes.text(
         1.2, -0.95, "some faces, and the\ncone of their normals", ha="left", va="center", color="0.45", fontsize=10
     )

@@ -63,10 +63,10 @@ def draw_shapes(logs: Logs, target: Path) -> None:
             axes.plot(statistics.fmean(found[name]), at, "|", color=hue, markersize=26, markeredgewidth=3)
             if name in PUBLISHED:
                 axes.plot(PUBLISHED[name], at, "D", color="0.25", markersize=7, fillstyle="none")
-                axes.annotate("published", (PUBLISHED[name], at), xytext=(0, 12), textcoords="offset points",
+                axes.annotate("published", (PUBLISHED[name], at), xytext=(0, 16), textcoords="offset points",
                               ha="center", fontsize=9.5, color="0.35")  # fmt: skip
         axes.set_yticks(range(len(rows)), [juhl.ROWS[name] for name in rows])
-        axes.set_ylim(-0.6, len(rows) - 0.3)
+        axes.set_ylim(-0.6, len(rows) - 0.2)
         axes.grid(visible=True, axis="x")
         axes.set_xlabel("Dice in a band of 5³ voxels about the contour [%], a dot for each seed")
         axes.set_title("Simple shapes: regression of distances keeps the contour", x=-0.66)

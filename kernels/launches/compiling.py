@@ -23,8 +23,8 @@ def _say(device: str) -> None:
     if device not in _said and EVERY_DEVICE not in _said:
         _said.add(device)
         _logger.warning(
-            "sdm compiles its kernels for %s, which takes a minute or two and is kept: later calls and processes find "
-            "them (Warp's cache, or WARP_CACHE_PATH)",
+            "sdm compiles its kernels for %s: about ten seconds for a first map, longer on a busy machine; later calls "
+            "and processes find them (Warp's cache, or WARP_CACHE_PATH)",
             device,
         )
 

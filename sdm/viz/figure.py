@@ -176,7 +176,7 @@ def _list(axes: Axes, lines: dict[str, str]) -> None:
 
 
 def _in(unit: str | None) -> str:
-    return f" ({unit})" if unit else ""
+    return f" [{unit}]" if unit else ""
 
 
 def _times(shape: tuple[object, ...]) -> str:

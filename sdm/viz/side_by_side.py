@@ -46,9 +46,10 @@ def _figure(exact: SDM, predicted: SDM, title: str) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(40 / 3, 7.5), facecolor="white", layout="constrained")
+    figure = Figure(figsize=(40 / 3, 7.5), facecolor="white")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.02, ha="left", fontsize=18, fontweight="bold", color="0.1")
+    figure.set_layout_engine("constrained", rect=(0.015, 0.02, 0.97, 0.9), hspace=0.08, wspace=0.06)
+    figure.text(0.03, 0.95, title, fontsize=20, fontweight="bold", color="0.1", va="center")
     wanted, found = exact.numpy(), predicted.numpy()
     error = found - wanted
     end = max(float(np.quantile(np.abs(error), 0.99)), ERROR_MM)
@@ -73,5 +74,6 @@ def _figure(exact: SDM, predicted: SDM, title: str) -> Figure:
             axes.set_ylabel(f"{NAMES[plane[1]]} [mm]")
             where = exact.grid.origin[normal] + exact.grid.spacing[normal] * at
             axes.set_title(f"{name}, {NAMES[normal]} = {where:.1f} mm", fontsize=10)
-            figure.colorbar(shown, ax=axes, shrink=0.8, label="mm")
+            # As high as the slice, whatever its shape.
+            figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.04, 1.0)), label="[mm]")
     return figure

@@ -48,7 +48,7 @@ def draw_surface(figure: Figure, place: tuple[float, float, float, float], field
     axes.set_box_aspect(high - low + 2 * pad)
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
     axes.set_proj_type("persp", focal_length=1.6)
-    suffix = f" ({unit})" if unit else ""
+    suffix = f" [{unit}]" if unit else ""
     for name in "xyz":
         axis: Any = getattr(axes, f"{name}axis")
         axis.set_pane_color((0.965, 0.968, 0.975, 1.0))

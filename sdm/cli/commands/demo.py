@@ -62,7 +62,7 @@ def demo(
     _say("mesh", f"{mesh.name}, {len(mesh):,} triangles")
     _say("grid", f"{' x '.join(map(str, grid.shape))} voxels of {spacing:.4g} mm, {grid.nbytes / 2**20:.3g} MiB")
     _say("device", name)
-    _say("prepare", "loading the kernels, or compiling them: the first time on a machine, about 10 s")
+    _say("prepare", "loading the kernels, or compiling them: the first time about ten seconds, more on a busy machine")
     seconds = _seconds_to_prepare(mesh, chosen)
     _say("prepared", f"in {seconds:.3g} s")
     field, seconds = _timed_map(mesh, grid, chosen)

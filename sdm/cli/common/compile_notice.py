@@ -7,7 +7,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-NOTICE = "sdm: compiling kernels that this command is the first to need: 10 s to a minute, and kept"
+NOTICE = "sdm: compiling kernels that this command is the first to need: about ten seconds, more on a busy machine"
 # Warp's own builders: what they made is kept in a cache, and they are called for what is not in it.
 BUILDERS = ("build_cpu", "build_cuda")
 
