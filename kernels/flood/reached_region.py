@@ -14,7 +14,7 @@ from sdm.kernels.primitives.union_find import merge, root_of
 wp.set_module_options({"enable_backward": False})
 
 # Beyond the mesh's box all is one region, whose root is voxel 0.
-REACHED = wp.constant(0)
+REACHED = 0
 
 
 @wp.kernel

@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False})
 # Distances have to grow by this share of the way: what rises less is level, as rounding would decide.
 LEVEL = wp.constant(wp.float64(1.0e-3))
 # The link of a voxel that none of its neighbours takes.
-STUCK = wp.constant(-1)
+STUCK = -1
 
 
 @wp.struct
