@@ -15,15 +15,20 @@ import torch
 
 from sdm.bench.fit.stock_backend import StockBackend
 from sdm.bench.fit.stock_maps import StockMaps
+from sdm.core.random import derive_seed
 from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.backends import make_backends
 from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import Cochlea
-from sdm.surrogate import GRID, load_surrogate
+from sdm.surrogate import GRID, load_weights, measure
+from sdm.surrogate.infer.predict import given_or_shipped
+from sdm.surrogate.infer.weights_file import near_error
 
 # Meshes of simulated truth have sixteen times as many triangles as those of the fit, four times its finest.
 TRUTH_TRIANGLES = 320_000
+# Shapes by which the error of a surrogate is measured that does not say it.
+SHAPES = 16
 STOCK = ("libigl", "warp", "libigl-map", "warp-map")
 
 
@@ -44,8 +49,16 @@ def backends_by_name(name: str, device: str, weights: Path | None = None) -> tup
         library, *whole = name.split("-")
         return (StockMaps(library) if whole else StockBackend(library)), None
     if name == "surrogate-alone":
-        return GridBackend(load_surrogate(weights, device=device).eval(), GRID, device=device), None
+        model, facts = load_weights(given_or_shipped(weights), device)
+        error = near_error(facts) or measured_error(model, device)
+        return GridBackend(model, GRID, device=device, error=error), None
     return make_backends(name, weights=weights, device=device)
+
+
+def measured_error(model: Callable[[torch.Tensor], torch.Tensor], device: str) -> float:
+    """Root mean square error near the surface [mm] of a surrogate of the cochlea whose weights do not say."""
+    theta = Cochlea().sample(SHAPES, seed=derive_seed(0, "error of a surrogate that does not say"), device="cpu")
+    return near_error({"errors": measure(model, theta, device).summary()}) or 0.0
 
 
 def fit_case(image: Image, scanner: str, backends: tuple[Backend, Backend | None]) -> FitResult:

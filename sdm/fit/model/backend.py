@@ -89,6 +89,16 @@ class HasExact(Protocol):
 
 
 @runtime_checkable
+class HasError(Protocol):
+    """A backend whose values are a model's, and off by something that no residual tells."""
+
+    # Root mean square error of the values near the surface [mm]; None: not known.
+    error: float | None
+    # Edge of the patches of the surface whose errors are taken to be independent [mm].
+    patch: float
+
+
+@runtime_checkable
 class HasSurface(Backend, Protocol):
     """A backend without a family of meshes that has a surface all the same."""
 

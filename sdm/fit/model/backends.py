@@ -13,7 +13,9 @@ from sdm.fit.model.exact import TRIANGLES, ExactBackend
 from sdm.fit.model.scaled_family import MirroredFamily
 from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import make_family
-from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_surrogate
+from sdm.surrogate import COARSE_GRID, GRID, SDMNNPlus, load_weights
+from sdm.surrogate.infer.predict import given_or_shipped
+from sdm.surrogate.infer.weights_file import near_error
 
 NAMES = ("exact", "surrogate", "hybrid")
 
@@ -49,7 +51,7 @@ def make_backends(
     exact = ExactBackend(MirroredFamily(family) if mirror else family, where)
     if name == "exact":
         return exact, None
-    model = load_surrogate(weights, device=where).eval()
+    model, facts = load_weights(given_or_shipped(weights), where)
     rough = (model.coarse, COARSE_GRID) if isinstance(model, SDMNNPlus) else None
-    surrogate = GridBackend(model, GRID, device=where, rough=rough, exact=exact)
+    surrogate = GridBackend(model, GRID, device=where, rough=rough, exact=exact, error=near_error(facts))
     return surrogate, exact if name == "hybrid" else None

@@ -6,6 +6,7 @@ as much as the posterior is wide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -22,6 +23,9 @@ from sdm.shapes import Parameter, families
 
 # How far a surrogate may be off near the surface before the search for the surface's band misses some of it [mm].
 SLACK = 0.1
+# Voxels of a model's grid, of which its errors are taken to be the same. Those of trained networks hang together over
+# two; with ten, intervals hold what nine fits through a coarse network are off (bench/results/fit-cases-paper.json).
+PATCH = 10
 
 
 class GridBackend:
@@ -37,6 +41,8 @@ class GridBackend:
         rough: A model of the same maps on a coarser grid, for coarse images.
         exact: The backend that the maps stand for, of the same parameters and frame: `fit_shape` asks it twice, near
             the end, to take the maps' error out. Without one it does not.
+        error: How far the maps are off near the surface, root mean square [mm], by the model's card or record. A fit
+            that ends on the maps alone has it in its intervals; without it such a fit is not trusted.
 
     Values and derivatives in space and in theta belong to one and the same smooth function.
     """
@@ -52,6 +58,7 @@ class GridBackend:
         slack: float = SLACK,
         rough: tuple[Callable[[Tensor], Tensor], Grid] | None = None,
         exact: Backend | None = None,
+        error: float | None = None,
     ) -> None:
         self.model, self.grid, self.name, self.slack = model, as_grid(grid), name, slack
         self.parameters = families["cochlea"].parameters if parameters is None else parameters
@@ -59,7 +66,10 @@ class GridBackend:
         self.evaluations = 0
         if exact is not None and tuple(exact.parameters) != tuple(self.parameters):
             raise SDMError(f"the exact backend of {name} has other parameters than the maps: give both the same")
-        self._rough, self.exact = rough, exact
+        if error is not None and not 0 <= error < math.inf:
+            raise SDMError(f"the error of {name} is {error}; give its root mean square near the surface, 0 or more")
+        self._rough, self.exact, self.error = rough, exact, error
+        self.patch = PATCH * max(self.grid.spacing)
         # The model is work for all threads, whatever the fit around it uses.
         self._threads = torch.get_num_threads()
         self.centre = self._centre()

@@ -18,13 +18,14 @@ from sdm.core.grid import Grid
 from sdm.errors import GridError, SDMError
 from sdm.fit.model.anchor import Anchored
 from sdm.fit.model.appearance import MODELS, Appearance
-from sdm.fit.model.backend import Backend, exact_of, rough_of
+from sdm.fit.model.backend import Backend, HasError, exact_of, rough_of
 from sdm.fit.model.exact import ExactBackend
 from sdm.fit.model.partial_volume import Renderer
 from sdm.fit.model.pose import State, rotation_from_vector
 from sdm.fit.model.prior import Prior
 from sdm.fit.solve.diagnosis import diagnose
 from sdm.fit.solve.initial import all_turns, candidates, coarser, middle_of, of_other_rotations
+from sdm.fit.solve.map_error import error_covariance, told
 from sdm.fit.solve.posterior import Posterior
 from sdm.fit.solve.result import FitResult
 from sdm.fit.solve.solver import Outcome, Point, Render, minimise
@@ -194,6 +195,12 @@ def _fit(
     at = found.point
     diagnosis = diagnose(values, grid, found, prior, names)
     posterior = Posterior(at.state, torch.linalg.inv(at.curvature))
+    if last and isinstance(backend, HasError):
+        plain = posterior.deviations[: len(names)]
+        if backend.error is not None and diagnosis.seen:
+            beyond = error_covariance(values, grid, renderer(at.state), at, backend)
+            posterior = Posterior(at.state, posterior.covariance + beyond)
+        diagnosis = told(diagnosis, backend, backend.name, plain, posterior.deviations[: len(names)])
     after = _counts(rough, backend, finish or exact)
     return FitResult(
         parameters=backend.parameters,

@@ -37,10 +37,11 @@ def load_surrogate(source: Path | str | None = None, *, device: torch.device | s
     Raises:
         FormatError: A file that is not there or not a surrogate.
     """
-    return load_weights(_source(source), device)[0]
+    return load_weights(given_or_shipped(source), device)[0]
 
 
-def _source(source: Path | str | None) -> Path:
+def given_or_shipped(source: Path | str | None) -> Path:
+    """The file of weights that is named, else the one that comes with the package."""
     if source is not None:
         return Path(source)
     found = shipped_weights()
@@ -66,7 +67,7 @@ class Predictor:
     def __init__(
         self, source: Path | str | None = None, *, backend: str | None = None, threads: int | None = None
     ) -> None:
-        self.model, self.facts = load_weights(_source(source))
+        self.model, self.facts = load_weights(given_or_shipped(source))
         self._run: Run = runner(self.model, backend, threads)
         self._family = make_family("cochlea")
 

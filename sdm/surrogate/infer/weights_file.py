@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ SMALL = 16_384
 # Of a table of modes, these first rows (the largest) become float16, the others 8-bit with a scale each.
 FINE_ROWS = 24
 WHOLE = 127.0
+# Root mean square of normal numbers for a mean absolute value of 1.
+RMS_OF_MEAN = math.sqrt(math.pi / 2)
 
 
 def save_weights(model: nn.Module, target: Path, **facts: Any) -> None:
@@ -96,6 +99,20 @@ def load_weights(source: Path, device: torch.device | str = "cpu") -> tuple[nn.M
         model = build(config["model"], **config["config"])
         model.load_state_dict(_unpack(packed))
     return model.eval().requires_grad_(False).to(device), config
+
+
+def near_error(facts: dict[str, Any]) -> float | None:
+    """Root mean square error of a surrogate's maps near the surface, in its unit of length.
+
+    Args:
+        facts: The record beside its weights, or the card of a family's surrogate (`card.json`). Both have mean absolute
+            errors; the ratio of the two is taken to be that of normal errors.
+
+    Returns:
+        None where nothing is recorded.
+    """
+    mean = facts.get("errors", {}).get("mae_near_mm", facts.get("near"))
+    return RMS_OF_MEAN * mean if isinstance(mean, int | float) else None
 
 
 def training_of(source: Path) -> dict[str, Any]:
