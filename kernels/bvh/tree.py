@@ -74,6 +74,13 @@ def coarser(tree: Tree, levels: int) -> Tree:
     return found
 
 
+# By addresses that a compiler sees are next to each other, as `three_of` in `geometry.voxel_grid`.
+@wp.func_native(snippet="return parts.data[row + entry];")
+def part_entry(parts: wp.array(dtype=wp.int32), row: int, entry: int) -> int:
+    """An entry of the row of `parts` that begins at `row`."""
+    ...
+
+
 @wp.func
 def tree_of(tree: Tree, mesh: int):
     """The hierarchy of one mesh of a batch. Functions that are told the mesh's number take either.
@@ -94,11 +101,11 @@ def tree_of(tree: Tree, mesh: int):
     one.root = mesh * (2 << (tree.depth + tree.below))
     if tree.meshes > 0:
         part = PART_SIZE * mesh
-        one.first = tree.parts[part + FIRST]
-        one.count = tree.parts[part + COUNT]
-        one.root = tree.parts[part + ROOT]
-        one.below = wp.where(tree.below > 0, tree.parts[part + LEFT_OUT], 0)
-        one.depth = tree.parts[part + DEPTH] - one.below
+        one.first = part_entry(tree.parts, part, FIRST)
+        one.count = part_entry(tree.parts, part, COUNT)
+        one.root = part_entry(tree.parts, part, ROOT)
+        one.below = wp.where(tree.below > 0, part_entry(tree.parts, part, LEFT_OUT), 0)
+        one.depth = part_entry(tree.parts, part, DEPTH) - one.below
     return one
 
 

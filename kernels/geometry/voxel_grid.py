@@ -32,9 +32,23 @@ class Slab:
     start: wp.int32  # and the number of its first voxel
 
 
-@wp.func
-def three_of(rows: wp.array(dtype=wp.float64), at: int):
-    return wp.vec3d(rows[at], rows[at + 1], rows[at + 2])
+# By addresses that a compiler sees are next to each other: an array's own places cost three instructions each, and this
+# is in every kernel of a map, see bench/decisions/0001-kernel-code-size.md.
+@wp.func_native(
+    """
+    const double* from = rows.data + row;
+    return wp::vec3d(from[entry], from[entry + 1], from[entry + 2]);
+"""
+)
+def three_of(rows: wp.array(dtype=wp.float64), row: int, entry: int) -> wp.vec3d:
+    """Three numbers of the row that begins at `row`."""
+    ...
+
+
+@wp.func_native(snippet="return (int)rows.data[row + entry];")
+def whole_of(rows: wp.array(dtype=wp.float64), row: int, entry: int) -> int:
+    """A whole number of that row."""
+    ...
 
 
 @wp.func
@@ -55,16 +69,16 @@ def slab_of(slab: Slab, mesh: int):
     one.start = mesh * slab.shape[0] * slab.shape[1] * slab.shape[2]
     if slab.meshes > 0:
         row = SLAB_ROW * mesh
-        one.origin = three_of(slab.rows, row + ORIGIN)
-        one.spacing = three_of(slab.rows, row + SPACING)
-        one.shape = wp.vec3i(three_of(slab.rows, row + SHAPE))
-        one.first = int(slab.rows[row + LAYER])
-        one.start = int(slab.rows[row + VOXEL])
+        one.origin = three_of(slab.rows, row, ORIGIN)
+        one.spacing = three_of(slab.rows, row, SPACING)
+        one.shape = wp.vec3i(three_of(slab.rows, row, SHAPE))
+        one.first = whole_of(slab.rows, row, LAYER)
+        one.start = whole_of(slab.rows, row, VOXEL)
         if slab.turned != 0:
             one.axes = wp.matrix_from_rows(
-                three_of(slab.rows, row + AXES),
-                three_of(slab.rows, row + AXES + 3),
-                three_of(slab.rows, row + AXES + 6),
+                three_of(slab.rows, row, AXES),
+                three_of(slab.rows, row, AXES + 3),
+                three_of(slab.rows, row, AXES + 6),
             )
     return one
 

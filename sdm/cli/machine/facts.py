@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -61,17 +62,27 @@ def facts() -> dict[str, Any]:
 
 def cache_facts(folder: Path) -> dict[str, Any]:
     """Warp's cache: the folder, its size in bytes, modules of sdm that are compiled, and the space that is left."""
-    files = [path for path in folder.rglob("*") if path.is_file()] if folder.is_dir() else []
-    own = [path for path in files if path.name.startswith("wp_sdm.kernels.")]
+    sizes = _file_sizes(folder)
+    own = [path for path in sizes if path.name.startswith("wp_sdm.kernels.")]
     there = next((place for place in (folder, *folder.parents) if place.is_dir()), Path.cwd())
     return {
         "folder": str(folder),
-        "bytes": sum(path.stat().st_size for path in files),
+        "bytes": sum(sizes.values()),
         "for_cpu": len({path.parent.name for path in own if path.suffix == ".o"}),
         "for_gpu": len({path.parent.name for path in own if path.suffix in (".cubin", ".ptx")}),
         "free_space": shutil.disk_usage(there).free,
         "writable": os.access(there, os.W_OK),
     }
+
+
+def _file_sizes(folder: Path) -> dict[Path, int]:
+    """Sizes of the files below a folder, in bytes; while another process compiles, some come and go."""
+    sizes = {}
+    for place, _, names in os.walk(folder):
+        for path in (Path(place, name) for name in names):
+            with suppress(FileNotFoundError):
+                sizes[path] = path.stat().st_size
+    return sizes
 
 
 def problems(found: dict[str, Any]) -> list[str]:

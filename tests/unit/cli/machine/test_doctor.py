@@ -64,6 +64,12 @@ def test_cache(tmp_path):
     assert cache_facts(tmp_path / "not" / "yet")["bytes"] == 0
 
 
+def test_files_that_another_process_takes_away_are_left_out(tmp_path, monkeypatch):
+    (tmp_path / "there.o").write_bytes(b"123")
+    monkeypatch.setattr("os.walk", lambda folder: [(str(folder), [], ["gone.o", "there.o"])])
+    assert cache_facts(tmp_path)["bytes"] == 3
+
+
 def test_nothing_is_in_the_way_here(found):
     assert found["problems"] == problems(found)
 
