@@ -79,8 +79,8 @@ figures: $(VENV)/.installed-bench ## Draw the pictures of README and docs again,
 	rm -r $(FIGURES)/new-demo
 	$(BIN)/python -m sdm.bench.dense.stages_figure --out $(FIGURES)/stages.png
 	$(BIN)/python -m sdm.bench.drawings --out $(FIGURES)
-	$(BIN)/python -m sdm.bench.dense.plot_results bench/results/dense-h200.json --out $(FIGURES)/new-dense
-	mv $(FIGURES)/new-dense/dense-h200-ratios.png $(FIGURES)/new-dense/dense-h200-triangles.png $(FIGURES)
+	$(BIN)/python -m sdm.bench.dense.plot_results bench/results/dense-cuda.json --out $(FIGURES)/new-dense
+	mv $(FIGURES)/new-dense/dense-cuda-ratios.png $(FIGURES)/new-dense/dense-cuda-triangles.png $(FIGURES)
 	rm -r $(FIGURES)/new-dense
 	$(BIN)/python -m sdm.bench.surrogate.plots --out $(FIGURES)
 	$(BIN)/python -m sdm.bench.segmentation.plots --out $(FIGURES)

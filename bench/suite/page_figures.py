@@ -20,6 +20,7 @@ from sdm.bench.suite.page_tables import TABLES
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
 DEEPSDF, SHAPES, LARGE = "sdm/deepsdf/README.md", "sdm/shapes/README.md", "docs/howto/large.md"
+SCIPY = "docs/from/scipy.md"
 
 Numbers = Callable[[Any], Sequence[Any]]
 
@@ -64,9 +65,21 @@ def geometric_mean(numbers: Sequence[float]) -> float:
     return exp(sum(map(log, numbers)) / len(numbers))
 
 
-def _means(record: Any) -> list[float]:
+def _means(record: Any, peer: str = "fastest peer") -> list[float]:
     means = record["parts"]["table"]["summary"]["geometric_means"]
-    return [means[n]["fastest peer"] for n in ("128", "256", "512")]
+    return [means[n][peer] for n in ("128", "256", "512")]
+
+
+def _shares(record: Any) -> list[float]:
+    """Per cent of a grid of 512^3 on which peers by winding numbers are timed."""
+    rows = [row["peers"] for row in record["parts"]["table"]["rows"] if row["resolution"] == 512]
+    return _range([100 * peer["share"] for peers in rows for peer in peers if "winding" in peer["peer"]])
+
+
+def _batches(record: Any) -> list[float]:
+    """Maps a second of 64 in one call, repeated and without a recording."""
+    row = record["parts"]["graph"]["rows"][-1]
+    return [round(x, -1) for x in (row["sdms_per_second"], 1000 * row["batch"] / row["plain"]["ms"])]
 
 
 def _means_on_a_cpu(record: Any) -> list[float]:
@@ -106,6 +119,11 @@ def _five_million(record: Any) -> list[float]:
 
 def _edt(record: Any, peer: str) -> list[float]:
     return _range([case["ms"][peer]["median"] / case["ms"]["sdm"]["median"] for case in record["cases"]])
+
+
+def _to_tens(numbers: Sequence[float]) -> list[float]:
+    """With the last to tens."""
+    return [*numbers[:-1], round(numbers[-1], -1)]
 
 
 def _first_calls(record: Any) -> list[float]:
@@ -223,23 +241,24 @@ def _zoo(record: Any, resolution: str) -> list[float]:
 
 FIGURES = (
     Figure(README, "{:.1f} ms at 64^3, {:.1f} ms at 256^3, {:.1f} ms at 512^3 |", "first-cuda", _first_calls),
-    Figure(README, "| H100 | {:.0f}, {:.0f} times as fast as stock", "dense-cuda", _first),
+    Figure(README, "| H100 | {:.0f}, {:.0f} times as fast as stock Warp by the better", "dense-cuda", _first),
     Figure(README, "not counted); {:.0f}, {:.0f} times |", "dense-cuda", lambda r: _means(r)[1:]),
     Figure(README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
     Figure(README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
     Figure(README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
     Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
     Figure(README, "| two CPU cores | {:.0f} times as fast as the faster", "dense-cpu", _means_on_a_cpu),
-    Figure(README, "| at {:.1f} % of the speed of training on a fixed batch", "stream-h200", lambda r: _speeds(r)[:1]),
+    Figure(README, "| at {:.1f} % of the speed of training on a fixed batch", "stream", lambda r: _speeds(r)[:1]),
     Figure(SPEED, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
-    Figure(SPEED, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-h200", lambda r: _times(r, "first")),
-    Figure(SPEED, "it takes {:.1f} to {:.0f} ms, 104 times", "dense-h200", lambda r: _times(r, "new_mesh")),
-    Figure(SPEED, "{:.0f}, {:.0f}, {:.0f} times as fast as stock Warp (LBVH", "dense-h200", _means),
-    Figure(SPEED, "at 256^3, 512^3 | one H200 | {:.0f}, {:.0f} times", "dense-h200", _first),
-    Figure(SPEED, "one H100 | {:.0f}, {:.0f}, {:.0f} times;", "dense-cuda", _means),
-    Figure(SPEED, "times; {:.0f}, {:.0f} | [dense-cuda", "dense-cuda", _first),
-    Figure(SPEED, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-h200", _five_million),
-    Figure(SPEED, "near the surface, repeated, tree built | one H200 | {:.0f}, {:.0f} times", "dense-h200", _points),
+    Figure(SPEED, "it takes {:.1f} to {:.1f} ms for 20,000", "dense-cuda", lambda r: _times(r, "first")),
+    Figure(SPEED, "it takes {:.1f} to {:.0f} ms, 94 times", "dense-cuda", lambda r: _times(r, "new_mesh")),
+    Figure(SPEED, "{:.0f}, {:.0f}, {:.0f} times as fast as stock Warp by the better", "dense-cuda", _means),
+    Figure(SPEED, "; {:.0f}, {:.0f}, {:.0f} times its LBVH", "dense-cuda", lambda r: _means(r, "Warp winding number")),
+    Figure(SPEED, "at 256^3, 512^3 | one H100 | {:.0f}, {:.0f} times", "dense-cuda", _first),
+    Figure(SPEED, "at 512^3 timed on {:.0f} to {:.0f} % of the grid", "dense-cuda", _shares),
+    Figure(SPEED, "H100 | {:,.0f} maps a second; {:,.0f} |", "dense-cuda", _batches),
+    Figure(SPEED, "{:.0f} ms at 256^3, {:.0f} ms at the first call", "dense-cuda", _five_million),
+    Figure(SPEED, "near the surface, repeated, tree built | one H100 | {:.0f}, {:.0f} times", "dense-cuda", _points),
     Figure(SPEED, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
     Figure(
         SPEED,
@@ -250,9 +269,9 @@ FIGURES = (
     ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
     Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
-    Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream-h200", _maps),
-    Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream-h200", lambda r: _speeds(r)[:1]),
-    Figure(GUIDE, "a small decoder at {:.1f} %", "stream-h200", lambda r: _speeds(r)[1:]),
+    Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
+    Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream", lambda r: _speeds(r)[:1]),
+    Figure(GUIDE, "a small decoder at {:.1f} %", "stream", lambda r: _speeds(r)[1:]),
     Figure(GUIDE, "{:.3f} mm off on average; on two CPU cores {:.0f} ms", "surrogate-cpu", lambda r: _surrogate(r)[:2]),
     Figure(GUIDE, "{:.0f} times as fast as libigl, and {:.0f} ms with", "surrogate-cpu", lambda r: _surrogate(r)[2:4]),
     Figure(GUIDE, "(extra `onnx`), {:.0f} times", "surrogate-cpu", lambda r: _surrogate(r)[4:]),
@@ -262,10 +281,12 @@ FIGURES = (
     Figure(SPEED, "on a GPU {0}, all", "accuracy-cuda", _accuracy),
     Figure(SPEED, "largest on a GPU {1:.1f}, {2} million points", "accuracy-cuda", _accuracy),
     Figure(SPEED, "{:.2f} to {:.1f} times as fast as CuPy", "edt-cuda", lambda r: _edt(r, "CuPy")),
+    Figure(SPEED, "rows, {:.0f} to {:,.0f} times as SciPy", "edt-cuda", lambda r: _to_tens(_edt(r, "SciPy"))),
+    Figure(SCIPY, "{:.0f} to {:,.0f} times as fast as SciPy", "edt-cuda", lambda r: _to_tens(_edt(r, "SciPy"))),
     Figure(GUIDE, "atria to {:.2f} mm", "deepsdf", _scores("atria-local", "unseen", "mean_mm")),
     Figure(GUIDE, "three minutes: {:.2f} mm", "deepsdf", _scores("atria-published", "unseen", "mean_mm")),
-    Figure(STREAM, "takes {:.1f} ms, on a fixed batch {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "u-net")),
-    Figure(STREAM, "decoder's {:.1f} and {:.1f}, {:.3f}", "stream-h200", lambda r: _training(r, "decoder")),
+    Figure(STREAM, "takes {:.1f} ms, on a fixed batch {:.1f}, {:.3f}", "stream", lambda r: _training(r, "u-net")),
+    Figure(STREAM, "decoder's {:.1f} and {:.1f}, {:.3f}", "stream", lambda r: _training(r, "decoder")),
     Figure(
         STREAM,
         "at {:.2f} of four times one's speed, {:,.0f} samples",
