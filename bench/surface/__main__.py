@@ -33,11 +33,11 @@ MESHES = ("fandisk", "rocker-arm", "nefertiti")
 RESOLUTIONS = (128, 256)
 
 
-def measure(case: Case, device: str, resolution: int, runs: int) -> list[dict[str, Any]]:
+def measure(case: Case, device: str, resolution: int, runs: int, *, alone: bool = False) -> list[dict[str, Any]]:
     """A row for each method."""
     mesh = sdm.TriangleMesh(case.vertices, case.faces, case.name).to(device)
     grid, index = sdm.Grid.around(mesh, resolution), sdm.MeshIndex(mesh, device)
-    calls = methods_of(index.signed_distance_map(grid), index, index.narrow_band(grid))
+    calls = methods_of(index.signed_distance_map(grid), index, index.narrow_band(grid), alone=alone)
     edges = sharp_points(mesh)
     rows, times = [], {name: [] for name in calls}
     for name, call in calls.items():
@@ -100,20 +100,23 @@ def main() -> None:
     parser.add_argument("--meshes", nargs="*", default=list(MESHES), help="names, torus-N, or files")
     parser.add_argument("--resolutions", type=int, nargs="*", default=list(RESOLUTIONS))
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--alone", action="store_true", help="without other libraries")
+    parser.add_argument("--add", action="store_true", help="keep the other rows of the file that is there")
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     print(
         f"{'':42}{'seconds':>9}{'cpu':>9}{'triangles':>12}{'open':>6}{'zero':>6}{'vertices':>10}{'edges':>10}",
         flush=True,
     )
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = json.loads(given.out.read_text())["rows"] if given.add else []
     for name in given.meshes:
         if (why := missing_note(name)) is not None:
             print(why)
             continue
         for resolution in given.resolutions:
-            found = measure(load_case(name), given.device, resolution, given.runs)
-            rows += found
+            case = load_case(name)
+            found = measure(case, given.device, resolution, given.runs, alone=given.alone)
+            rows = [row for row in rows if (row["mesh"], row["resolution"]) != (case.name, resolution)] + found
             print(*map(line, found), sep="\n", flush=True)
             if given.out:
                 json_file.write(given.out, {"machine": describe(given.device), "rows": rows})

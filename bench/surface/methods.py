@@ -13,14 +13,18 @@ Surface = tuple[np.ndarray, np.ndarray]
 OURS = ("sdm cubes", "sdm dual by the map", "sdm dual by the mesh", "sdm band")
 
 
-def methods_of(field: sdm.SDM, index: sdm.MeshIndex, band: sdm.SparseSDM) -> dict[str, Callable[[], Any]]:
-    """Calls that give a surface each: of ours a mesh on the device, of others vertices and faces on the host."""
+def methods_of(
+    field: sdm.SDM, index: sdm.MeshIndex, band: sdm.SparseSDM, *, alone: bool = False
+) -> dict[str, Callable[[], Any]]:
+    """Calls that give a surface each: of ours a mesh on the device, of others, unless `alone`, arrays on the host."""
     calls: dict[str, Callable[[], Any]] = {
         "sdm cubes": field.to_mesh,
         "sdm dual by the map": lambda: field.to_mesh(method="dual"),
         "sdm dual by the mesh": lambda: field.to_mesh(method="dual", mesh=index),
         "sdm band": band.to_mesh,
     }
+    if alone:
+        return calls
     values = field.numpy()
     return calls | _scikit_image(field, values) | _libigl(field, values)
 

@@ -48,14 +48,14 @@ def test_a_closed_mesh_comes_back_within_half_a_voxel():
 
 
 def test_half_spheres_become_closed_shells():
-    """Of twenty, half of them inside out, each is a plate of its own; the wide opening is not filled."""
+    """Of a hundred, half of them inside out, each is a plate of its own; the wide opening is not filled."""
     vertices, faces = half()
-    parts = [(np.add(vertices, [3 * (n % 5), 3 * (n // 5), 0]), faces[:, :: (-1) ** n]) for n in range(20)]
+    parts = [(np.add(vertices, [3 * (n % 10), 3 * (n // 10), 0]), faces[:, :: (-1) ** n]) for n in range(100)]
     mesh = joined(*parts)
-    surface, report = sdm.watertight(mesh, 120, return_report=True)
+    surface, report = sdm.watertight(mesh, 160, return_report=True)
     assert_closed_manifold(surface)
     found = sdm.inspect_mesh(surface)
-    assert (found.components, found.closed, found.outward) == (20, True, True)
+    assert (found.components, found.closed, found.outward) == (100, True, True)
     assert not report.closed
     # A plate as thick as twice the offset.
     area = areas_and_volume(mesh)[0].sum()
