@@ -38,6 +38,8 @@ def _open3d(scene: Callable[[], Any]) -> Call:
 
 def _igl(module: Any, sign_type: Any) -> Call:
     def call(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+        # Ours would not build the same mesh again.
+        igl.forget()
         return module.signed_distance(points, vertices, faces.astype(np.int64), sign_type)[0]
 
     return call

@@ -34,6 +34,10 @@ ON_SURFACE = wp.float64(2.0**-24)
 TOUCHING2 = 4.0e-12
 # Room in "faces as much".
 SAME = wp.float64(1.0e-6)
+# Triangles that touch a closest point and are kept on a CPU; of more the tree is gone through in each turn.
+FEW = 8
+FewSlots = wp.types.vector(length=FEW, dtype=wp.int32)
+FewNumbers = wp.types.vector(length=FEW, dtype=wp.float64)
 
 
 @wp.func
@@ -143,6 +147,65 @@ def touching(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float
 
 
 @wp.func
+def few_touching(tree: Tree, given: int, at: wp.vec3):
+    """The triangles but for the given one that touch a point, after it, and how many all are, or more than FEW."""
+    base = nodes_of(tree, 0)
+    depth = eights_depth(tree)
+    pairs = tree.depth - depth
+    leaves = 1 << depth
+    slots = FewSlots()
+    slots[0] = given
+    count = int(1)
+    wide = WideNodeStack()
+    above = int(1)
+    wide[0] = 1
+    while above > 0 and count <= FEW:
+        above = above - 1
+        at_node = wide[above]
+        if at_node >= leaves:
+            begin, held = eights_leaf(tree, 0, (at_node - leaves) << pairs, pairs)
+            squares = eight_triangles(tree.corners, begin, held, at)
+            for k in range(8):
+                if squares[k] <= TOUCHING2 and begin + k != given:
+                    if count < FEW:
+                        slots[count] = begin + k
+                    count = count + 1
+        else:
+            step = eights_step(at_node, depth)
+            squares = eight_boxes(tree.boxes, base + (at_node << step), 1 << step, at)
+            for k in range(8):
+                if squares[7 - k] <= TOUCHING2:
+                    wide[above] = (at_node << step) + 7 - k
+                    above = above + 1
+    return slots, count
+
+
+@wp.func
+def facing_of_few(tree: Tree, slots: FewSlots, count: int, p: wp.vec3d, largest: wp.float64):
+    """`facing_slot` among the first of `slots`, each of which is measured once."""
+    distances = FewNumbers()
+    cosines = FewNumbers()
+    least = wp.float64(wp.inf)
+    for k in range(count):
+        hit = exact_hit(tree, slots[k], p)
+        distances[k] = wp.sqrt(hit.distance2)
+        least = wp.min(least, distances[k])
+        if distances[k] <= least + EQUAL * largest:
+            cosines[k] = facing(tree, slots[k], p, hit, ON_SURFACE * largest)
+    most = wp.float64(-1.0)
+    for k in range(count):
+        if distances[k] <= least + EQUAL * largest:
+            most = wp.max(most, cosines[k])
+    named = int(slots[0])
+    face = int(2147483647)
+    for k in range(count):
+        if distances[k] <= least + EQUAL * largest and cosines[k] >= most - SAME and tree.face[slots[k]] < face:
+            named = slots[k]
+            face = tree.face[named]
+    return named
+
+
+@wp.func
 def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     """The slot to name of one mesh's hierarchy, given one whose triangle is nearest to p (scaled).
 
@@ -151,6 +214,12 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     largest = wp.max(wp.float64(1.0), wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2]))))
     hit = exact_hit(tree, slot, p)
     at = wp.vec3(hit.point)
+    if on_cpu():
+        slots, count = few_touching(tree, slot, at)
+        if count == 1:
+            return slot
+        if count <= FEW:
+            return facing_of_few(tree, slots, count, p, largest)
     found = Facing()
     found.least = wp.sqrt(hit.distance2)
     found.most = wp.float64(-1.0)

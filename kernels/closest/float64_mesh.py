@@ -137,25 +137,26 @@ def _measure(
     if wp.min(known.barycentric[i]) <= ON_AN_EDGE:
         least = wp.float64(squared)
         others = wp.vec3d(wp.float64(wp.inf), wp.float64(wp.inf), wp.float64(wp.inf))
+        places = wp.mat33d()
         for k in range(3):
             if mesh.neighbours[own, k] >= 0:
-                others[k] = wp.length_sq(p - near_on_face(mesh, mesh.neighbours[own, k] / 3, p))
+                places[k] = near_on_face(mesh, mesh.neighbours[own, k] / 3, p)
+                others[k] = wp.length_sq(p - places[k])
                 least = wp.min(least, others[k])
         # A point on the surface has no side: the nearest face is its own.
         reach = least
         if least > mesh.rounding:
             reach = (wp.float64(1.0) + mesh.equal) * least + mesh.rounding
         front = wp.float64(-wp.inf)
-        if squared <= reach:
+        if squared <= reach and wp.min(others) <= reach:
             front = front_of(mesh, own, p - closest)
         for k in range(3):
             if others[k] <= reach:
                 face = mesh.neighbours[own, k] / 3
-                at = near_on_face(mesh, face, p)
-                looks = front_of(mesh, face, p - at)
+                looks = front_of(mesh, face, p - places[k])
                 if looks > front:
                     front = looks
-                    closest = at
+                    closest = places[k]
                     squared = others[k]
                     named = face
     distance = wp.sqrt(squared)

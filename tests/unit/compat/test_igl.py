@@ -42,3 +42,26 @@ def test_bounds(bounds):
     np.testing.assert_array_equal(np.isnan(found[0]), np.isnan(theirs[0]))
     np.testing.assert_array_equal(found[1][np.isnan(found[0])], theirs[1][np.isnan(theirs[0])])
     np.testing.assert_array_equal(found[2][np.isnan(found[0])], theirs[2][np.isnan(theirs[0])])
+
+
+def test_the_last_mesh_is_kept(monkeypatch):
+    built = []
+
+    class Counted(ours.ClosestInFloat64):
+        def __init__(self, *args):
+            built.append(1)
+            super().__init__(*args)
+
+    monkeypatch.setattr(ours, "ClosestInFloat64", Counted)
+    ours.forget()
+    vertices = V.copy()
+    first = ours.signed_distance(P, vertices, F, device="cpu")[0]
+    np.testing.assert_array_equal(ours.signed_distance(P, vertices.copy(), F.astype(np.int32), device="cpu")[0], first)
+    assert len(built) == 1
+    # Whoever writes into an array has another mesh.
+    vertices *= 1.5
+    np.testing.assert_allclose(ours.signed_distance(1.5 * P, vertices, F, device="cpu")[0], 1.5 * first, rtol=1e-9)
+    assert len(built) == 2
+    ours.forget()
+    ours.signed_distance(P, V, F, device="cpu")
+    assert len(built) == 3
