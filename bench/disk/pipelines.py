@@ -51,24 +51,28 @@ def compute_rows(folder: Path, sizes: Sizes, device: str) -> tuple[list[dict[str
     """`sdm compute` of many binary PLY files, and the clock of the first run."""
     files = write_meshes(folder / "meshes", sizes.meshes, sizes.triangles, "ply")
     settings = settings_for(sizes.resolution, device)
-    meshes = [sdm.load_mesh(file) for file in files]
-    # Before anything is timed: kernels are compiled, and recordings made.
-    for mesh in meshes[:4]:
-        sdm.signed_distance_map(mesh, resolution=sizes.resolution, device=device)
-    _maps(meshes[:TOGETHER] if device != "cpu" else meshes[:1], sizes.resolution, device)
-    alone = _seconds(device, lambda: _maps(meshes, sizes.resolution, device))
+    alone = alone_of_compute([sdm.load_mesh(file) for file in files], sizes.resolution, device)
     rows, first = [], None
     for ending in ("npz", "nii.gz"):
         out = folder / f"maps-{ending}"
         out.mkdir()
         times = StageTimes(keep_spans=True)
         jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
-        seconds, cpu = _quietly(
+        seconds, cpu = quietly(
             lambda jobs=jobs, times=times: compute(jobs, settings, workers=sizes.threads, times=times)
         )
         rows.append(_row(f"compute .{ending}", "meshes", sizes.meshes, seconds, cpu, times, alone, out))
         first = first or times
     return rows, first or StageTimes()
+
+
+def alone_of_compute(meshes: list[sdm.TriangleMesh], resolution: int, device: str) -> tuple[float, float]:
+    """Seconds, and those of the CPU, that the engine alone takes for the maps of meshes in memory, and keeps none."""
+    # Before anything is timed: kernels are compiled, and recordings made.
+    for mesh in meshes[:4]:
+        sdm.signed_distance_map(mesh, resolution=resolution, device=device)
+    _maps(meshes[:TOGETHER] if device != "cpu" else meshes[:1], resolution, device)
+    return _seconds(device, lambda: _maps(meshes, resolution, device))
 
 
 def small_run(folder: Path, files: int, resolution: int, device: str) -> tuple[float, StageTimes]:
@@ -80,9 +84,9 @@ def small_run(folder: Path, files: int, resolution: int, device: str) -> tuple[f
         place.mkdir(parents=True)
     settings = settings_for(resolution, device)
     # Kernels are compiled, and recordings made.
-    _quietly(lambda: compute([(file, target.with_suffix(".first.npz")) for file, target in jobs[:TOGETHER]], settings))
+    quietly(lambda: compute([(file, target.with_suffix(".first.npz")) for file, target in jobs[:TOGETHER]], settings))
     times = StageTimes(keep_spans=True)
-    return _quietly(lambda: compute(jobs, settings, times=times))[0], times
+    return quietly(lambda: compute(jobs, settings, times=times))[0], times
 
 
 def together_on(device: torch.device) -> int:
@@ -104,19 +108,24 @@ def settings_for(resolution: int, device: str) -> Settings:
     )
 
 
+def alone_of_generate(family: Cochlea, grid: sdm.Grid, maps: int, device: str) -> tuple[float, float]:
+    """Seconds, and those of the CPU, that the engine alone takes for so many maps, and keeps none."""
+    maker = Maker(family, grid, seed=0, sampler="uniform", device=device)
+    numbers = torch.arange(maps, dtype=torch.int64, device="cpu").split(maker.at_once)
+    for part in numbers[:4]:
+        maker.make(part)
+    return _seconds(device, lambda: _drop(maker.make(part) for part in numbers))
+
+
 def generate_rows(folder: Path, sizes: Sizes, device: str) -> list[dict[str, Any]]:
     """`sdm generate cochlea`, 64^3, 20,000 triangles."""
     family = Cochlea(20_000)
     grid = family.grid(64)
-    maker = Maker(family, grid, seed=0, sampler="uniform", device=device)
-    numbers = torch.arange(sizes.maps, dtype=torch.int64, device="cpu").split(maker.at_once)
-    for part in numbers[:4]:
-        maker.make(part)
-    alone = _seconds(device, lambda: _drop(maker.make(part) for part in numbers))
+    alone = alone_of_generate(family, grid, sizes.maps, device)
     rows = []
     for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
         times, out = StageTimes(), folder / f"{compression}.zarr"
-        seconds, cpu = _quietly(
+        seconds, cpu = quietly(
             lambda out=out, dtype=dtype, compression=compression, times=times: generate(
                 family, grid, sizes.maps, out, dtype=dtype, compression=compression, device=device, times=times
             )
@@ -149,7 +158,7 @@ def sample_row(folder: Path, sizes: Sizes, device: str) -> dict[str, Any]:
     loaded = [sdm.load_mesh(mesh) for mesh in meshes]
     alone = _seconds(device, lambda: _drop(sdm.sampling.sample(mesh, sizes.points, device=device) for mesh in loaded))
     times, out = StageTimes(), folder / "samples"
-    seconds, cpu = _quietly(lambda: sample([folder / "meshes"], out, "deepsdf", options, device=device, times=times))
+    seconds, cpu = quietly(lambda: sample([folder / "meshes"], out, "deepsdf", options, device=device, times=times))
     return _row(f"sample {sizes.points:,}", "meshes", len(meshes), seconds, cpu, times, alone, out)
 
 
@@ -176,8 +185,8 @@ def _seconds(device: str, work: Any) -> tuple[float, float]:
     return time.perf_counter() - start, time.process_time() - cpu
 
 
-def _quietly(work: Any) -> tuple[float, float]:
-    """Seconds, and those of the CPU."""
+def quietly(work: Any) -> tuple[float, float]:
+    """Seconds of work that prints nothing, and those of the CPU."""
     start, cpu = time.perf_counter(), time.process_time()
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         work()

@@ -1,0 +1,167 @@
+"""On a real disk: what share of the smaller of disk and engine do `sdm generate` and `sdm compute` reach?
+
+    python -m sdm.bench.disk.real_disk --device cuda --folder /mnt/data
+
+By turns: the command, then files of the sizes that it wrote by a plain writer, one after the other and each flushed,
+and the same by as many threads as the command writes with. The engine alone makes the same and keeps nothing. Output is
+removed after each turn. The share is that of the better of the two writers, or of the engine where that is slower.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import sdm
+from sdm.bench.common import json_file
+from sdm.bench.common.checkout import results_folder
+from sdm.bench.common.machine import describe
+from sdm.bench.disk.inputs import write_meshes
+from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate, quietly, settings_for
+from sdm.bench.disk.plain_writer import plain_seconds
+from sdm.cli.maps.run import run as compute
+from sdm.dataset import generate
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.pipeline.thread_count import writers_beside
+from sdm.shapes import Cochlea
+
+TRIANGLES, MAPS_AT, MESHES_AT = 20_000, 64, 128
+
+
+@dataclass(frozen=True)
+class Work:
+    """A command's work.
+
+    Args:
+        name: As in the record.
+        count: Maps, or meshes.
+        alone: Seconds of the engine alone.
+        run: Does the work into a folder that is there.
+    """
+
+    name: str
+    count: int
+    alone: float
+    run: Callable[[Path, StageTimes], Any]
+
+
+def works(folder: Path, maps: int, meshes: int, device: str) -> list[Work]:
+    """Both commands in both of their formats."""
+    found = []
+    if maps:
+        family = Cochlea(TRIANGLES)
+        grid = family.grid(MAPS_AT)
+        alone = alone_of_generate(family, grid, maps, device)[0]
+        for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
+
+            def make(out: Path, times: StageTimes, dtype: Any = dtype, compression: str = compression) -> None:
+                more: dict[str, Any] = {"dtype": dtype, "compression": compression, "device": device}
+                generate(family, grid, maps, out / "d.zarr", times=times, **more)
+
+            found.append(Work(f"generate {str(dtype).removeprefix('torch.')} {compression}", maps, alone, make))
+    if meshes:
+        files = write_meshes(folder / "meshes", meshes, TRIANGLES, "ply")
+        alone = alone_of_compute([sdm.load_mesh(file) for file in files], MESHES_AT, device)[0]
+        for ending in ("npz", "nii.gz"):
+
+            def measure(out: Path, times: StageTimes, ending: str = ending) -> None:
+                jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
+                compute(jobs, settings_for(MESHES_AT, device), times=times)
+
+            found.append(Work(f"compute .{ending}", meshes, alone, measure))
+    return found
+
+
+def row_of(work: Work, folder: Path, rounds: int, until: float, device: str) -> dict[str, Any]:
+    """Rates of all turns, and the share of the medians."""
+    threads = writers_beside(torch.device(device))
+    turns: dict[str, list[float]] = {"ours": [], "one": [], "threads": []}
+    busy: dict[str, float] = {}
+    sizes: list[int] = []
+    for number in range(rounds):
+        if number and time.monotonic() > until:
+            break
+        out, times = folder / "out", StageTimes()
+        out.mkdir()
+        os.sync()
+        turns["ours"].append(quietly(lambda out=out, times=times: work.run(out, times))[0])
+        busy = times.seconds
+        sizes = [file.stat().st_size for file in sorted(out.rglob("*")) if file.is_file()]
+        shutil.rmtree(out)
+        turns["one"].append(plain_seconds(folder / "plain", sizes))
+        turns["threads"].append(plain_seconds(folder / "plain", sizes, threads=threads))
+    rates = {name: [work.count / seconds for seconds in found] for name, found in turns.items()}
+    middle = {name: sorted(found)[len(found) // 2] for name, found in rates.items()}
+    engine = work.count / work.alone
+    limit = min(max(middle["one"], middle["threads"]), engine)
+    each = sum(sizes) / 1e6 / work.count
+    return {
+        "work": work.name,
+        "count": work.count,
+        "rounds": len(turns["ours"]),
+        "per_second": round(middle["ours"], 1),
+        "engine_alone_per_second": round(engine, 1),
+        "disk_one_after_the_other_per_second": round(middle["one"], 1),
+        f"disk_{threads}_threads_per_second": round(middle["threads"], 1),
+        "of_one_after_the_other": round(middle["ours"] / min(middle["one"], engine), 3),
+        "of_smaller": round(middle["ours"] / limit, 3),
+        "mb_each": round(each, 4),
+        "mb_per_s": {name: [round(rate * each, 1) for rate in found] for name, found in rates.items()},
+        "busy_seconds": {stage: round(seconds, 3) for stage, seconds in busy.items()},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--folder", type=Path, help="a place on the disk; by default that of temporary files")
+    parser.add_argument("--maps", type=int, default=12_000, help="of generate; 0 leaves it out")
+    parser.add_argument("--meshes", type=int, default=600, help="of compute; 0 leaves it out")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--budget-s", type=float, default=600.0, help="no round begins later, but the first of each")
+    parser.add_argument("--out", type=Path, help="JSON file")
+    options = parser.parse_args()
+    until = time.monotonic() + options.budget_s
+    torch.set_num_threads(1)
+    folder = Path(tempfile.mkdtemp(prefix="sdm-disk-", dir=options.folder))
+    record: dict[str, Any] = {"machine": describe(options.device), "cores": len(os.sched_getaffinity(0))}
+    record |= {"load": os.getloadavg()[0], "file_system": file_system_of(folder), "pipelines": []}
+    out = options.out or results_folder() / f"disk-real-{options.device.partition(':')[0]}.json"
+    try:
+        for work in works(folder, options.maps, options.meshes, options.device):
+            row = row_of(work, folder, options.rounds, until, options.device)
+            record["pipelines"].append(row)
+            print(" ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+            # What is measured is kept, should the rest be cut off.
+            json_file.write(out, record)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    print(out)
+
+
+def file_system_of(path: Path) -> str:
+    """Type of the file system that a path is on, where the system tells."""
+    best, kind = "", "unknown"
+    try:
+        lines = Path("/proc/mounts").read_text().splitlines()
+    except OSError:
+        return kind
+    for line in lines:
+        _, place, found = line.split()[:3]
+        inside = str(path.resolve()).startswith(place.rstrip("/") + "/") or place == "/"
+        if inside and len(place) >= len(best):
+            best, kind = place, found
+    return kind
+
+
+if __name__ == "__main__":
+    main()
