@@ -15,8 +15,8 @@ import torch
 
 import sdm
 from sdm.bench.disk.inputs import write_meshes, write_small
+from sdm.cli.maps.map_job import TOGETHER
 from sdm.cli.maps.map_settings import Settings
-from sdm.cli.maps.run import TOGETHER
 from sdm.cli.maps.run import run as compute
 from sdm.cli.maps.sample_run import SampleOptions
 from sdm.cli.maps.sample_run import run as sample

@@ -13,7 +13,7 @@ Draw = Callable[[int], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True)
 class Pipeline:
-    """A pipeline as `sdm.cli.maps.run` builds it.
+    """A pipeline as `sdm.cli.maps.map_job` builds it.
 
     Args:
         readers: Threads of reading.

@@ -26,9 +26,8 @@ from sdm.bench.common import json_file
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.machine import describe
 from sdm.bench.disk.inputs import write_meshes
-from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate, quietly, settings_for
+from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate, compute, quietly, settings_for
 from sdm.bench.disk.plain_writer import plain_seconds
-from sdm.cli.maps.run import run as compute
 from sdm.dataset import generate
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.thread_count import writers_beside

@@ -9,12 +9,12 @@ import torch
 
 from sdm.core.grid import Grid
 from sdm.dataset import layout
-from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.manifest import read_manifest, require_draws
 from sdm.dataset.shard_job import Job
 from sdm.dataset.writer import remake, version
 from sdm.errors import FormatError
 from sdm.io.files.lock import alone
+from sdm.runtime.sharing.devices import device_kind, devices_for
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import DTYPES

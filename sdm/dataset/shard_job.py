@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +18,10 @@ from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.dataset.layout import rows_of, write_shard
+from sdm.dataset.manifest import KEY, sealed
 from sdm.engine.arguments import Sign
-from sdm.errors import FormatError
+from sdm.errors import FormatError, SDMError
+from sdm.io.files.atomic import put
 from sdm.io.files.stand_in import StandIn, adopt
 from sdm.runtime.host_copy import HostRows
 from sdm.runtime.pipeline.outcome import Failed
@@ -72,6 +75,30 @@ class Job:
     sign: Sign = "winding"
     hole_size: float | None = None
     stand_ins: tuple[StandIn, ...] = ()
+
+    def absolute(self) -> Job:
+        """See `SharedJob`."""
+        return replace(self, folder=self.folder.absolute())
+
+    def check(self) -> None:
+        """See `SharedJob`."""
+        if not (self.folder / "zarr.json").is_file():
+            raise SDMError(
+                f"a machine of the cluster does not see {self.folder}: write to a disk that all of them share"
+            )
+
+    def agree(self, kind: str) -> None:
+        """See `SharedJob`. All devices must be of one kind, or the shards would differ in their last bits."""
+        if self.manifest["device"] is None:
+            self.manifest["device"] = kind
+            path = self.folder / "zarr.json"
+            text = json.loads(path.read_text())
+            text["attributes"][KEY] = sealed({**text["attributes"][KEY], "device": kind})
+            put(path, json.dumps(text, indent=2).encode())
+        if kind != self.manifest["device"]:
+            raise SDMError(
+                f"the cluster has both {self.manifest['device']} and {kind}: a dataset is made on one kind of device"
+            )
 
     def maker(self, device: str | torch.device) -> Maker:
         """Makes the samples."""

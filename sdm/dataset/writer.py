@@ -12,16 +12,16 @@ import torch
 from sdm.core.as_grid import GridLike
 from sdm.core.grid import Grid
 from sdm.dataset import layout
-from sdm.dataset.devices import device_kind, devices_for
 from sdm.dataset.manifest import COMPRESSIONS, VERSION, read_manifest, require_draws
-from sdm.dataset.process_pool import run_here
-from sdm.dataset.ray_cluster import run_on_ray
 from sdm.dataset.shard_job import Job
 from sdm.engine.arguments import Sign
 from sdm.errors import FormatError, SDMError
 from sdm.io.files.lock import alone
 from sdm.io.files.stand_in import known, moved
 from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.sharing.devices import device_kind, devices_for
+from sdm.runtime.sharing.processes import run_here
+from sdm.runtime.sharing.ray_cluster import run_on_ray
 from sdm.shapes import Family
 from sdm.stream import Sampler, as_sampler
 from sdm.stream.sample_maker import Maker

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -116,10 +116,28 @@ class FolderSampling:
 
     def run(self) -> Iterator[Done[SampledMesh] | Failed]:
         """Sample all meshes whose samples are not there yet; what became of each, in order."""
+        done = [False] * len(self._tasks)
+        for number, outcome in self.some(range(len(self._tasks))):
+            done[number] = isinstance(outcome, Done)
+            yield outcome
+        self.end(done)
+
+    def some(self, numbers: Iterable[int]) -> Iterator[tuple[int, Done[SampledMesh] | Failed]]:
+        """Sample some of the meshes; the number of each and what became of it, in their order.
+
+        Of those that the layout keeps in one file (`Layout.together`) all are to be among them.
+        """
         times, threads = self._times, self._threads
         nbytes = 40 * self._recipe.count
+        begun: list[int] = []
+
+        def tasks() -> Iterator[_Task]:
+            for number in numbers:
+                begun.append(number)
+                yield self._tasks[number]
+
         read = in_threads(
-            numbered(self._tasks), "read", self._read, workers=threads, times=times, single=len(self._tasks) == 1
+            numbered(tasks()), "read", self._read, workers=threads, times=times, single=len(self._tasks) == 1
         )
         measured = one_by_one(read, str(self._device), self._measure, times=times)
         written = in_threads(
@@ -132,12 +150,14 @@ class FolderSampling:
             prompt=True,
             single=len(self._tasks) == 1,
         )
-        done = [False] * len(self._tasks)
         for outcome in written:
-            done[outcome.number] = isinstance(outcome, Done)
+            number = begun[outcome.number]
             if isinstance(outcome, Failed):
-                self._layout.failed(outcome.number)
-            yield outcome
+                self._layout.failed(number)
+            yield number, outcome
+
+    def end(self, done: list[bool]) -> None:
+        """Complete the folder: whether the samples of each mesh are there."""
         self._layout.end(done, self._parts)
 
     def _read(self, task: _Task) -> _Read | None:

@@ -37,6 +37,7 @@ def compute(
     ] = None,
     margin: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.05,
     device: Device = "auto",
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
     format: Annotated[  # noqa: A002
         Ending | None, tyro.conf.arg(help_behavior_hint="(default: as OUT ends, or nii.gz)")
     ] = None,
@@ -76,7 +77,9 @@ def compute(
         spacing: Voxel size in the mesh's unit: one length, or one for each axis.
         grid_like: The grid of this NIfTI or NRRD image, or of another map.
         margin: Room around the mesh, as a share of the longest edge of its box.
-        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none. Of few meshes
+            one GPU makes all.
+        ray: Share the meshes among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
         format: File format, for maps written to a folder. A zarr map may be larger than memory.
         orient: auto makes faces agree and turns parts that are inside out; parts turns every patch of faces outward by
             what sees it from outside; keep takes meshes as they are.
@@ -94,7 +97,8 @@ def compute(
         band: Write a narrow band alone (sdm.SparseSDM): the voxels so near to the surface, 3 for example, in blocks of
             8^3. Time and memory grow with the surface. To .npz, .zarr or .nvdb.
         resume: Skip meshes whose map is there already: on the same grid, and made from the same mesh (checksum stored
-            in the map). Other files under its name are replaced.
+            in the map, or as OUT/unfinished.jsonl says of files that nobody touched since). Other files under its name
+            are replaced.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
         report: JSON file to write about every mesh: triangles, closed or not, sign, warnings, seconds, or why not.
     """
@@ -108,6 +112,7 @@ def compute(
     from sdm.io import grid_like as read_grid
     from sdm.io.maps.formats import check_file, is_map_name
     from sdm.io.maps.save_and_load import is_placed
+    from sdm.runtime.sharing.devices import devices_for
 
     SignMethod(sign, hole_size)
     given = {"--resolution": resolution, "--spacing": spacing, "--grid-like": grid_like}
@@ -134,6 +139,7 @@ def compute(
             "--band": band is not None,
             "--resume": resume,
             "--report": report is not None,
+            "--ray": ray is not None,
         }
         refuse_mesh_options(meshes[0], [name for name, is_given in asked.items() if is_given])
         write_label_maps(meshes[0], out, signed=sign != "none", device=choose_device(device))
@@ -167,9 +173,11 @@ def compute(
     jobs = plan(meshes, out, format, *([] if band is None else ["npz"]))
     # A map that is there already is skipped by --resume, and so may give the grid of the others.
     like = None if resume else grid_like
-    if report is None and skip_bad and out.is_dir() and not is_map_name(out):
-        report = out / REPORT
+    folder = out if out.is_dir() and not is_map_name(out) else None
+    if report is None and skip_bad and folder is not None:
+        report = folder / REPORT
     refuse_inputs([*(target for _, target in jobs), report], [*(source for source, _ in jobs), like])
     if report is not None:
         check_file(report)
-    return run(jobs, settings, report=report, skip_bad=skip_bad)
+    where = {"devices": devices_for(device), "ray": ray, "folder": folder}
+    return run(jobs, settings, report=report, skip_bad=skip_bad, **where)

@@ -43,6 +43,7 @@ def sample(
     open_meshes: Literal["reject", "keep"] = "reject",
     seed: int = 0,
     device: Device = "auto",
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
     resume: bool = False,
     skip_bad: bool = False,
 ) -> int | None:
@@ -77,11 +78,14 @@ def sample(
         hole_size: With --sign flood, the ball's diameter, in the normalised unit: narrower gaps are closed.
         open_meshes: With --sign winding, what to do with meshes that have holes.
         seed: Whole number that the samples depend on, besides the mesh's path below the folder.
-        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none. Of few meshes
+            one GPU makes all.
+        ray: Share the meshes among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
         resume: Go on with a folder that was cut off; the samples that are there stay.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
     """
     from sdm.cli.maps.sample_run import SampleOptions, run
+    from sdm.runtime.sharing.devices import devices_for
 
     options = SampleOptions(
         law=law,
@@ -96,5 +100,5 @@ def sample(
         open_meshes=open_meshes,
         seed=seed,
     )
-    more = {"dataset": dataset, "split": split, "device": device}
+    more = {"dataset": dataset, "split": split, "device": device, "devices": devices_for(device), "ray": ray}
     return run(meshes, out, layout, options, **more, resume=resume, skip_bad=skip_bad)

@@ -41,7 +41,7 @@ def with_stand_ins(words: list[str]) -> Iterator[list[str]]:
         raise UsageError(f"sdm {words[0]} takes files of this machine alone: copy {named} here first")
     clash = next((option for option in ("--ray", "--verify") if option in words), None)
     if clash is not None:
-        raise UsageError(f"{clash} takes datasets of this machine alone, no addresses")
+        raise UsageError(f"{clash} takes files of this machine alone, no addresses")
     with stand_ins():
         yield [
             word if not there else f"{name}={_place(value, name)}" if name else _place(value, option)

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sdm.cli.common.error_sentence import sentence_of
-from sdm.cli.common.full_disk import is_full_disk
 from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
+from sdm.cli.maps.sample_job import SampleJob, entry_of
 from sdm.core.device import choose_device
 from sdm.core.normalization import Normal
 from sdm.engine.arguments import Sign, SignMethod
 from sdm.errors import FormatError, MeshError, SDMError
-from sdm.io.files.stand_in import shown
+from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.split_file import files_of_part, read_split
-from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.sharing.share_out import is_shared, shard_size, share_out
 from sdm.sampling.law import PAPER, RELEASED, SampleLaw
 from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import Instance, instances_of
 from sdm.sampling.layouts.sample_layout import Layout
 from sdm.sampling.recipe import Recipe
-from sdm.sampling.sample_folder import FolderSampling, SampledMesh
+from sdm.sampling.sample_folder import FolderSampling
 
 REPORT = "report.json"
 LAWS = {"paper": PAPER, "released": RELEASED}
@@ -94,15 +94,21 @@ def run(
     skip_bad: bool = False,
     workers: int | None = None,
     times: StageTimes | None = None,
+    devices: list[str] | None = None,
+    ray: str | None = None,
 ) -> int | None:
-    """Sample each mesh into the folder; 2 if some failed and are not to be skipped."""
+    """Sample each mesh into the folder; 2 if some failed and are not to be skipped.
+
+    `devices` of this machine share the meshes, in a process each, or those of the Ray cluster at `ray`.
+    """
     found = inputs_of(meshes)
     if not found:
         where = f"was found in {', '.join(map(str, meshes))}" if meshes else "was given"
         raise MeshError(f"no mesh {where}: name one or more mesh files, or a folder of them")
     roots = [path for path in meshes if path.is_dir()]
     sources, instances, parts = _chosen(found, instances_of(places_in(found)), meshes, split)
-    layout = layout_called(layout_name, dataset or (roots[0].resolve().name if roots else "meshes"))
+    named = dataset or (roots[0].resolve().name if roots else "meshes")
+    layout = layout_called(layout_name, named)
     recipe, where = options.recipe(layout_name, layout), choose_device(device)
     times = StageTimes() if times is None else times
     entries: list[MeshEntry] = []
@@ -113,11 +119,32 @@ def run(
         )
         with FileProgress(len(sources), times) as progress:
             progress.begin(sources[0].name)
-            for outcome in sampling.run():
-                entries.append(_entry(outcome, sources[outcome.number], options.sign))
-                progress.end()
-                if outcome.number + 1 < len(sources):
-                    progress.begin(sources[outcome.number + 1].name)
+
+            def hear(told: Iterable[MeshEntry]) -> None:
+                for entry in told:
+                    entries.append(entry)
+                    progress.end()
+                    if len(entries) < len(sources):
+                        progress.begin(sources[len(entries)].name)
+
+            if is_shared(len(sources), devices, ray):
+                size = shard_size(len(sources), 0 if devices is None else len(devices))
+                job = SampleJob(
+                    wanted=list(range(len(sources))),
+                    each=-(-size // layout.together) * layout.together,
+                    sources=sources,
+                    instances=instances,
+                    out=out,
+                    dataset=named,
+                    recipe=recipe,
+                    workers=workers,
+                    stand_ins=known(),
+                )
+                share_out(job, job.shards, devices or [], ray, hear)
+            else:
+                found_of = sampling.some(range(len(sources)))
+                hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)
+            sampling.end([entry.state != "failed" for entry in entries])
     except OSError as error:
         raise FormatError(f"{out} cannot be written: {error.strerror or error}; --resume goes on from there") from error
     write_report(entries, out / REPORT, seconds_of_stages=times.seconds)
@@ -150,28 +177,3 @@ def _chosen(
         files, instances, lists = kept, [by_file[file] for file in kept], {part: lists[part]}
     number = {found[file].as_posix(): n for n, file in enumerate(files)}
     return files, instances, {name: [number[path] for path in own if path in number] for name, own in lists.items()}
-
-
-def _entry(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> MeshEntry:
-    if isinstance(outcome, Failed):
-        sentence = sentence_of(outcome.error)
-        if sentence is None:
-            raise outcome.error
-        if is_full_disk(outcome.error):
-            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
-    found = outcome.value
-    if found.there:
-        return MeshEntry(mesh=shown(source), state="there already", sign=sign)
-    unsure = [f"the flood does not prove the sign of {found.unsure:,} samples"] if found.unsure else []
-    return MeshEntry(
-        mesh=shown(source),
-        state="done",
-        output=None if found.path is None else shown(found.path),
-        triangles=found.triangles,
-        closed=found.closed,
-        sign=sign,
-        inside=found.inside,
-        warnings=unsure,
-        seconds=round(found.seconds, 4),
-    )

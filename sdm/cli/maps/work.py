@@ -14,10 +14,15 @@ from sdm.runtime.host_copy import HostCopy
 
 @dataclass(frozen=True)
 class MapTask:
-    """A mesh file and the map's file."""
+    """A mesh file, the map's file, and the name by which lines tell of the mesh."""
 
     source: Path
     target: Path
+    name: str = ""
+
+    def absolute(self) -> MapTask:
+        """The same, whatever the working folder."""
+        return MapTask(self.source.absolute(), self.target.absolute(), self.name)
 
 
 @dataclass(frozen=True)

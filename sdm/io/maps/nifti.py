@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import nibabel as nib
 import numpy as np
 import torch
-from isal import igzip
+from isal import isal_zlib
 from nibabel.fileholders import FileHolder
 from nibabel.imageglobals import LoggingOutputSuppressor
 from nibabel.nifti1 import Nifti1Extension
@@ -21,6 +22,7 @@ from nibabel.openers import ImageOpener
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
+from sdm.io.files.atomic import write_all
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
@@ -33,16 +35,17 @@ BEGIN = f'{{"{KEY}":'.encode()
 SCANNER = 1
 # Of 0 to 3. Distances hardly shrink by more work.
 LEVEL = 1
-# Bytes that are packed before they go to the disk: of many threads each waits for Python's lock after every write.
-BUFFER = 1 << 22
-# Bytes of values that are turned at once: they lie with x fastest in a file.
+# zlib's number for gzip, without a name or time.
+AS_GZIP = 31
+# Bytes of values that are turned, packed and written at once: they lie with x fastest in a file, and of many threads
+# each waits for Python's lock after every call.
 TURNED = 1 << 24
 
 
 def write(field: SDM, path: Path, made_from: str | None = None) -> None:
     """Write `.nii`."""
     with path.open("wb") as file:
-        _put(_image(field, made_from), file)
+        _put(_image(field, made_from), file.write)
 
 
 def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, space: int = SCANNER) -> None:
@@ -50,11 +53,10 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
 
     `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
     """
-    with (
-        path.open("wb", buffering=BUFFER) as file,
-        igzip.IGzipFile("", "wb", compresslevel=LEVEL, fileobj=file, mtime=0) as packed,
-    ):
-        _put(_image(field, made_from, space), packed)
+    packer = isal_zlib.compressobj(LEVEL, wbits=AS_GZIP)
+    with path.open("wb", buffering=0) as file:
+        _put(_image(field, made_from, space), lambda piece: write_all(file, [packer.compress(piece)]))
+        write_all(file, [packer.flush()])
 
 
 def read(path: Path) -> SDM:
@@ -100,21 +102,21 @@ def _image(field: SDM, made_from: str | None, space: int = SCANNER) -> Any:
     return image
 
 
-def _put(image: Any, file: IO[bytes] | igzip.IGzipFile) -> None:
+def _put(image: Any, write_piece: Callable[[bytes | memoryview], Any]) -> None:
     """Write an image of float32 values: the bytes of nibabel's `to_stream`, without its copies of single layers."""
     image.update_header()
     header, values = image.header, image.dataobj
     header.set_slope_inter(1.0, 0.0)
     head = io.BytesIO()
     header.write_to(head)
-    file.write(head.getvalue().ljust(header.get_data_offset(), b"\0"))
+    write_piece(head.getvalue().ljust(header.get_data_offset(), b"\0"))
     nx, ny, nz = values.shape
     layers = max(1, TURNED // (4 * nx * ny))
     for begin in range(0, nz, layers):
         part = values[:, :, begin : begin + layers]
         # In two steps, each of which NumPy does along memory: x behind the others, then y behind z.
         turned = np.ascontiguousarray(part.reshape(nx, -1).T).reshape(ny, -1, nx)
-        file.write(np.ascontiguousarray(turned.transpose(1, 0, 2)).reshape(-1).view(np.uint8).data)
+        write_piece(np.ascontiguousarray(turned.transpose(1, 0, 2)).reshape(-1).view(np.uint8).data)
 
 
 def opened(path: Path, holder: FileHolder | None = None) -> Any:

@@ -34,7 +34,7 @@ class DeepSDFLayout:
 
     law: SampleLaw = PAPER
     normalize: Normal = "sphere"
-    count, with_normals = 500_000, False
+    count, with_normals, together = 500_000, False, 1
 
     def __init__(self, dataset: str) -> None:
         self._dataset = dataset

@@ -29,7 +29,7 @@ class OccupancyLayout:
     # Half of the samples are points of the surface.
     law: SampleLaw = SampleLaw(near=0, uniform=1, surface=1, deviations=(), box=OCCUPANCY.box)
     normalize: Normal = "cube"
-    count, with_normals = 200_000, True
+    count, with_normals, together = 200_000, True, 1
 
     def begin(self, folder: Path, instances: list[Instance], count: int) -> None:
         """See `Layout`."""

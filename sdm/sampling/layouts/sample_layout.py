@@ -27,6 +27,11 @@ class Layout(Protocol):
         """Prepare a folder, which may hold samples of an earlier run of the same recipe."""
         ...
 
+    @property
+    def together(self) -> int:
+        """How many meshes, from a multiple of that on, lie in one file, once the layout has begun."""
+        ...
+
     def is_done(self, number: int) -> bool:
         """True if the samples of a mesh, by its number, are there."""
         ...

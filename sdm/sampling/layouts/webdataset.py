@@ -41,6 +41,11 @@ class WebDatasetLayout:
         self._waiting: dict[int, dict[int, list[tuple[str, bytes]]]] = {}
         self._there = {n for n in range(-(-len(instances) // self._each)) if self._file(n).is_file()}
 
+    @property
+    def together(self) -> int:
+        """See `Layout`: those of a tar file."""
+        return self._each
+
     def is_done(self, number: int) -> bool:
         """See `Layout`. A mesh is lost with its tar file."""
         return number // self._each in self._there

@@ -30,7 +30,7 @@ class ZarrLayout:
 
     law: SampleLaw = PAPER
     normalize: Normal = "sphere"
-    count, with_normals = 500_000, False
+    count, with_normals, together = 500_000, False, 1
 
     def begin(self, folder: Path, instances: list[Instance], count: int) -> None:
         """See `Layout`."""

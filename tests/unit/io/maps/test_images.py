@@ -156,5 +156,5 @@ def test_nifti_has_the_bytes_of_nibabel(field, turned_at_once, monkeypatch):
     image = nifti._image(field, "a" * 32)
     expected = image.to_bytes()
     found = io.BytesIO()
-    nifti._put(nifti._image(field, "a" * 32), found)
+    nifti._put(nifti._image(field, "a" * 32), found.write)
     assert found.getvalue() == expected

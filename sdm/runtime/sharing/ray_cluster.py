@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import socket
@@ -10,15 +9,11 @@ import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
-from sdm.dataset.devices import device_kind
-from sdm.dataset.manifest import KEY, sealed
-from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
-from sdm.io.files.atomic import put
-from sdm.stream import Maker
+from sdm.runtime.sharing.devices import device_kind
+from sdm.runtime.sharing.job import SharedJob
 
 # How often new machines are looked for [s], and how long a cluster may have no worker at all.
 LOOK, PATIENCE = 5.0, 120.0
@@ -34,28 +29,32 @@ LONGEST = 240
 class Worker:
     """On one GPU of the cluster, or on the CPU of one machine."""
 
-    _maker: Maker
+    _maker: Any
 
-    def __init__(self, job: Job, device: str) -> None:
+    def __init__(self, job: SharedJob, device: str) -> None:
         self._job, self._device = job, device
 
     def kind(self) -> str:
         """The kind of its device. The first call, which makes it ready: of a constructor Ray hides what went wrong."""
-        if not (self._job.folder / "zarr.json").is_file():
-            raise SDMError(
-                f"a machine of the cluster does not see {self._job.folder}: write to a disk that all of them share"
-            )
+        self._job.check()
         self._maker = self._job.maker(self._device)
-        return device_kind(self._maker.device)
+        return device_kind(self._device)
 
-    def make(self, number: int) -> int:
-        """Make a shard."""
-        self._job.run([number], self._maker, lambda _: None)
-        return number
+    def make(self, number: int) -> Any:
+        """Do a shard; what the job tells of it."""
+        told: list[Any] = []
+        self._job.run([number], self._maker, told.append)
+        return told[0]
 
 
-def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], None]) -> None:
-    """Make shards on a Ray cluster; a shard whose worker is lost goes to another.
+def run_on_ray(job: SharedJob, shards: list[int], address: str, done: Callable[[Any], None]) -> None:
+    """Do shards on a Ray cluster; a shard whose worker is lost goes to another.
+
+    Args:
+        job: The work.
+        shards: Their numbers.
+        address: Of the cluster.
+        done: Called with what the job tells of each, in whatever order they end.
 
     Raises:
         SDMError: Ray is not installed, no cluster is there, its GPUs differ, workers are lost again and again, or a
@@ -74,7 +73,7 @@ def run_on_ray(job: Job, shards: list[int], address: str, done: Callable[[int], 
             raise SDMError(f"there is no Ray cluster at {address!r}: {error}") from error
     try:
         # Workers are in folders of their own.
-        _Crew(ray, replace(job, folder=job.folder.absolute()), done).run(list(reversed(shards)))
+        _Crew(ray, job.absolute(), done).run(list(reversed(shards)))
     finally:
         if own:
             ray.shutdown()
@@ -95,7 +94,7 @@ def _knock(address: str) -> None:
 class _Crew:
     """The workers, and what each is doing."""
 
-    def __init__(self, ray: Any, job: Job, done: Callable[[int], None]) -> None:
+    def __init__(self, ray: Any, job: SharedJob, done: Callable[[Any], None]) -> None:
         self._ray, self._job, self._done = ray, job, done
         self._shared = ray.put(job)
         # By place (node and number there): the actor. By task: its place, and the shard or None for the greeting.
@@ -105,7 +104,6 @@ class _Crew:
         # Workers lost by shard, and by place since one there did its work; what was said of the last one.
         self._lost: Counter[int | tuple[str, int]] = Counter()
         self._reason = ""
-        self._kind: str | None = job.manifest["device"]
 
     def run(self, todo: list[int]) -> None:
         left = len(todo)
@@ -141,7 +139,7 @@ class _Crew:
             self._hand_out(todo)
             return 0
         if number is None:
-            self._agree(answer)
+            self._job.agree(answer)
         else:
             del self._lost[place]
             self._done(answer)
@@ -199,14 +197,3 @@ class _Crew:
                 f"the Ray cluster loses its workers again and again, the last one to this: {self._reason}; "
                 "--resume goes on from there"
             )
-
-    def _agree(self, kind: str) -> None:
-        """All devices must be of one kind, or the shards would differ in their last bits."""
-        if self._kind is None:
-            self._kind = self._job.manifest["device"] = kind
-            path = self._job.folder / "zarr.json"
-            text = json.loads(path.read_text())
-            text["attributes"][KEY] = sealed({**text["attributes"][KEY], "device": kind})
-            put(path, json.dumps(text, indent=2).encode())
-        if kind != self._kind:
-            raise SDMError(f"the cluster has both {self._kind} and {kind}: a dataset is made on one kind of device")

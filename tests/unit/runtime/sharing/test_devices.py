@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sdm.dataset.devices import devices_for
 from sdm.errors import DeviceError
+from sdm.runtime.sharing.devices import devices_for
 
 
 @pytest.fixture

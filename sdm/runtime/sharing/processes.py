@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import queue
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
 from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.sharing.job import SharedJob
 
 # How often the processes are looked at while they say nothing [s].
 PATIENCE = 1.0
 
 
 def run_here(
-    job: Job, shards: list[int], devices: list[str], done: Callable[[int], None], times: StageTimes | None = None
+    job: SharedJob, shards: list[int], devices: list[str], done: Callable[[Any], None], times: StageTimes | None = None
 ) -> None:
-    """Make shards; `done(number)` is called for each that is on the disk.
+    """Do shards; `done` is called with what the job tells of each that is on the disk, in whatever order they end.
 
     `times` is the clock of the stages, where they are in this process.
 
@@ -42,8 +45,7 @@ def run_here(
     try:
         left = len(shards)
         while left:
-            number = _hear(said, workers, devices)
-            done(number)
+            done(_hear(said, workers, devices))
             left -= 1
         for worker in workers:
             worker.join()
@@ -53,7 +55,7 @@ def run_here(
             worker.join()
 
 
-def _hear(said: Any, workers: list[Any], devices: list[str]) -> int:
+def _hear(said: Any, workers: list[Any], devices: list[str]) -> Any:
     while True:
         for worker, device in zip(workers, devices, strict=True):
             if worker.exitcode not in (None, 0):
@@ -69,12 +71,23 @@ def _hear(said: Any, workers: list[Any], devices: list[str]) -> int:
         return what
 
 
-def _serve(job: Job, device: str, todo: Any, said: Any) -> None:
+def _serve(job: SharedJob, device: str, todo: Any, said: Any) -> None:
+    # An interrupt is the first process's to take, which ends this one; and it must not work on if that was killed.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
     def shards() -> Iterator[int]:
         while (number := todo.get()) is not None:
             yield number
 
     try:
-        job.run(shards(), job.maker(device), lambda number: said.put(("done", number)))
+        job.run(shards(), job.maker(device), lambda told: said.put(("done", told)))
     except SDMError as error:
         said.put(("error", str(error)))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -16,9 +16,9 @@ import pytest
 import torch
 
 from sdm.dataset import SDMDataset, generate
-from sdm.dataset import ray_cluster as cluster
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
+from sdm.runtime.sharing import ray_cluster as cluster
 from sdm.shapes import Cochlea, Family
 from sdm.stream import Uniform
 

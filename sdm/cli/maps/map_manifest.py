@@ -1,0 +1,102 @@
+"""Manifest of a folder of maps that is being made: a line of JSON for each mesh that is done.
+
+So a restart reads no mesh again that was done, and the report at the end tells of it what it told then. A line holds
+for the same settings, and as long as neither the mesh's file nor the map's was touched since; of any other mesh
+`--resume` looks at both files' contents.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import torch
+
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.mesh_report import MeshEntry
+from sdm.cli.maps.work import MapTask
+from sdm.errors import FormatError
+from sdm.io.files.stand_in import address_of
+
+NAME = "unfinished.jsonl"
+
+
+class MapManifest:
+    """The manifest of a folder, a context manager. It stays if the work is cut off, and goes when it is done.
+
+    Args:
+        folder: Where maps go; None if nothing is to be kept, as at an address, where files have no time of their own.
+        settings: What is the same for all meshes.
+        resume: Whether lines of a run before count.
+    """
+
+    def __init__(self, folder: Path | None, settings: Settings, *, resume: bool) -> None:
+        self._path = None if folder is None or address_of(folder) is not None else folder / NAME
+        self._settings = repr(replace(settings, device=torch.device("cpu"), resume=False, like_image=None))
+        self._known: dict[str, dict[str, Any]] = {}
+        self._file: IO[str] | None = None
+        if self._path is not None and resume:
+            self._read(self._path)
+        elif self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            self._file.close()
+        if kind is None and self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def find(self, task: MapTask) -> MeshEntry | None:
+        """What was told of a mesh whose map is there as it was written; None of another."""
+        found = self._known.get(str(task.target.absolute()))
+        if found is None or found["source"] != _mark(task.source) or found["written"] != _mark(task.target):
+            return None
+        return replace(MeshEntry(**found["entry"]), state="there already", seconds=None)
+
+    def add(self, task: MapTask, entry: MeshEntry) -> None:
+        """Keep what is told of a mesh whose map is there.
+
+        Raises:
+            FormatError: The file cannot be written.
+        """
+        marks = _mark(task.source), _mark(task.target)
+        if self._path is None or None in marks:
+            return
+        line = {"settings": self._settings, "target": str(task.target.absolute())}
+        line |= {"source": marks[0], "written": marks[1], "entry": asdict(entry)}
+        try:
+            if self._file is None:
+                self._file = self._path.open("a", encoding="utf-8")
+                # The line before may be torn.
+                self._file.write("\n")
+            self._file.write(json.dumps(line) + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise FormatError(f"{self._path} cannot be written: {error.strerror or error}") from error
+
+    def _read(self, path: Path) -> None:
+        names = {one.name for one in fields(MeshEntry)}
+        with contextlib.suppress(OSError):
+            for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+                with contextlib.suppress(ValueError, KeyError, TypeError):
+                    found = json.loads(line)
+                    if found["settings"] == self._settings and found["entry"].keys() <= names:
+                        self._known[found["target"]] = {key: found[key] for key in ("source", "written", "entry")}
+
+
+def _mark(path: Path) -> list[int] | None:
+    """Size and time of a file; None of what is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return [found.st_size, found.st_mtime_ns] if path.is_file() else None

@@ -1,0 +1,95 @@
+"""What is told of a mesh: its entry of the report, and the lines that are printed."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sdm.cli.common.error_sentence import sentence_of
+from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.mesh_report import MeshEntry
+from sdm.cli.maps.work import MapTask, Written
+from sdm.errors import FormatError
+from sdm.io.files.stand_in import shown
+from sdm.runtime.pipeline.outcome import Done, Failed
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told of a mesh.
+
+    Args:
+        number: Of the mesh.
+        entry: Its part of the report.
+        lines: Of stdout.
+        warnings: Of stderr.
+    """
+
+    number: int
+    entry: MeshEntry
+    lines: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def tell(outcome: Done[Written] | Failed, number: int, task: MapTask, settings: Settings, *, alone: bool) -> Told:
+    """What is told of a mesh that went through the pipeline.
+
+    Args:
+        outcome: What became of it.
+        number: Of the mesh.
+        task: Its files.
+        settings: What is the same for all.
+        alone: Its error is that of the command.
+
+    Raises:
+        FormatError: The disk is full, which every other mesh would fail by, too.
+        Exception: What is no user's mistake, or the error of a mesh that is alone.
+    """
+    if isinstance(outcome, Failed):
+        sentence = sentence_of(outcome.error)
+        if sentence is None or alone:
+            raise outcome.error
+        if is_full_disk(outcome.error):
+            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
+        return Told(number, MeshEntry(mesh=shown(task.source), state="failed", reason=sentence))
+    found = outcome.value
+    mesh = found.read.measured
+    entry = MeshEntry(
+        mesh=shown(task.source),
+        state="there already" if found.read.there else "done",
+        output=shown(task.target),
+        triangles=len(mesh),
+        closed=found.closed,
+        sign=settings.sign,
+        inside=found.inside,
+        ambiguous_voxels=found.ambiguous if settings.sign == "winding" else None,
+        warnings=[line.lstrip(": ") for line in found.warnings],
+        seconds=None if found.read.there else round(found.seconds, 4),
+    )
+    if found.read.there:
+        return Told(number, entry, [line_of_old(task)])
+    return Told(
+        number, entry, [_line(task, found, settings)], [f"sdm: warning: {task.name}{w}" for w in found.warnings]
+    )
+
+
+def line_of_old(task: MapTask) -> str:
+    """Said of a mesh whose map is there."""
+    return f"{task.name}: {shown(task.target)} is there already"
+
+
+def tasks_of(jobs: list[tuple[Path, Path]]) -> list[MapTask]:
+    """Pairs of a mesh file and the map's file, with names: paths below the folder that is common to all meshes."""
+    common = os.path.commonpath([source.parent.absolute() for source, _ in jobs])
+    return [MapTask(source, target, source.absolute().relative_to(common).as_posix()) for source, target in jobs]
+
+
+def _line(task: MapTask, found: Written, settings: Settings) -> str:
+    grid = found.read.grid
+    spacing = " x ".join(f"{s:.4g}" for s in (grid.spacing[:1] if len(set(grid.spacing)) == 1 else grid.spacing))
+    return (
+        f"{task.name}: {len(found.read.mesh):,} triangles, {' x '.join(map(str, grid.shape))} voxels of {spacing}, "
+        f"{found.seconds:.2f} s on {settings.device}, written to {shown(task.target)}"
+    )

@@ -1,0 +1,54 @@
+"""Shards shared out among devices of this machine, or of a Ray cluster; answers come in the order of the shards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from sdm.runtime.sharing.in_order import InOrder
+from sdm.runtime.sharing.job import SharedJob
+from sdm.runtime.sharing.processes import run_here
+from sdm.runtime.sharing.ray_cluster import run_on_ray
+
+# Items of a shard, so that a device has whole calls, and so few that what a lost worker had in hand is little. Each
+# device gets several shards, as some take longer.
+LEAST, MOST, OF_EACH = 8, 64, 8
+# How many devices a cluster is taken to have, about which nobody can say beforehand.
+OF_CLUSTER = 8
+# Items for which processes on several GPUs of this machine are worth their start.
+FEW = 32
+
+
+def is_shared(items: int, devices: list[str] | None, ray: str | None) -> bool:
+    """Whether so many items are shared out among devices, or done in this process."""
+    return ray is not None or (devices is not None and len(devices) > 1 and items >= FEW)
+
+
+def shard_size(items: int, devices: int) -> int:
+    """Items of a shard, a multiple of `LEAST`; 0 devices are those of a cluster."""
+    even = items // (OF_EACH * (devices or OF_CLUSTER))
+    return max(LEAST, min(MOST, even // LEAST * LEAST))
+
+
+def share_out(
+    job: SharedJob, shards: list[int], devices: list[str], ray: str | None, hear: Callable[[Any], None]
+) -> None:
+    """Do shards of a job whose answers are pairs of a shard and what is told of it.
+
+    Args:
+        job: The work.
+        shards: Their numbers, in order.
+        devices: Of this machine, one process each.
+        ray: Address of a Ray cluster in place of them.
+        hear: Called with what is told of each shard, in their order.
+
+    Raises:
+        SDMError: A process or the cluster cannot go on.
+    """
+    if not shards:
+        return
+    in_order = InOrder(shards, hear)
+    if ray is not None:
+        run_on_ray(job, shards, ray, in_order)
+    else:
+        run_here(job, shards, devices, in_order)
