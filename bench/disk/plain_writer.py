@@ -1,4 +1,4 @@
-"""What a disk takes by itself: files of given sizes, written one after the other or by threads, and flushed each."""
+"""Plain writer, for the speed of a disk by itself: files of given sizes, one after the other or by threads."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.errors import FormatError
-from sdm.io.files.atomic import begin_flush, own_name, put, write_all
+from sdm.io.files.atomic import own_name, put, write_all
 from sdm.io.files.stand_in import bring
 
 UNFINISHED = ".part"
@@ -37,7 +37,7 @@ UNFINISHED = ".part"
 SHARD_BYTES = 1 << 28
 DIGEST = 32
 # Bytes of one call that writes, of a few maps.
-AT_ONCE = 1 << 23
+AT_ONCE = 1 << 22
 # Of each array.
 DTYPES = {"theta": "float32", "transform": "float64"}
 AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
@@ -256,7 +256,6 @@ def write_shard(
             held.append(piece)
             if sum(map(len, held)) >= AT_ONCE:
                 write_all(file, held)
-                begin_flush(file)
                 held.clear()
         write_all(file, held)
     put(files["sdm"], part)

@@ -12,7 +12,7 @@ from sdm.cli.maps.work import MapTask
 
 
 class MapAccount:
-    """What there is to tell, in the order of the meshes. Of those that the manifest knows it tells by itself.
+    """Account of all meshes in their order; of those that the manifest knows it tells by itself.
 
     Args:
         tasks: All meshes.

@@ -2,13 +2,15 @@
 
 So a restart reads no mesh again that was done, and the report at the end tells of it what it told then. A line holds
 for the same settings, and as long as neither the mesh's file nor the map's was touched since; of any other mesh
-`--resume` looks at both files' contents.
+`--resume` looks at both files' contents. At an address the times are the server's, and the manifest is brought there
+now and then.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import time
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from types import TracebackType
@@ -20,29 +22,35 @@ from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.cli.maps.work import MapTask
 from sdm.errors import FormatError
-from sdm.io.files.stand_in import address_of
+from sdm.io.files.stand_in import address_of, bring, gone
 
 NAME = "unfinished.jsonl"
+# Between two times that the manifest is brought to its address.
+SECONDS = 5.0
 
 
 class MapManifest:
     """The manifest of a folder, a context manager. It stays if the work is cut off, and goes when it is done.
 
     Args:
-        folder: Where maps go; None if nothing is to be kept, as at an address, where files have no time of their own.
+        folder: Where maps go; None if nothing is to be kept.
         settings: What is the same for all meshes.
         resume: Whether lines of a run before count.
     """
 
     def __init__(self, folder: Path | None, settings: Settings, *, resume: bool) -> None:
-        self._path = None if folder is None or address_of(folder) is not None else folder / NAME
+        self._path = None if folder is None else folder / NAME
+        self._is_far = folder is not None and address_of(folder) is not None
+        self._brought, self._pause = time.monotonic(), SECONDS
+        # When the manifest of the run before was last brought, which all maps of its lines were before.
+        self._before = 0
         self._settings = repr(replace(settings, device=torch.device("cpu"), resume=False, like_image=None))
         self._known: dict[str, dict[str, Any]] = {}
         self._file: IO[str] | None = None
         if self._path is not None and resume:
             self._read(self._path)
-        elif self._path is not None:
-            self._path.unlink(missing_ok=True)
+        elif self._path is not None and self._path.exists():
+            self._remove(self._path)
 
     def __enter__(self) -> Self:
         return self
@@ -52,13 +60,21 @@ class MapManifest:
     ) -> None:
         if self._file is not None:
             self._file.close()
-        if kind is None and self._path is not None:
-            self._path.unlink(missing_ok=True)
+        if self._path is not None and self._path.exists():
+            if kind is None:
+                self._remove(self._path)
+            else:
+                bring(self._path, keep=True)
 
     def find(self, task: MapTask) -> MeshEntry | None:
-        """What was told of a mesh whose map is there as it was written; None of another."""
-        found = self._known.get(str(task.target.absolute()))
-        if found is None or found["source"] != _mark(task.source) or found["written"] != _mark(task.target):
+        """Entry of a mesh whose map is there as it was written; None of another."""
+        found = self._known.get(_name(task.target))
+        if found is None or found["source"] != _mark(task.source):
+            return None
+        written, there = found["written"], _mark(task.target)
+        if there is None or (
+            there != written and not (self._is_far and there[0] == written[0] and there[1] < self._before)
+        ):
             return None
         return replace(MeshEntry(**found["entry"]), state="there already", seconds=None)
 
@@ -71,7 +87,7 @@ class MapManifest:
         marks = _mark(task.source), _mark(task.target)
         if self._path is None or None in marks:
             return
-        line = {"settings": self._settings, "target": str(task.target.absolute())}
+        line = {"settings": self._settings, "target": _name(task.target)}
         line |= {"source": marks[0], "written": marks[1], "entry": asdict(entry)}
         try:
             if self._file is None:
@@ -82,8 +98,27 @@ class MapManifest:
             self._file.flush()
         except OSError as error:
             raise FormatError(f"{self._path} cannot be written: {error.strerror or error}") from error
+        if self._is_far and time.monotonic() > self._brought + self._pause:
+            begin = time.monotonic()
+            bring(self._path, keep=True)
+            self._brought = time.monotonic()
+            # All of it goes each time, and is to be little beside the maps.
+            self._pause = max(SECONDS, 20 * (self._brought - begin))
+
+    def _is_as_written(self, there: list[int] | None, written: list[int]) -> bool:
+        if there is None or there == written or not self._is_far:
+            return there == written
+        # The server has put its own time on it, since when nobody wrote to it.
+        return there[0] == written[0] and there[1] < self._before
+
+    def _remove(self, path: Path) -> None:
+        path.unlink()
+        gone(path)
 
     def _read(self, path: Path) -> None:
+        with contextlib.suppress(OSError):
+            # The time of a server may be in whole seconds.
+            self._before = path.stat().st_mtime_ns + 10**9
         names = {one.name for one in fields(MeshEntry)}
         with contextlib.suppress(OSError):
             for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -91,6 +126,11 @@ class MapManifest:
                     found = json.loads(line)
                     if found["settings"] == self._settings and found["entry"].keys() <= names:
                         self._known[found["target"]] = {key: found[key] for key in ("source", "written", "entry")}
+
+
+def _name(path: Path) -> str:
+    """A file by its path, or by the address that this stands for."""
+    return address_of(path) or str(path.absolute())
 
 
 def _mark(path: Path) -> list[int] | None:

@@ -1,4 +1,4 @@
-"""What is told of a mesh: its entry of the report, and the lines that are printed."""
+"""Report of one mesh: its entry of the JSON file, and the lines that are printed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sdm.runtime.pipeline.outcome import Done, Failed
 
 @dataclass(frozen=True)
 class Told:
-    """What is told of a mesh.
+    """Report of one mesh.
 
     Args:
         number: Of the mesh.
@@ -34,7 +34,7 @@ class Told:
 
 
 def tell(outcome: Done[Written] | Failed, number: int, task: MapTask, settings: Settings, *, alone: bool) -> Told:
-    """What is told of a mesh that went through the pipeline.
+    """Report of a mesh that went through the pipeline.
 
     Args:
         outcome: What became of it.
@@ -76,7 +76,7 @@ def tell(outcome: Done[Written] | Failed, number: int, task: MapTask, settings: 
 
 
 def line_of_old(task: MapTask) -> str:
-    """Said of a mesh whose map is there."""
+    """Line about a mesh whose map is there."""
     return f"{task.name}: {shown(task.target)} is there already"
 
 

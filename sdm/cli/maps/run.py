@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
+
+import numpy as np
 
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.map_account import MapAccount
 from sdm.cli.maps.map_job import MapJob, maps_told
 from sdm.cli.maps.map_manifest import MapManifest
 from sdm.cli.maps.map_settings import Settings
+from sdm.cli.maps.map_stages import LARGEST_BESIDE
 from sdm.cli.maps.map_told import tasks_of
 from sdm.cli.maps.mesh_report import MeshEntry, failures_table, write_report
 from sdm.io.files.stand_in import known
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.share_out import is_shared, shard_size, share_out
+from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
+
+# About what one process of an H100's host takes for a mesh and for its map.
+SECONDS_OF_A_MESH, BYTES_A_SECOND = 1e-3, 3e9
+DEFAULT_RESOLUTION = 128
 
 
 def run(
@@ -38,7 +46,7 @@ def run(
         skip_bad: Meshes that cannot be used are no failure of the whole.
         workers: Threads that read, and as many that write; by default what the machine has.
         times: The pipeline's clock, to be read afterwards, of the stages in this process.
-        devices: Several of this machine that share the meshes, in a process each; by default the settings' one.
+        devices: Those of this machine that share the meshes if there are many; by default the settings' one alone.
         ray: Address of a Ray cluster whose devices share them.
         folder: Where maps go, if they go to a folder: its manifest says what is done until all is.
 
@@ -54,10 +62,11 @@ def run(
     ):
         account = MapAccount(tasks, manifest, progress)
         wanted = account.wanted
-        if is_shared(len(wanted), devices, ray):
-            size = shard_size(len(wanted), 0 if devices is None else len(devices))
+        processes = processes_of(len(wanted), settings, devices)
+        if wanted and (ray is not None or len(processes) > 1):
+            size = shard_size(len(wanted), 0 if ray is not None else len(processes))
             job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, workers=workers, stand_ins=known())
-            share_out(job, job.shards, devices or [], ray, account.hear)
+            share_out(job, job.shards, processes, ray, account.hear)
         elif wanted:
             account.hear(
                 maps_told(
@@ -75,6 +84,16 @@ def run(
         if report is not None:
             write_report(entries, report, seconds_of_stages=times.seconds)
     return sum_up(entries, skip_bad)
+
+
+def processes_of(meshes: int, settings: Settings, devices: list[str] | None) -> list[str]:
+    """The device of each process that makes maps: see `processes_for`."""
+    if devices is None:
+        return [str(settings.device)]
+    resolution = settings.resolution if settings.resolution is not None else DEFAULT_RESOLUTION
+    voxels = settings.like.size if settings.like is not None else math.prod(np.broadcast_to(resolution, 3).tolist())
+    seconds = meshes * (SECONDS_OF_A_MESH + 4 * voxels / BYTES_A_SECOND)
+    return processes_for(devices, seconds, several=4 * voxels <= LARGEST_BESIDE)
 
 
 def sum_up(entries: list[MeshEntry], skip_bad: bool) -> int | None:

@@ -18,7 +18,7 @@ from sdm.errors import FormatError, MeshError, SDMError
 from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.split_file import files_of_part, read_split
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.share_out import is_shared, shard_size, share_out
+from sdm.runtime.sharing.share_out import processes_for, shard_size, share_out
 from sdm.sampling.law import PAPER, RELEASED, SampleLaw
 from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import Instance, instances_of
@@ -27,6 +27,8 @@ from sdm.sampling.recipe import Recipe
 from sdm.sampling.sample_folder import FolderSampling
 
 REPORT = "report.json"
+# About what one process of an H100's host takes.
+SECONDS_OF_A_SAMPLE = 2e-8
 LAWS = {"paper": PAPER, "released": RELEASED}
 
 
@@ -99,7 +101,7 @@ def run(
 ) -> int | None:
     """Sample each mesh into the folder; 2 if some failed and are not to be skipped.
 
-    `devices` of this machine share the meshes, in a process each, or those of the Ray cluster at `ray`.
+    `devices` of this machine share the meshes if there are many, or those of the Ray cluster at `ray` do.
     """
     found = inputs_of(meshes)
     if not found:
@@ -127,8 +129,10 @@ def run(
                     if len(entries) < len(sources):
                         progress.begin(sources[len(entries)].name)
 
-            if is_shared(len(sources), devices, ray):
-                size = shard_size(len(sources), 0 if devices is None else len(devices))
+            seconds = len(sources) * recipe.count * SECONDS_OF_A_SAMPLE
+            processes = [str(where)] if devices is None else processes_for(devices, seconds)
+            if ray is not None or len(processes) > 1:
+                size = shard_size(len(sources), 0 if ray is not None else len(processes))
                 job = SampleJob(
                     wanted=list(range(len(sources))),
                     each=-(-size // layout.together) * layout.together,
@@ -140,7 +144,7 @@ def run(
                     workers=workers,
                     stand_ins=known(),
                 )
-                share_out(job, job.shards, devices or [], ray, hear)
+                share_out(job, job.shards, processes, ray, hear)
             else:
                 found_of = sampling.some(range(len(sources)))
                 hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from io import RawIOBase
 from pathlib import Path
 
@@ -20,8 +18,6 @@ from sdm.io.files.stand_in import bring
 LEFTOVER = ".part"
 # Of one call that writes; systems take 1,024.
 MOST_PIECES = 512
-# Of Linux' sync_file_range.
-BEGIN_WRITING = 2
 
 
 @contextmanager
@@ -88,32 +84,6 @@ def write_all(file: RawIOBase, pieces: Sequence[bytes | bytearray | memoryview])
             done -= len(left.pop(0))
         if left:
             left[0] = left[0][done:]
-
-
-def begin_flush(file: RawIOBase) -> None:
-    """Have the system bring to the disk what was written to a file so far, without a wait for it.
-
-    Otherwise the disk idles while a large file is written to memory, and the file's thread while it is flushed. Does
-    nothing where the system has no such call.
-    """
-    call = _sync_file_range()
-    if call is not None:
-        # From the beginning to the end; what is under way already is not written twice.
-        call(file.fileno(), 0, 0, BEGIN_WRITING)
-
-
-@cache
-def _sync_file_range() -> Callable[[int, int, int, int], int] | None:
-    if sys.platform != "linux":
-        return None
-    import ctypes
-
-    try:
-        call = ctypes.CDLL(None).sync_file_range
-    except (OSError, AttributeError):
-        return None
-    call.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_uint]
-    return call
 
 
 def try_to_write(target: Path) -> None:

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -102,6 +103,8 @@ def to_write(address: str) -> Path:
     files, path = file_system(address)
     files.invalidate_cache()
     place, plain = _place(path, address), address.rstrip("/")
+    with asking(plain):
+        _end_move(files, f"{path}.part", path)
     # Datasets are called so until they are complete.
     for ending in ("", ".part"):
         there = place.with_name(place.name + ending)
@@ -178,6 +181,15 @@ def moved(old: Path, new: Path) -> None:
         files.rm(source, recursive=True)
 
 
+def _end_move(files: Any, old: str, new: str) -> None:
+    """Clear up after a move that was cut off: what is whole stays, under its new name if that was reached."""
+    if not (files.isdir(old) and files.isdir(new)):
+        return
+    whole = any(about["type"] == "file" for about in files.ls(new, detail=True))
+    files.rm(old if whole else new, recursive=True)
+    files.invalidate_cache()
+
+
 def gone(path: Path) -> None:
     """A file was removed, and is to go from its address."""
     one = _of(path) if _known else None
@@ -239,6 +251,15 @@ def _hollow_tree(files: Any, root: str, place: Path, whole: Callable[[str, int],
             files.get_file(path, str(local))
         else:
             hollow(local, size or 1)
+        if (when := _time_of(about)) is not None:
+            os.utime(local, ns=(when, when))
+
+
+def _time_of(about: dict[str, Any]) -> int | None:
+    """When a file was last written by its server's clock, in nanoseconds, where that tells."""
+    when = next((about[key] for key in ("LastModified", "mtime", "updated", "created") if about.get(key)), None)
+    seconds = when.timestamp() if isinstance(when, datetime) else when
+    return int(seconds * 10**9) if isinstance(seconds, int | float) else None
 
 
 def _put(files: Any, local: Path, there: str) -> None:

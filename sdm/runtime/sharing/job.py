@@ -24,7 +24,7 @@ class SharedJob(Protocol):
         ...
 
     def maker(self, device: str) -> Any:
-        """What `run` works with on a device, made once in each process."""
+        """Tools of `run` on a device, made once in each process."""
         ...
 
     def run(

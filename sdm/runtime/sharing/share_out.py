@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from sdm.kernels.launch import cores
 from sdm.runtime.sharing.in_order import InOrder
 from sdm.runtime.sharing.job import SharedJob
 from sdm.runtime.sharing.processes import run_here
@@ -15,13 +16,25 @@ from sdm.runtime.sharing.ray_cluster import run_on_ray
 LEAST, MOST, OF_EACH = 8, 64, 8
 # How many devices a cluster is taken to have, about which nobody can say beforehand.
 OF_CLUSTER = 8
-# Items for which processes on several GPUs of this machine are worth their start.
-FEW = 32
+# Seconds of work of one process for which several are worth their start, which takes about ten.
+WORTH = 20.0
+# Processes on one GPU, and cores that each is to have: the host's part of the work takes longer than the device's, and
+# is held up by Python's lock.
+OF_ONE_GPU, CORES = 4, 4
 
 
-def is_shared(items: int, devices: list[str] | None, ray: str | None) -> bool:
-    """Whether so many items are shared out among devices, or done in this process."""
-    return ray is not None or (devices is not None and len(devices) > 1 and items >= FEW)
+def processes_for(devices: list[str], seconds: float, *, several: bool = True) -> list[str]:
+    """The devices of processes that share work, some of them several times; one device if it is not worth it.
+
+    Args:
+        devices: Of this machine.
+        seconds: About how long one process would take.
+        several: Whether a GPU has room for more than one of them.
+    """
+    if seconds < WORTH or not devices[0].startswith("cuda"):
+        return devices[:1]
+    each = max(1, min(OF_ONE_GPU, cores() // (CORES * len(devices)))) if several else 1
+    return devices * each
 
 
 def shard_size(items: int, devices: int) -> int:

@@ -29,7 +29,7 @@ class Layout(Protocol):
 
     @property
     def together(self) -> int:
-        """How many meshes, from a multiple of that on, lie in one file, once the layout has begun."""
+        """Number of meshes, from a multiple of it on, that lie in one file, once the layout has begun."""
         ...
 
     def is_done(self, number: int) -> bool:

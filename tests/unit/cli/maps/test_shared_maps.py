@@ -20,7 +20,7 @@ from sdm.cli.maps.map_job import MapJob
 from sdm.cli.maps.map_manifest import NAME
 from sdm.cli.maps.map_stages import MapStages
 from sdm.cli.maps.map_told import tasks_of
-from sdm.cli.maps.run import run
+from sdm.cli.maps.run import processes_of, run
 from sdm.errors import SDMError
 from sdm.runtime.sharing import share_out
 from sdm.runtime.sharing.share_out import shard_size
@@ -54,7 +54,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def test_two_processes_make_what_one_makes(folder, tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(share_out, "FEW", 2)
+    monkeypatch.setattr("sdm.cli.maps.run.processes_for", lambda devices, *_, **__: devices)
     lines, found, reports = [], [], []
     for name, devices in (("one", ["cpu"]), ("two", ["cpu", "cpu"])):
         out = tmp_path / name
@@ -74,8 +74,9 @@ def test_two_processes_make_what_one_makes(folder, tmp_path, monkeypatch, capfd)
 SEVERAL = """
 import sys
 from sdm.cli import main
-from sdm.runtime.sharing import devices, share_out
-share_out.FEW, devices.devices_for = 2, lambda _: ["cpu", "cpu"]
+from sdm.cli.maps import run
+from sdm.runtime.sharing import devices
+run.processes_for, devices.devices_for = lambda devices, *_, **__: devices, lambda _: ["cpu", "cpu"]
 sys.exit(main())
 """
 
@@ -83,7 +84,7 @@ sys.exit(main())
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes as Linux has them")
 def test_kill_9_of_one_process_or_of_all_is_made_good_by_a_restart(folder, tmp_path, capsys):
-    """What another process has lost is said; the processes of one that is killed end, and do not go on writing."""
+    """A process that is lost is named; those of a command that is killed end, and do not go on writing."""
     out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "40", "-o"]
     for victim in ("child", "parent"):
         before = len(list(out.glob("[0-9]*.npz")))
@@ -185,6 +186,19 @@ def test_what_a_machine_of_a_cluster_does_not_see(folder, tmp_path):
     job.agree("H100")
     with pytest.raises(SDMError, match="both H100 and T4"):
         job.agree("T4")
+
+
+def test_who_shares_the_work(monkeypatch):
+    monkeypatch.setattr(share_out, "cores", lambda: 32)
+    two = ["cuda:0", "cuda:1"]
+    assert processes_of(1000, map_settings(128), two) == ["cuda:0"]
+    assert processes_of(100_000, map_settings(128), two) == two * 4
+    # Large maps are few: a process of each device makes them.
+    assert processes_of(1000, map_settings(512), two) == two
+    assert processes_of(100_000, map_settings(128), ["cpu"]) == ["cpu"]
+    assert processes_of(100_000, map_settings(128), None) == ["cpu"]
+    monkeypatch.setattr(share_out, "cores", lambda: 2)
+    assert processes_of(100_000, map_settings(128), two) == two
 
 
 def test_sizes_of_shards():

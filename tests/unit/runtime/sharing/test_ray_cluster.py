@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import os
+import signal
 import socket
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
+import trimesh
 
+from sdm.cli import main
+from sdm.cli.maps import run as map_run
+from sdm.cli.maps import sample_run
+from sdm.cli.maps.map_job import MapJob
+from sdm.cli.maps.sample_job import SampleJob
 from sdm.dataset import SDMDataset, generate
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
@@ -157,3 +165,54 @@ def test_a_lost_node_changes_nothing(tmp_path):
     alone = write(tmp_path / "alone.zarr", device="cpu")
     assert contents(tmp_path / "d.zarr") == contents(alone)
     assert SDMDataset(tmp_path / "d.zarr").manifest["device"] == "cpu"
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_folders_by_a_cluster_that_loses_a_worker(tmp_path, monkeypatch):
+    """`sdm compute` and `sdm sample`: a worker that is killed costs one shard, and changes no byte."""
+    ray = pytest.importorskip("ray", reason="needs Ray, an extra")
+    monkeypatch.setattr(cluster, "LOOK", 0.1)
+    (tmp_path / "in").mkdir()
+    for number in range(24):
+        trimesh.creation.icosphere(1, radius=1 + number).export(tmp_path / "in" / f"{number:02}.ply")
+    log = tmp_path / "log"
+
+    def dying(job: type) -> type:
+        """A job that kills its process in the middle of its second shard, the first time."""
+
+        class Dies(job):
+            def run(self, shards, maker, done, **more):
+                for shard in shards:
+                    with log.open("a") as file:
+                        file.write(f"{job.__name__} {shard}\n")
+                    if log.read_text().count(job.__name__) == 2:
+                        self.run_some(shard, maker)
+                    super().run([shard], maker, done, **more)
+
+            def run_some(self, shard, maker):
+                # A shard of half of the items, which are then there.
+                half = replace(self, wanted=self.numbers(shard)[:4])
+                job.run(half, [0], maker, lambda _: os.kill(os.getpid(), signal.SIGKILL))
+
+        return Dies
+
+    monkeypatch.setattr(map_run, "MapJob", dying(MapJob))
+    monkeypatch.setattr(sample_run, "SampleJob", dying(SampleJob))
+    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    more = {"compute": ["--format", "npz", "--resolution", "8"], "sample": ["--count", "100", "--dataset", "d"]}
+    try:
+        for command, options in more.items():
+            words = [command, str(tmp_path / "in"), "--device", "cpu", *options, "-o"]
+            assert main([*words, str(tmp_path / f"{command}-ray"), "--ray", "auto"]) == 0
+            assert main([*words, str(tmp_path / f"{command}-here")]) == 0
+            found, expected = (contents(tmp_path / f"{command}-{where}") for where in ("ray", "here"))
+            found.pop("report.json", None), expected.pop("report.json", None)
+            assert found == expected
+            assert len(found) >= 24
+    finally:
+        ray.shutdown()
+    made = log.read_text().split("\n")
+    for job in ("MapJob", "SampleJob"):
+        # Three shards, one of them twice.
+        assert sorted(line for line in made if job in line) == [f"{job} {n}" for n in (0, 1, 1, 2)]
