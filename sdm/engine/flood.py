@@ -19,10 +19,6 @@ from sdm.engine.ops import structure_slab
 from sdm.errors import GridError
 from sdm.inspect.agreement import agreeing_turns
 from sdm.inspect.positions import first_at_position
-from sdm.kernels.flood.flood_grid import FloodGrid
-from sdm.kernels.flood.flood_signs import flood_signs
-from sdm.kernels.flood.off_grid_climb import Walls
-from sdm.kernels.flood.uphill_links import StuckVoxels
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.cap_triangles import small_caps
@@ -57,6 +53,9 @@ class Frame:
 
     def as_struct(self, radius: float) -> Any:
         """The grid as kernels take it."""
+        # Here and below: maps by winding numbers do not wait for these kernels to be imported.
+        from sdm.kernels.flood.flood_grid import FloodGrid
+
         found, spacing = FloodGrid(), self.grid.spacing
         found.shape = wp.vec3i(*self.grid.shape)
         found.spacing = wp.vec3d(*spacing)
@@ -112,6 +111,10 @@ def negate_inside(
 
     Takes 4 bytes a voxel, and for a mesh with small holes 4 more. Looks at the mesh's box, which waits for the device.
     """
+    from sdm.kernels.flood.flood_signs import flood_signs
+    from sdm.kernels.flood.off_grid_climb import Walls
+    from sdm.kernels.flood.uphill_links import StuckVoxels
+
     frame = frame_of(grid, vertices, faces)
     distances = values
     if frame.grid is not grid:

@@ -17,8 +17,6 @@ from sdm.engine.maps import LARGEST_SLAB, is_recordable, slabs_of
 from sdm.engine.ops import points_closest, slab_view, structure_slab
 from sdm.engine.plan_override import OPTIONS
 from sdm.engine.thick_slices import AS_IT_IS, Slices, finer, scales_of
-from sdm.kernels.closest.closest_voxels import Surroundings, look_around, name_voxels
-from sdm.kernels.closest.hits import Hits
 from sdm.kernels.dense import query as dense
 from sdm.kernels.dense.cost_model import NO_SPLITS
 from sdm.kernels.dense.plan import Workload, make_plan, memory_of
@@ -133,6 +131,9 @@ def _queue(
     signed: bool = True,
 ) -> ClosestMap:
     """The layers from `begin` to `end`; without a sign if nobody looks at it."""
+    # Here and below: maps without closest points do not wait for these kernels to be imported.
+    from sdm.kernels.closest.closest_voxels import Surroundings, look_around
+
     device, shape = structure.device, (end - begin, *grid.shape[1:])
     found = ClosestMap(
         torch.empty(shape, dtype=torch.float32, device=device),
@@ -166,6 +167,9 @@ def _queue_slab(
     found: ClosestMap,
     signed: bool,
 ) -> None:
+    from sdm.kernels.closest.closest_voxels import name_voxels
+    from sdm.kernels.closest.hits import Hits
+
     values = found.values
     tree, winding, frames, features, cones = structure.view
     direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])

@@ -13,7 +13,6 @@ from torch import Tensor
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import derive_seed
 from sdm.engine.acceleration import build
-from sdm.kernels.bvh.ray_hits import shoot
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 
 # Points on all patches together, on one at least (fewer where there are very many), and all at most.
@@ -107,6 +106,9 @@ def _followed(
     mesh: TriangleMesh, origins: np.ndarray, directions: np.ndarray, device: torch.device
 ) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
     """Number of triangles that each ray meets, and the last one, -1 if none."""
+    # Maps of faces that are kept as they are do not wait for these kernels to be imported.
+    from sdm.kernels.bvh.ray_hits import shoot
+
     mesh = mesh.to(device)
     faces = mesh.faces
     structure = build(mesh.vertices.detach()[None], faces, faces.new_empty((0, 2)))
