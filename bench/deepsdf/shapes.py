@@ -90,10 +90,22 @@ def _surfaces(source: Path) -> list[list[TriangleMesh]]:
         return [list(pool.map(_mesh, *zip(*group, strict=True), chunksize=1)) for group in labels]
 
 
-def _mesh(name: str, bits: np.ndarray, shape: np.ndarray) -> TriangleMesh:
+def labels_of(source: Path, names: list[str]) -> dict[str, torch.Tensor]:
+    """Masks (x,y,z) of atria by name, voxels of `SPACING_MM` with the first at the surfaces' origin."""
+    with np.load(source) if source.is_file() else _Folder(source) as file:
+        keys = {
+            n.removesuffix("/bits").split("/")[1]: n.removesuffix("/bits") for n in file.files if n.endswith("/bits")
+        }
+        return {name: _mask(file[f"{keys[name]}/bits"], file[f"{keys[name]}/shape"]) for name in names}
+
+
+def _mask(bits: np.ndarray, shape: np.ndarray) -> torch.Tensor:
     x, y, z = (int(n) for n in shape)
-    mask = np.unpackbits(bits, count=x * y * z).reshape(x, y, z)
-    mesh = label_surface(torch.from_numpy(mask), SPACING_MM)
+    return torch.from_numpy(np.unpackbits(bits, count=x * y * z).reshape(x, y, z))
+
+
+def _mesh(name: str, bits: np.ndarray, shape: np.ndarray) -> TriangleMesh:
+    mesh = label_surface(_mask(bits, shape), SPACING_MM)
     return TriangleMesh(mesh.vertices, mesh.faces, name, check=False)
 
 

@@ -109,12 +109,16 @@ class Renderer:
 
     def sampled(self, state: State, *, derivatives: bool = True) -> Samples:
         """The share of inside at each sample point; only those near the surface are looked up one by one."""
+        return self._looked_up(state, *self.near_surface(state), derivatives)
+
+    def near_surface(self, state: State) -> tuple[Tensor, Tensor]:
+        """Indices (N,3) of sample points near the surface, and the mask (mx,my,mz) of inside of all others."""
         theta, reach, device = state.theta, REACH * self.length, self.backend.device
         boxes = [n // LEVELS[0] for n in self.count]
         near = torch.cartesian_prod(*[torch.arange(n, device=device) for n in boxes])
         inside = torch.zeros(boxes, dtype=torch.bool, device=device)
         for edge, finer in itertools.pairwise(LEVELS):
-            distance = self.backend.distances(theta, state.to_shape(self._points(near, edge)))
+            distance = self.backend.distances(theta, state.to_shape(self.points_of(near, edge)))
             inside[tuple(near.T)] = distance < 0
             # From the middle to the furthest of its points, not to the box's corner.
             half = float(self._steps.norm()) * (edge - 1) / 2
@@ -124,11 +128,11 @@ class Renderer:
             near = (near[:, None] * times + within).reshape(-1, 3)
             for axis in range(3):
                 inside = inside.repeat_interleave(times, dim=axis)
-        return self._looked_up(state, near, inside, derivatives)
+        return near, inside
 
     def _looked_up(self, state: State, near: Tensor, inside: Tensor, derivatives: bool) -> Samples:
         share = inside.double()
-        at = state.to_shape(self._points(near, 1))
+        at = state.to_shape(self.points_of(near))
         if not derivatives:
             share[tuple(near.T)] = torch.sigmoid(self.backend.distances(state.theta, at) / -self.length)
             return Samples(share, None)
@@ -142,7 +146,7 @@ class Renderer:
         dense[(slice(None), *near.T)] = by_step.T.float()
         return Samples(share, dense)
 
-    def _points(self, index: Tensor, edge: int) -> Tensor:
+    def points_of(self, index: Tensor, edge: int = 1) -> Tensor:
         """Middles (N,3) of boxes of sample points."""
         return (index.double() * edge + (edge - 1) / 2) @ self._axes.T + self._origin
 
@@ -151,6 +155,12 @@ class Renderer:
         x, y, z = (w.to(values.dtype) for w in self._weights)
         values = y @ (values @ z.T)
         return (x @ values.flatten(-2)).unflatten(-1, (y.shape[0], z.shape[0]))
+
+    def spread(self, values: Tensor) -> Tensor:
+        """The transpose of `blurred`: voxels (nx,ny,nz) to sample points (mx,my,mz)."""
+        x, y, z = (w.to(values.dtype) for w in self._weights)
+        values = y.T @ (values @ z)
+        return (x.T @ values.flatten(-2)).unflatten(-1, (y.shape[1], z.shape[1]))
 
 
 def _weights(voxels: int, samples: int, parts: int, first: float, blur: float) -> Tensor:
