@@ -15,7 +15,8 @@ which is interrupted is not one of quick cases.
 
 All but the last write bench/results/fit-NAME.json. `--backends exact,surrogate,hybrid,libigl,libigl-map` says what fits
 (these for the table that is kept; by default exact and libigl); the last two are the same fit with a stock library's
-distances and finite differences, as a method without our derivatives has it: `libigl` is asked about the points near
+distances and finite differences, as a method without our derivatives has it (`libigl-closest` takes our derivatives
+from its closest points, in one query a step): `libigl` is asked about the points near
 the surface alone, which our search for them allows, `libigl-map` makes whole maps, as a mesh's signed distance map in
 the place of a surrogate. `warp` and `warp-map` are stock Warp's.
 """
@@ -60,7 +61,7 @@ def main() -> None:
     each["cases"].add_argument(
         "--backends",
         default="exact,libigl",
-        help="of exact,surrogate,surrogate-alone,hybrid,libigl,libigl-map,warp,warp-map",
+        help="of exact,surrogate,surrogate-alone,hybrid,libigl-closest,libigl,libigl-map,warp,warp-map",
     )
     each["cases"].add_argument("--count", type=int, default=9)
     each["cases"].add_argument("--quick", action="store_true", help="two cases")

@@ -14,11 +14,13 @@ from typing import Any
 import torch
 
 from sdm.bench.fit.stock_backend import StockBackend
+from sdm.bench.fit.stock_closest import ClosestPointBackend
 from sdm.bench.fit.stock_maps import StockMaps
 from sdm.core.random import derive_seed
 from sdm.fit import SCANNERS, ExactBackend, FitOptions, FitResult, Image, State, fit_shape, random_state, simulate
 from sdm.fit.model.backend import Backend
 from sdm.fit.model.backends import make_backends
+from sdm.fit.model.exact import TRIANGLES
 from sdm.fit.model.spline_backend import GridBackend
 from sdm.shapes import Cochlea
 from sdm.surrogate import GRID, load_weights, measure
@@ -29,7 +31,7 @@ from sdm.surrogate.infer.weights_file import near_error
 TRUTH_TRIANGLES = 320_000
 # Shapes by which the error of a surrogate is measured that does not say it.
 SHAPES = 16
-STOCK = ("libigl", "warp", "libigl-map", "warp-map")
+STOCK = ("libigl", "warp", "libigl-map", "warp-map", "libigl-closest")
 
 
 def truth_backend(device: str = "cpu") -> ExactBackend:
@@ -46,6 +48,8 @@ def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -
 def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
     """Ours by `make_backends`, "surrogate-alone" without its anchors, or a stock library's."""
     if name in STOCK:
+        if name == "libigl-closest":
+            return ClosestPointBackend(Cochlea(TRIANGLES), "cpu"), None
         library, *whole = name.split("-")
         return (StockMaps(library) if whole else StockBackend(library)), None
     if name == "surrogate-alone":

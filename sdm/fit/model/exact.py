@@ -56,7 +56,7 @@ class ExactBackend:
         family = self.family.with_triangles(ROUGH_TRIANGLES)
         if family is None or self.faces.shape[0] <= 2 * ROUGH_TRIANGLES:
             return None
-        rough = ExactBackend(family, self.device)
+        rough = type(self)(family, self.device)
         rough.name, rough.centre = f"{self.name}, rough", self.centre
         return rough
 
@@ -107,9 +107,13 @@ class ExactBackend:
             return
         self._vertices, self._jacobian = vertices_of(self.family, theta), None
         mesh = TriangleMesh(self._vertices.float(), self.faces, self.family.name, check=False)
-        self._index = MeshIndex(mesh, self.device)
+        self._index = self.indexed(mesh)
         self._theta = theta.clone()
         self.evaluations += 1
+
+    def indexed(self, mesh: TriangleMesh) -> MeshIndex:
+        """What is asked for distances to a mesh and for the closest points."""
+        return MeshIndex(mesh, self.device)
 
     def _box(self) -> tuple[Tensor, Tensor]:
         middle = torch.tensor([(p.low + p.high) / 2 for p in self.parameters], dtype=torch.float64, device=self.device)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from sdm.bench.fit.stock_backend import StockBackend
+from sdm.bench.fit.stock_closest import ClosestPointBackend
 from sdm.fit import ExactBackend
 from sdm.shapes import Cochlea
 
@@ -25,3 +26,17 @@ def test_finite_differences_are_near_the_derivatives(name: str) -> None:
     assert float((ours.by_point - theirs.by_point).abs().median()) < 5e-3
     assert stock.evaluations == 5
     assert exact.evaluations == 1
+
+
+def test_closest_points_of_libigl_give_our_derivatives() -> None:
+    pytest.importorskip("igl", reason="libigl is not installed")
+    stock, exact = ClosestPointBackend(Cochlea(2_000), "cpu"), ExactBackend(Cochlea(2_000), "cpu")
+    theta = torch.tensor([3.6, 0.5, 0.14, -0.2], dtype=torch.float64)
+    points = torch.rand(3_000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    points = (points - 0.5) * torch.tensor([8.0, 6.0, 3.0])
+    ours, theirs = exact.with_derivatives(theta, points), stock.with_derivatives(theta, points)
+    assert float((ours.values - theirs.values).abs().max()) < 1e-5
+    # But for points as far from one place as from another.
+    assert float(((ours.by_theta - theirs.by_theta).abs().amax(1) < 1e-4).double().mean()) > 0.98
+    assert (stock.evaluations, stock.rough()) == (1, None)
+    assert isinstance(ClosestPointBackend(Cochlea(20_000), "cpu").rough(), ClosestPointBackend)
