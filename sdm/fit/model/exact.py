@@ -112,7 +112,7 @@ class ExactBackend:
         self.evaluations += 1
 
     def indexed(self, mesh: TriangleMesh) -> MeshIndex:
-        """What is asked for distances to a mesh and for the closest points."""
+        """Index of a mesh, asked for distances and for the closest points."""
         return MeshIndex(mesh, self.device)
 
     def _box(self) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""What a family cannot say: each vertex of a fitted surface moves along its normal, as smoothly as the image allows.
+"""Free-form remainder of a fit: each vertex moves along its normal, as smoothly as the image allows.
 
 A shape model of a few dozen shapes does not hold a new one to a voxel, however well it is fitted. From its surface on,
 vertices x = x0 + D minimise
