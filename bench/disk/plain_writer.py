@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-# Random bytes, which no disk makes smaller, and those of one call that writes.
-BLOCK = 1 << 22
+# Random bytes, which no disk makes smaller, and those of one call that writes; what disks ask sizes to be multiples of.
+BLOCK, WHOLE = 1 << 22, 1 << 12
 
 
-def plain_seconds(folder: Path, sizes: list[int], *, threads: int = 1) -> float:
+def plain_seconds(folder: Path, sizes: list[int], *, threads: int = 1, direct: bool = False) -> float:
     """Seconds to write files of so many bytes into a fresh folder, each flushed before its thread goes on.
 
-    Bytes come from one block of memory, so nothing is computed. The folder is gone afterwards.
+    Bytes come from one block of memory, so nothing is computed. `direct` goes past the system's cache. The folder is
+    gone afterwards.
     """
-    block = memoryview(os.urandom(BLOCK))
+    room = mmap.mmap(-1, BLOCK)
+    room.write(os.urandom(BLOCK))
+    block = memoryview(room)
     folder.mkdir(parents=True)
     os.sync()
+    flags = os.O_WRONLY | os.O_CREAT | (os.O_DIRECT if direct else 0)
 
     def write(job: tuple[int, int]) -> None:
         number, size = job
-        with (folder / str(number)).open("wb", buffering=0) as file:
-            while size > 0:
-                size -= file.write(block[:size])
-            os.fsync(file.fileno())
+        handle = os.open(folder / str(number), flags)
+        try:
+            left = -(-size // WHOLE) * WHOLE if direct else size
+            while left > 0:
+                left -= os.write(handle, block[:left])
+            os.ftruncate(handle, size)
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
     try:
         start = time.perf_counter()

@@ -2,9 +2,11 @@
 
     python -m sdm.bench.disk.real_disk --device cuda --folder /mnt/data
 
-By turns: the command, then files of the sizes that it wrote by a plain writer, one after the other and each flushed,
-and the same by as many threads as the command writes with. The engine alone makes the same and keeps nothing. Output is
-removed after each turn. The share is that of the better of the two writers, or of the engine where that is slower.
+By turns: the command, then files of the sizes that it wrote by plain writers: one after the other, each flushed; the
+same by threads; and these past the system's cache. The engine alone makes the same and keeps nothing. Output is removed
+after each turn. The share is that of the best of the three writers, or of the engine where that is slower, which the
+command reaches between a quarter and nineteen twentieths of its work (`steady`): `sdm compute` has `--processes` on the
+GPU, as for a long job, which take some ten seconds to start.
 """
 
 from __future__ import annotations
@@ -25,15 +27,17 @@ import sdm
 from sdm.bench.common import json_file
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.machine import describe
-from sdm.bench.disk.inputs import write_meshes
-from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate, compute, quietly, settings_for
+from sdm.bench.disk.devices import MAPS_AT, MESHES_AT, TRIANGLES, meshes_in
+from sdm.bench.disk.pipelines import alone_of_compute, alone_of_generate
 from sdm.bench.disk.plain_writer import plain_seconds
-from sdm.dataset import generate
+from sdm.bench.disk.steady import compute_rates, generate_rates
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.thread_count import writers_beside
 from sdm.shapes import Cochlea
 
-TRIANGLES, MAPS_AT, MESHES_AT = 20_000, 64, 128
+# Ways of plain writers, and bytes of each turn of them at most.
+ONE, THREADS, DIRECT = "one after the other", "threads", "threads, direct"
+MOST_PLAIN = 6 * 10**9
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Work:
         name: As in the record.
         count: Maps, or meshes.
         alone: Seconds of the engine alone.
-        run: Does the work into a folder that is there.
+        run: Does the work into a folder that is there; its rates.
     """
 
     name: str
@@ -53,7 +57,7 @@ class Work:
     run: Callable[[Path, StageTimes], Any]
 
 
-def works(folder: Path, maps: int, meshes: int, device: str) -> list[Work]:
+def works(folder: Path, maps: int, meshes: int, device: str, processes: int) -> list[Work]:
     """Both commands in both of their formats."""
     found = []
     if maps:
@@ -62,19 +66,20 @@ def works(folder: Path, maps: int, meshes: int, device: str) -> list[Work]:
         alone = alone_of_generate(family, grid, maps, device)[0]
         for dtype, compression in ((torch.float16, "none"), (torch.float32, "zstd")):
 
-            def make(out: Path, times: StageTimes, dtype: Any = dtype, compression: str = compression) -> None:
+            def make(out: Path, times: StageTimes, dtype: Any = dtype, compression: str = compression) -> Any:
                 more: dict[str, Any] = {"dtype": dtype, "compression": compression, "device": device}
-                generate(family, grid, maps, out / "d.zarr", times=times, **more)
+                return generate_rates(family, grid, maps, out / "d.zarr", times, **more)
 
             found.append(Work(f"generate {str(dtype).removeprefix('torch.')} {compression}", maps, alone, make))
     if meshes:
-        files = write_meshes(folder / "meshes", meshes, TRIANGLES, "ply")
-        alone = alone_of_compute([sdm.load_mesh(file) for file in files], MESHES_AT, device)[0]
+        files = meshes_in(folder / "meshes", meshes)
+        alone = alone_of_compute([sdm.load_mesh(file) for file in files[:300]], MESHES_AT, device)[0]
+        alone *= meshes / min(meshes, 300)
         for ending in ("npz", "nii.gz"):
 
-            def measure(out: Path, times: StageTimes, ending: str = ending) -> None:
+            def measure(out: Path, times: StageTimes, ending: str = ending) -> Any:
                 jobs = [(file, out / f"{file.stem}.{ending}") for file in files]
-                compute(jobs, settings_for(MESHES_AT, device), times=times)
+                return compute_rates(jobs, MESHES_AT, [device] * processes, times)
 
             found.append(Work(f"compute .{ending}", meshes, alone, measure))
     return found
@@ -83,7 +88,8 @@ def works(folder: Path, maps: int, meshes: int, device: str) -> list[Work]:
 def row_of(work: Work, folder: Path, rounds: int, until: float, device: str) -> dict[str, Any]:
     """Rates of all turns, and the share of the medians."""
     threads = writers_beside(torch.device(device))
-    turns: dict[str, list[float]] = {"ours": [], "one": [], "threads": []}
+    ours: list[dict[str, float]] = []
+    plain: dict[str, list[float]] = {name: [] for name in (ONE, THREADS, DIRECT)}
     busy: dict[str, float] = {}
     sizes: list[int] = []
     for number in range(rounds):
@@ -92,29 +98,33 @@ def row_of(work: Work, folder: Path, rounds: int, until: float, device: str) -> 
         out, times = folder / "out", StageTimes()
         out.mkdir()
         os.sync()
-        turns["ours"].append(quietly(lambda out=out, times=times: work.run(out, times))[0])
+        ours.append(work.run(out, times))
         busy = times.seconds
         sizes = [file.stat().st_size for file in sorted(out.rglob("*")) if file.is_file()]
         shutil.rmtree(out)
-        turns["one"].append(plain_seconds(folder / "plain", sizes))
-        turns["threads"].append(plain_seconds(folder / "plain", sizes, threads=threads))
-    rates = {name: [work.count / seconds for seconds in found] for name, found in turns.items()}
-    middle = {name: sorted(found)[len(found) // 2] for name, found in rates.items()}
+        # Enough to tell the disk's speed.
+        some = sizes[: max(1, len(sizes) * MOST_PLAIN // max(MOST_PLAIN, sum(sizes)))]
+        share = sum(some) / sum(sizes) * work.count
+        for name, writers, direct in ((ONE, 1, False), (THREADS, threads, False), (DIRECT, threads, True)):
+            plain[name].append(share / plain_seconds(folder / "plain", some, threads=writers, direct=direct))
+    rates = {"of_all": [one["of_all"] for one in ours], "steady": [one.get("steady", one["of_all"]) for one in ours]}
+    middle = {name: sorted(found)[len(found) // 2] for name, found in {**rates, **plain}.items()}
     engine = work.count / work.alone
-    limit = min(max(middle["one"], middle["threads"]), engine)
+    limit = min(max(middle[name] for name in plain), engine)
     each = sum(sizes) / 1e6 / work.count
     return {
         "work": work.name,
         "count": work.count,
-        "rounds": len(turns["ours"]),
-        "per_second": round(middle["ours"], 1),
+        "rounds": len(ours),
+        "per_second": round(middle["of_all"], 1),
+        "steady_per_second": round(middle["steady"], 1),
         "engine_alone_per_second": round(engine, 1),
-        "disk_one_after_the_other_per_second": round(middle["one"], 1),
-        f"disk_{threads}_threads_per_second": round(middle["threads"], 1),
-        "of_one_after_the_other": round(middle["ours"] / min(middle["one"], engine), 3),
-        "of_smaller": round(middle["ours"] / limit, 3),
+        "disk_per_second": {name: round(middle[name], 1) for name in plain},
+        "writing_threads": threads,
+        "of_one_after_the_other": round(middle["steady"] / min(middle[ONE], engine), 3),
+        "of_smaller": round(middle["steady"] / limit, 3),
         "mb_each": round(each, 4),
-        "mb_per_s": {name: [round(rate * each, 1) for rate in found] for name, found in rates.items()},
+        "mb_per_s": {name: [round(rate * each, 1) for rate in found] for name, found in {**rates, **plain}.items()},
         "busy_seconds": {stage: round(seconds, 3) for stage, seconds in busy.items()},
     }
 
@@ -125,6 +135,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="a place on the disk; by default that of temporary files")
     parser.add_argument("--maps", type=int, default=12_000, help="of generate; 0 leaves it out")
     parser.add_argument("--meshes", type=int, default=600, help="of compute; 0 leaves it out")
+    parser.add_argument("--processes", type=int, default=1, help="of compute, on the device")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--budget-s", type=float, default=600.0, help="no round begins later, but the first of each")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -136,7 +147,7 @@ def main() -> None:
     record |= {"load": os.getloadavg()[0], "file_system": file_system_of(folder), "pipelines": []}
     out = options.out or results_folder() / f"disk-real-{options.device.partition(':')[0]}.json"
     try:
-        for work in works(folder, options.maps, options.meshes, options.device):
+        for work in works(folder, options.maps, options.meshes, options.device, options.processes):
             row = row_of(work, folder, options.rounds, until, options.device)
             record["pipelines"].append(row)
             print(" ".join(f"{key} {value}" for key, value in row.items()), flush=True)

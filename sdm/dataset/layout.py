@@ -29,7 +29,8 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
 from sdm.dataset.shard_file import maps_content, rows_content
 from sdm.errors import FormatError
-from sdm.io.files.atomic import own_name, put, write_all
+from sdm.io.files.atomic import own_name, put
+from sdm.io.files.direct_file import DirectFile
 from sdm.io.files.stand_in import bring
 
 UNFINISHED = ".part"
@@ -249,14 +250,14 @@ def write_shard(
         put(files[name], content)
     # Under another name until it is whole; its file then takes its place in the dataset.
     part = scratch / str(number)
-    with part.open("wb", buffering=0) as file:
+    with DirectFile(part, maps.nbytes) as file:
         held: list[bytes] = []
         for piece in maps_content(maps, manifest, pool):
             digest.update(piece)
             held.append(piece)
             if sum(map(len, held)) >= AT_ONCE:
-                write_all(file, held)
+                file.write_all(held)
                 held.clear()
-        write_all(file, held)
+        file.write_all(held)
     put(files["sdm"], part)
     put(checksum_file(folder, number), digest.digest())

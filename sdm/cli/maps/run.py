@@ -34,6 +34,7 @@ def run(
     workers: int | None = None,
     times: StageTimes | None = None,
     devices: list[str] | None = None,
+    processes: list[str] | None = None,
     ray: str | None = None,
     folder: Path | None = None,
 ) -> int | None:
@@ -47,6 +48,7 @@ def run(
         workers: Threads that read, and as many that write; by default what the machine has.
         times: The pipeline's clock, to be read afterwards, of the stages in this process.
         devices: Those of this machine that share the meshes if there are many; by default the settings' one alone.
+        processes: The device of each process that takes part; by default as `processes_of` says of these devices.
         ray: Address of a Ray cluster whose devices share them.
         folder: Where maps go, if they go to a folder: its manifest says what is done until all is.
 
@@ -62,7 +64,7 @@ def run(
     ):
         account = MapAccount(tasks, manifest, progress)
         wanted = account.wanted
-        processes = processes_of(len(wanted), settings, devices)
+        processes = processes_of(len(wanted), settings, devices) if processes is None else processes
         if wanted and (ray is not None or len(processes) > 1):
             size = shard_size(len(wanted), 0 if ray is not None else len(processes))
             job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, workers=workers, stand_ins=known())

@@ -12,6 +12,8 @@ from typing import IO, Any
 import numpy as np
 from isal import isal_zlib
 
+from sdm.io.files.direct_file import DirectFile
+
 # Bytes that are kept as they are, and not gathered with others.
 LARGE = 1 << 16
 # From here on a ZIP file has longer fields, which NumPy writes.
@@ -24,7 +26,7 @@ LOCAL, CENTRAL, END = "<4s5H3I2H", "<4s4B4HL2L5H2L", "<4s4H2LH"
 LATER = 0xFFFFFFFF
 
 
-def write_archive(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
+def write_archive(file: IO[bytes] | DirectFile, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays to a file as `numpy.savez` does, to the byte.
 
     `numpy.savez` copies each array, and seeks and writes some ten times for it. Each of these calls gives up Python's
@@ -36,7 +38,7 @@ def write_archive(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
     """
     if sum(array.nbytes + LARGE for array in arrays.values()) > MOST_BYTES:
         members: dict[str, Any] = dict(arrays)
-        np.savez(file, **members)
+        np.savez(file, **members)  # pyright: ignore[reportArgumentType]
         return
     pieces: list[bytearray | memoryview] = [bytearray()]
     central, at = bytearray(), 0

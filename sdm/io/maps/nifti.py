@@ -22,7 +22,7 @@ from nibabel.openers import ImageOpener
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import FormatError
-from sdm.io.files.atomic import write_all
+from sdm.io.files.direct_file import DirectFile
 from sdm.io.maps.check_dtype import plain_numbers
 from sdm.io.maps.gzip_check import held
 from sdm.io.maps.record import KEY, from_record, record, sign_arguments, signs_of, to_line, verify, with_checksum
@@ -54,9 +54,9 @@ def write_compressed(field: SDM, path: Path, made_from: str | None = None, *, sp
     `space` is NIfTI's number of the space that the affine leads to: 1, the scanner's, or 0, unknown, and so on.
     """
     packer = isal_zlib.compressobj(LEVEL, wbits=AS_GZIP)
-    with path.open("wb", buffering=0) as file:
-        _put(_image(field, made_from, space), lambda piece: write_all(file, [packer.compress(piece)]))
-        write_all(file, [packer.flush()])
+    with DirectFile(path, field.grid.nbytes) as file:
+        _put(_image(field, made_from, space), lambda piece: file.write(packer.compress(piece)))
+        file.write(packer.flush())
 
 
 def read(path: Path) -> SDM:

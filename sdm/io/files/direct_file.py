@@ -1,0 +1,119 @@
+"""Files that go to their disk past the system's cache: threads that write large ones do not wait for each other.
+
+A file that goes by the cache is copied there first, and then its flush waits: for the journal, and so for what other
+files have in the cache. Past it the disk is busy from the first bytes on, and a flush has little left to do.
+"""
+
+from __future__ import annotations
+
+import errno
+import mmap
+import os
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from sdm.io.files.atomic import write_all
+
+# Bytes of one call that writes, and what disks ask their sizes to be multiples of.
+ROOM, BLOCK = 1 << 23, 1 << 12
+# Smaller files are not worth it.
+LEAST = 1 << 21
+
+_own = threading.local()
+
+
+class DirectFile:
+    """A new file for bytes that come piece by piece; a context manager.
+
+    Args:
+        path: The file. An older one is replaced.
+        size: About how large it will be.
+
+    On file systems in memory or over a network, on other systems than Linux, and where `size` is small, it is a file as
+    any other. Whoever wants it on the disk flushes it, as any other.
+
+    Raises:
+        OSError: It cannot be written; from all methods.
+    """
+
+    def __init__(self, path: Path, size: int) -> None:
+        handle = _opened_directly(path) if size >= LEAST else None
+        self._direct = handle is not None
+        self._file: Any = path.open("wb", buffering=0) if handle is None else os.fdopen(handle, "wb", buffering=0)
+        self._at = self._written = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None and self._at:
+                self._end()
+        finally:
+            self._file.close()
+
+    def write(self, piece: Any) -> None:
+        """Write bytes."""
+        self.write_all([piece])
+
+    def write_all(self, pieces: Sequence[Any]) -> None:
+        """Write pieces of bytes, one after the other."""
+        if not self._direct:
+            write_all(self._file, pieces)
+            return
+        room = _buffer()
+        for piece in pieces:
+            left = np.frombuffer(piece, np.uint8) if len(piece) else np.empty(0, np.uint8)
+            while len(left):
+                count = min(len(left), ROOM - self._at)
+                room[self._at : self._at + count] = left[:count]
+                self._at, left = self._at + count, left[count:]
+                if self._at == ROOM:
+                    self._put(ROOM)
+                    self._written, self._at = self._written + ROOM, 0
+
+    def _end(self) -> None:
+        whole = -(-self._at // BLOCK) * BLOCK
+        _buffer()[self._at : whole] = 0
+        self._put(whole)
+        self._file.truncate(self._written + self._at)
+
+    def _put(self, count: int) -> None:
+        try:
+            write_all(self._file, [_buffer()[:count].data])
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            # A disk of larger blocks.
+            import fcntl
+
+            fcntl.fcntl(self._file, fcntl.F_SETFL, fcntl.fcntl(self._file, fcntl.F_GETFL) & ~os.O_DIRECT)
+            self._file.seek(self._written)
+            write_all(self._file, [_buffer()[:count].data])
+
+
+def _opened_directly(path: Path) -> int | None:
+    """A new file past the cache; None where the file system has no disk of its own, or cannot."""
+    direct = getattr(os, "O_DIRECT", None)
+    if direct is None or os.major(path.parent.stat().st_dev) == 0:
+        return None
+    try:
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | direct, 0o666)
+    except OSError as error:
+        if error.errno != errno.EINVAL:
+            raise
+        return None
+
+
+def _buffer() -> np.ndarray:
+    """Memory of this thread, at the beginning of a page, as disks ask for."""
+    if not hasattr(_own, "room"):
+        _own.room = np.frombuffer(mmap.mmap(-1, ROOM), np.uint8)
+    return _own.room

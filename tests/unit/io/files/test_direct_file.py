@@ -1,0 +1,76 @@
+"""Files past the system's cache hold what was written, whatever its size, and where a system has no such files, too."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+
+import pytest
+
+from sdm.io.files import direct_file
+from sdm.io.files.direct_file import BLOCK, DirectFile
+
+ROOM = 4 * BLOCK
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """A buffer of a few blocks, and no file too small."""
+    monkeypatch.setattr(direct_file, "ROOM", ROOM)
+    monkeypatch.setattr(direct_file, "LEAST", 0)
+    monkeypatch.setattr(direct_file, "_own", threading.local())
+
+
+def written(path, content: bytes, step: int) -> bytes:
+    path.write_bytes(b"older and longer" * 9999)
+    with DirectFile(path, len(content)) as file:
+        for begin in range(0, len(content), 3 * step):
+            part = content[begin : begin + 3 * step]
+            file.write_all([memoryview(part)[at : at + step] for at in range(0, len(part), step)])
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("size", [0, 1, BLOCK - 1, BLOCK, ROOM - 1, ROOM, ROOM + 1, 2 * ROOM, 3 * ROOM + BLOCK + 7])
+@pytest.mark.parametrize("step", [100, BLOCK, ROOM, 5 * ROOM])
+def test_any_size_in_any_pieces(size, step, tmp_path):
+    content = os.urandom(size)
+    assert written(tmp_path / "a", content, step) == content
+
+
+def test_where_such_files_are_refused(tmp_path, monkeypatch):
+    content, plain = os.urandom(2 * ROOM + 5), os.open
+
+    def refuse(path, flags, *more, **options):
+        if flags & getattr(os, "O_DIRECT", 0):
+            raise OSError(errno.EINVAL, "no")
+        return plain(path, flags, *more, **options)
+
+    monkeypatch.setattr(os, "open", refuse)
+    assert written(tmp_path / "a", content, 1000) == content
+
+
+@pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="Linux")
+def test_a_disk_of_larger_blocks(tmp_path, monkeypatch):
+    content, plain, refused = os.urandom(3 * ROOM + 5), direct_file.write_all, []
+    monkeypatch.setattr(direct_file, "_opened_directly", lambda path: os.open(path, os.O_WRONLY | os.O_TRUNC))
+
+    def write_all(file, pieces):
+        if len(refused) < 2 and file.tell() == ROOM:
+            refused.append(file.tell())
+            # Half of a block was taken before.
+            if len(refused) == 1:
+                os.write(file.fileno(), bytes(BLOCK))
+                raise OSError(errno.EINVAL, "no")
+        plain(file, pieces)
+
+    monkeypatch.setattr(direct_file, "write_all", write_all)
+    assert written(tmp_path / "a", content, 1000) == content
+    assert refused
+
+
+def test_an_error_leaves_no_open_file(tmp_path):
+    with pytest.raises(KeyError), DirectFile(tmp_path / "a", 1) as file:
+        file.write(b"abc")
+        raise KeyError
+    assert file._file.closed
