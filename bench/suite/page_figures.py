@@ -76,6 +76,12 @@ def _shares(record: Any) -> list[float]:
     return _range([100 * peer["share"] for peers in rows for peer in peers if "winding" in peer["peer"]])
 
 
+def _scratch(record: Any) -> list[float]:
+    """Memory of maps of meshes of up to 100,000 triangles, less the maps, in MiB to tens."""
+    rows = [row for row in record["parts"]["table"]["rows"] if row["triangles"] <= 100_000]
+    return [round(x, -1) for x in _range([row["peak_mib"] - row["map_mib"] for row in rows])]
+
+
 def _batches(record: Any) -> list[float]:
     """Maps a second of 64 in one call, repeated and without a recording."""
     row = record["parts"]["graph"]["rows"][-1]
@@ -269,6 +275,7 @@ FIGURES = (
     ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
     Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
+    Figure(LARGE, "a GPU {:.0f} to {:.0f} MiB for meshes of up to 100,000 triangles", "dense-cuda", _scratch),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
     Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream", lambda r: _speeds(r)[:1]),
     Figure(GUIDE, "a small decoder at {:.1f} %", "stream", lambda r: _speeds(r)[1:]),

@@ -102,7 +102,7 @@ def signed_distance_map(
             map is first read on the host; never for maps that gradients flow through.
 
     Memory beyond the map itself: about 350 bytes a triangle, and scratch: 100 MiB on a CPU, and up to 128 more where
-    slices are thick (`sdm.engine.thick_slices`); on a GPU 150 to 600 MiB for meshes of up to 100,000 triangles, more
+    slices are thick (`sdm.engine.thick_slices`); on a GPU 150 to 510 MiB for meshes of up to 100,000 triangles, more
     for finer ones, at most a 14th of the GPU's memory and 4.5 GiB. Maps larger than memory: `MeshIndex.slabs`. On a GPU
     calls of one kind are recorded and replayed, which keeps some of that memory: see `sdm.runtime.graphs`.
     """
