@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from sdm.bench.common.machine import describe
 from sdm.bench.deepsdf.study.atria_split import read_record, twins_of
 from sdm.bench.segmentation.log_file import Job, LogFile, groups_of
+from sdm.bench.segmentation.pack import packed_cases, shapes_of
 from sdm.segmentation import METHODS, Case, Settings, cell, check_cases, load_model, load_settings, read_cases
 from sdm.segmentation import validate_ensemble as validate
 
@@ -123,7 +125,8 @@ def seeds_of(job: Job) -> str:
 def cases_of(job: Job, part: str, kept: dict[str, Any]) -> list[Case]:
     """The cases to train or to validate on, read once in a process; with `twins` "apart" without those' near twins."""
     if part not in kept:
-        cases = read_cases(Path(job["data"]), part)
+        data = Path(job["data"])
+        cases = packed_cases(data, part) if data.is_file() else read_cases(data, part)
         if part == "train" and job.get("twins") == "apart":
             near = twins_of(read_record(), [case.name for case in cases_of(job, "val", kept)])
             cases = [case for case in cases if case.name not in near]
@@ -131,6 +134,17 @@ def cases_of(job: Job, part: str, kept: dict[str, Any]) -> list[Case]:
         check_cases(cases)
         kept[part] = cases
     return kept[part]
+
+
+def shapes_for(job: Job, kept: dict[str, Any]) -> list[Tensor]:
+    """Labels without images for synthetic cases, read once in a process: no near twins of validation cases."""
+    if "shapes" not in kept:
+        near = twins_of(read_record(), [case.name for case in cases_of(job, "val", kept)])
+        found = shapes_of(Path(job["data"]))
+        kept["shapes"] = [label for name, label in found.items() if name not in near]
+        if not kept["shapes"]:
+            raise SystemExit(f"{job['data']} holds no labels without images: synthetic cases need DIR/labels/*.npz")
+    return kept["shapes"]
 
 
 def ensemble(job: Job, device: str, kept: dict[str, Any]) -> dict[str, Any]:

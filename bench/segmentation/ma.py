@@ -48,6 +48,7 @@ from sdm.bench.segmentation.ensembles import (
     kept_trainings,
     not_done,
     refuse_other_networks,
+    shapes_for,
     too_few,
 )
 from sdm.bench.segmentation.gpu_jobs import devices, run_jobs
@@ -55,12 +56,16 @@ from sdm.bench.segmentation.log_file import Job, LogFile, groups_of, log_file, s
 from sdm.bench.segmentation.mixtures import mixtures, refuse_folders
 from sdm.bench.segmentation.time_budget import fitted_steps, known_steps, shared
 from sdm.bench.segmentation.trials import settings_of
+from sdm.core.mesh import TriangleMesh
+from sdm.engine.api import signed_distance_map
 from sdm.engine.distance_transform import euclidean_distance_transform
 from sdm.segmentation import (
     MA_ROWS,
     METHODS,
+    Case,
     Patches,
     Settings,
+    SyntheticPatches,
     TrainedModel,
     Training,
     cell,
@@ -77,6 +82,7 @@ COLUMNS = ("dice", "jaccard", "hausdorff95_mm", "average_surface_distance_mm", "
 STARTING_S = 25.0
 OVERHEAD_S = 8.0
 SEEDS = (0, 1, 2)
+TETRAHEDRON = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
 ROWS = (*MA_ROWS, "pwr", "hausdorff-foreground")
 
 
@@ -94,6 +100,8 @@ def main() -> None:
     # Once, before several processes want it at the same time.
     for device in on[:1]:
         euclidean_distance_transform(torch.ones(4, 4, 4, dtype=torch.bool, device=device), signed=True)
+        if options.synthetic:
+            signed_distance_map(TriangleMesh(torch.eye(4)[:, :3], torch.tensor(TETRAHEDRON)), 16, device=device)
     if options.beside:
         make_mixtures(options, end, on)
     elif options.what == "ensemble":
@@ -189,6 +197,8 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--stride", type=int, nargs=3, default=None, help="default half a window; published 18 18 4")
     parser.add_argument("--mirrors", default="", help="axes, xyz: mirror images to train on and to average over")
     parser.add_argument("--position", action="store_true", help="tell the network where voxels are in their volume")
+    told = "share of the patches that are of synthetic cases: images of DIR, warped to the labels in DIR/labels"
+    parser.add_argument("--synthetic", type=float, default=0.0, help=told)
     parser.add_argument("--cases", type=int, default=None, help="only so many of each part, to see that it works")
     told = "near twins of validation cases among those to train on: left out, or kept as in the recorded tables"
     parser.add_argument("--twins", choices=("apart", "kept"), default="apart", help=told)
@@ -220,6 +230,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
                 dropout=options.dropout,
                 last_dropout=options.last_dropout,
                 position=options.position,
+                synthetic=options.synthetic,
                 seed=seed,
             )
             found.append({"name": f"{method}-{seed}", "settings": settings.record(), **job_of(options)})
@@ -290,7 +301,7 @@ def work(
     if device.startswith("cuda"):
         torch.cuda.reset_peak_memory_stats(device)
     checkpoint = unfinished / f"{job['name']}.pt"
-    patches = Patches.of_settings(cases, settings, device)
+    patches = patches_for(job, settings, cases, device, kept)
     training: Training = train(
         patches,
         settings,
@@ -326,6 +337,18 @@ def work(
     }
     checkpoint.unlink(missing_ok=True)
     return {"summary": _summary(list(log["largest"].values()), training), **log}
+
+
+def patches_for(
+    job: Job, settings: Settings, cases: list[Case], device: str, kept: dict[str, Any]
+) -> Patches | SyntheticPatches:
+    """Patches of real cases, or with synthetic ones beside them, whose warps are found once in a process."""
+    if not settings.synthetic:
+        return Patches.of_settings(cases, settings, device)
+    shapes = shapes_for(job, kept)
+    patches = SyntheticPatches.of_settings_and_shapes(cases, settings, device, shapes)
+    patches.warps = kept.setdefault("warps", patches.warps)
+    return patches
 
 
 def _summary(cases: list[dict[str, Any]], training: Training) -> str:

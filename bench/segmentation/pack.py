@@ -5,20 +5,26 @@
 
 MRI is recorded in whole numbers; the data's float32 images are these, shifted and scaled. The file holds the whole
 numbers, as differences between neighbours, and the unpacked cases hold them as 8 bits. Training standardises every
-image, so it sees the same values but for float32's rounding.
+image, so it sees the same values but for float32's rounding. Labels without images (DIR/la/labels/*.npz: `bits`,
+`shape`) are packed too. `sdm.bench.segmentation.ma --data la.npz` reads the file as it is, which needs no HDF5.
 """
 
 from __future__ import annotations
 
 import argparse
 import lzma
+import math
 from pathlib import Path
+from typing import Any
 
-import h5py
 import numpy as np
+import torch
+
+from sdm.segmentation import Case
 
 # Relative to the step between two neighbouring values.
 TOLERANCE = 0.02
+SHAPES = "labels"
 
 
 def main() -> None:
@@ -31,6 +37,8 @@ def main() -> None:
 
 
 def pack(source: Path, target: Path) -> None:
+    import h5py
+
     arrays: dict[str, np.ndarray] = {}
     for path in sorted(source.rglob("*.h5")):
         name = path.relative_to(source).with_suffix("").as_posix()
@@ -42,22 +50,79 @@ def pack(source: Path, target: Path) -> None:
         arrays[f"{name}:shape"] = np.asarray(image.shape)
         arrays[f"{name}:image"] = squeezed(differences(numbers))
         arrays[f"{name}:label"] = squeezed(np.packbits(label != 0))
+    for path in sorted((source / SHAPES).glob("*.npz")):
+        with np.load(path) as file:
+            arrays[f"{SHAPES}/{path.stem}:shape"], bits = file["shape"], file["bits"]
+        arrays[f"{SHAPES}/{path.stem}:label"] = squeezed(bits)
     np.savez(target, allow_pickle=False, **arrays)
-    print(f"{target}: {len(arrays) // 3} cases, {target.stat().st_size / 1e6:.1f} MB")
+    count = sum(name.endswith(":shape") for name in arrays)
+    print(f"{target}: {count} cases, {target.stat().st_size / 1e6:.1f} MB")
 
 
 def unpack(source: Path, target: Path) -> None:
+    import h5py
+
     with np.load(source) as file:
-        for name in sorted({key.split(":")[0] for key in file.files}):
-            shape = tuple(file[f"{name}:shape"])
-            image = sums(np.frombuffer(lzma.decompress(file[f"{name}:image"].tobytes()), np.uint8).reshape(shape))
-            bits = np.frombuffer(lzma.decompress(file[f"{name}:label"].tobytes()), np.uint8)
-            label = np.unpackbits(bits, count=image.size).reshape(shape)
+        for name in names_of(file):
             path = target / f"{name}.h5"
             path.parent.mkdir(parents=True, exist_ok=True)
+            if f"{name}:image" not in file.files:
+                bits = np.packbits(label_of(file, name))
+                np.savez_compressed(path.with_suffix(".npz"), bits=bits, shape=file[f"{name}:shape"])
+                continue
             with h5py.File(path, "w") as out:
-                out.create_dataset("image", data=image)
-                out.create_dataset("label", data=label)
+                out.create_dataset("image", data=image_of(file, name))
+                out.create_dataset("label", data=label_of(file, name))
+
+
+def packed_cases(source: Path, part: str) -> list[Case]:
+    """The cases of a part of a packed file, as `read_cases` gives those of its folder."""
+    with np.load(source) as file:
+        return [
+            Case(
+                name=name.split("/")[-1],
+                image=torch.from_numpy(image_of(file, name).astype(np.float32)),
+                label=torch.from_numpy(label_of(file, name) != 0),
+                spacing=(1.0, 1.0, 1.0),
+                affine=np.eye(4),
+                source=source,
+            )
+            for name in names_of(file)
+            if name.startswith(f"{part}/")
+        ]
+
+
+def shapes_of(source: Path) -> dict[str, torch.Tensor]:
+    """Labels (x,y,z) bool without images, by name: of a packed file, or of the folder `labels` in a data folder."""
+    if source.is_file():
+        with np.load(source) as file:
+            names = [name for name in names_of(file) if name.startswith(f"{SHAPES}/")]
+            return {name.split("/")[1]: torch.from_numpy(label_of(file, name) != 0) for name in names}
+    found = {}
+    for path in sorted((source / SHAPES).glob("*.npz")):
+        with np.load(path) as file:
+            found[path.stem] = torch.from_numpy(unpacked_bits(file["bits"], tuple(file["shape"])) != 0)
+    return found
+
+
+def names_of(file: Any) -> list[str]:
+    return sorted({key.split(":")[0] for key in file.files})
+
+
+def image_of(file: Any, name: str) -> np.ndarray:
+    """Whole numbers (x,y,z) uint8."""
+    content = np.frombuffer(lzma.decompress(file[f"{name}:image"].tobytes()), np.uint8)
+    return sums(content.reshape(tuple(file[f"{name}:shape"])))
+
+
+def label_of(file: Any, name: str) -> np.ndarray:
+    """(x,y,z) uint8, 0 or 1."""
+    bits = np.frombuffer(lzma.decompress(file[f"{name}:label"].tobytes()), np.uint8)
+    return unpacked_bits(bits, tuple(file[f"{name}:shape"]))
+
+
+def unpacked_bits(bits: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    return np.unpackbits(bits, count=math.prod(int(n) for n in shape)).reshape(shape)
 
 
 def differences(numbers: np.ndarray) -> np.ndarray:

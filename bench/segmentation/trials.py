@@ -27,6 +27,7 @@ WORDS = {
     "augment": "augmentation {}",
     "mirrors": "mirrored along {}",
     "last_dropout": "last dropout {:g}",
+    "synthetic": "{:g} of the patches synthetic",
 }
 
 

@@ -1,10 +1,12 @@
 """Shape models of left atria: points laid by a template beside maps, on the same leave-one-out study.
 
     python -m sdm.bench.shapes.atria --data ../shared/data --out bench/results/shape-model-atria.json
+    python -m sdm.bench.shapes.atria --data ../shared/data --laid laid.pt --model atria.npz --modes 10 --parts model
 
-Labels become smooth surfaces; the case that is there twice is left out. For both models the generalisation is the mean
-distance, both ways, of a left-out atrium's surface from the nearest shape of the model of the others, for 1, 2, ...
-modes; the specificity that of random shapes of the model from the nearest atrium. Compactness is the share of variance.
+With --laid the template's vertices on each atrium are kept, so that a run that was cut short goes on. Labels become
+smooth surfaces; the case that is there twice is left out. For both models the generalisation is the mean distance, both
+ways, of a left-out atrium's surface from the nearest shape of the model of the others, for 1, 2, ... modes; the
+specificity that of random shapes of the model from the nearest atrium. Compactness is the share of variance.
 """
 
 from __future__ import annotations
@@ -31,13 +33,17 @@ from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.errors import SDMError
-from sdm.shapes.models.build_model import build_model, principal_components
-from sdm.shapes.models.lay_template import surface_samples
+from sdm.io.files.torch_file import save_torch
+from sdm.shapes.models.build_model import model_of, principal_components
+from sdm.shapes.models.even_template import even_template
+from sdm.shapes.models.lay_template import TemplateLayer, surface_samples
 from sdm.shapes.models.procrustes import procrustes, rotations
 from sdm.shapes.models.sdm_modes import modes_of
+from sdm.shapes.models.statistical_shape import LIMIT
 
 MODES = (1, 2, 4, 8, 16, 32)
 POINTS, DRAWN = 2000, 40
+KEEP_S = 20.0
 
 
 def main(words: list[str] | None = None) -> None:
@@ -50,48 +56,96 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--resolution", type=int, default=64, help="of the maps")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--cache", type=Path, default=None, help="keeps the surfaces for the next time")
+    parser.add_argument("--laid", type=Path, default=None, help="keeps what is laid, atrium by atrium")
     parser.add_argument("--model", type=Path, default=None, help="write the model of points here too")
+    parser.add_argument("--modes", type=int, default=None, help="of that model (default: 98 %% of the variance)")
+    parser.add_argument("--parts", nargs="+", choices=("model", "curves"), default=["model", "curves"])
     options = parser.parse_args(words)
     device = choose_device(options.device)
     found = atria(options.data, cache=options.cache)
     twice = set(duplicates_of(read_record()))
     meshes = [mesh for mesh in (*found.training, *found.test) if mesh.name not in twice][: options.count]
-    start = time.perf_counter()
-    model = build_model(meshes, triangles=options.triangles, device=device)
-    seconds = time.perf_counter() - start
+    points, faces, rows = _laid(meshes, options, device)
+    model = model_of(points, faces, scale=False, modes=options.modes, limit=LIMIT, facts={"shapes": rows})
     if options.model is not None:
         model.save(options.model)
-    rows = model.facts["shapes"]
     distances = torch.tensor([row["distance"] for row in rows])
     print(
-        f"{len(rows)} atria in {seconds:.1f} s: {distances.mean():.3f} mm on average, the worst {distances.max():.3f}; "
-        f"{sum(row['turned'] for row in rows)} faces turned, {sum(row['cut'] for row in rows)} in another part"
+        f"{len(rows)} atria in {sum(row['seconds'] for row in rows):.1f} s: {distances.mean():.3f} mm on average, "
+        f"the worst {distances.max():.3f}; {sum(row['turned'] for row in rows)} faces turned, "
+        f"{sum(row['cut'] for row in rows)} in another part",
+        flush=True,
     )
     record = {
         "machine": describe(str(device)),
         "count": len(rows),
-        "triangles": len(model.triangles),
-        "seconds": round(seconds, 2),
+        "triangles": len(faces),
+        "mean_mm": round(float(distances.mean()), 4),
+        "worst_mm": round(float(distances.max()), 4),
+        "turned": sum(row["turned"] for row in rows),
+        "cut": sum(row["cut"] for row in rows),
+        "seconds": round(sum(row["seconds"] for row in rows), 1),
         "registration": rows,
         "vertex_measures": {key: model.facts[key] for key in ("compactness", "generalisation", "specificity")},
-        **_compared(meshes, options, device),
     }
     write(options.out, record)
+    if "curves" not in options.parts:
+        return
+    write(options.out, record := {**record, **_compared(meshes, points, faces, options, device)})
     if options.out.suffix == ".json":
         from sdm.bench.shapes.picture import draw
 
         draw(record, options.out.with_suffix(".png"))
 
 
-def _compared(meshes: list[TriangleMesh], options: Any, device: torch.device) -> dict[str, Any]:
-    """Both models' curves by distances of surfaces, of the same aligned atria."""
-    from sdm.shapes.models.even_template import even_template
-    from sdm.shapes.models.lay_template import TemplateLayer
+def _laid(
+    meshes: list[TriangleMesh], options: Any, device: torch.device
+) -> tuple[Tensor, Tensor, list[dict[str, Any]]]:
+    """Vertices (N,V,3) of an even template on each atrium, its faces, and how far it is from each.
 
+    As `build_model` does it, but what a run before has laid is taken from its file.
+    """
     volumes = [float(_volume(mesh)) for mesh in meshes]
-    middle = sorted(range(len(meshes)), key=volumes.__getitem__)[len(meshes) // 2]
-    layer = TemplateLayer(even_template(meshes[middle], options.triangles, device), device)
-    points = torch.stack([layer.lay(mesh).vertices for mesh in meshes]).double()
+    middle = meshes[sorted(range(len(meshes)), key=volumes.__getitem__)[len(meshes) // 2]]
+    known: dict[str, Any] = {"rows": {}, "points": {}}
+    if options.laid is not None and options.laid.is_file():
+        known = torch.load(options.laid, weights_only=True)
+        if known["template"] != [middle.name, options.triangles]:
+            raise SystemExit(f"{options.laid} is of another template: choose another file with --laid")
+        template = TriangleMesh(known["vertices"], known["faces"], check=False)
+    else:
+        template = even_template(middle, options.triangles, device)
+    known |= {"template": [middle.name, options.triangles]}
+    known |= {"vertices": template.vertices.cpu(), "faces": template.faces.cpu()}
+    layer = TemplateLayer(template, device)
+    kept = time.perf_counter()
+    for mesh in meshes:
+        if mesh.name in known["rows"]:
+            continue
+        start = time.perf_counter()
+        laid = layer.lay(mesh)
+        known["points"][mesh.name] = laid.vertices.cpu()
+        known["rows"][mesh.name] = row = {
+            "name": mesh.name,
+            "distance": round(laid.distance, 5),
+            "most": round(laid.most, 4),
+            "turned": laid.turned,
+            "cut": laid.cut,
+            "seconds": round(time.perf_counter() - start, 2),
+        }
+        print(f"{len(known['rows'])} of {len(meshes)}: {row}", flush=True)
+        if options.laid is not None and (time.perf_counter() - kept > KEEP_S or mesh is meshes[-1]):
+            save_torch(known, options.laid)
+            kept = time.perf_counter()
+    points = torch.stack([known["points"][mesh.name] for mesh in meshes])
+    return points, known["faces"], [known["rows"][mesh.name] for mesh in meshes]
+
+
+def _compared(
+    meshes: list[TriangleMesh], laid: Tensor, faces: Tensor, options: Any, device: torch.device
+) -> dict[str, Any]:
+    """Both models' curves by distances of surfaces, of the same aligned atria."""
+    points, faces = laid.to(device).double(), faces.to(device)
     aligned, _ = procrustes(points)
     moved = [_moved(mesh, own, goal, device) for mesh, own, goal in zip(meshes, points, aligned, strict=True)]
     every = torch.cat([mesh.vertices for mesh in moved])
@@ -100,7 +154,6 @@ def _compared(meshes: list[TriangleMesh], options: Any, device: torch.device) ->
     indices = [MeshIndex(mesh, device=device) for mesh in moved]
     samples = [surface_samples(mesh, POINTS, 3, device)[0] for mesh in moved]
     modes = [m for m in MODES if m <= len(meshes) - 2]
-    faces = layer.faces
     curves = {"points": _curve_of_points(aligned, faces, indices, samples, modes)}
     curves["maps"] = _curve_of_maps(maps, grid, indices, samples, modes)
     # Half a voxel is what the zero level of an interpolated map may be off by itself.

@@ -8,6 +8,8 @@ from sdm.segmentation.data.checks import check_cases
 from sdm.segmentation.data.folder import has_part, read_cases
 from sdm.segmentation.data.method_target import distance_map
 from sdm.segmentation.data.patches import Patches
+from sdm.segmentation.data.shape_labels import read_shapes
+from sdm.segmentation.data.synthetic_patches import SyntheticPatches
 from sdm.segmentation.data.write_prediction import write_prediction
 from sdm.segmentation.infer.ensemble import check_ensemble, predict_ensemble
 from sdm.segmentation.infer.predict import Prediction, label_distance_map, largest_component, predict
@@ -29,6 +31,7 @@ __all__ = [
     "Prediction",
     "SegmentationModel",
     "Settings",
+    "SyntheticPatches",
     "TrainedModel",
     "Training",
     "cell",
@@ -44,6 +47,7 @@ __all__ = [
     "predict",
     "predict_ensemble",
     "read_cases",
+    "read_shapes",
     "save_model",
     "scores_of",
     "sliding_window",

@@ -20,7 +20,7 @@ def uses_bfloat16(device: torch.device, wanted: bool | None) -> bool:
     Raises:
         SDMError: A CPU has no instructions for it: it would take more time for it than for float32.
     """
-    if wanted and device.type == "cpu" and not _cpu_has_bfloat16():
+    if wanted and device.type == "cpu" and not cpu_has_bfloat16():
         raise SDMError("this CPU has no bfloat16 (AVX512-BF16 or AMX), or this torch cannot tell: train in float32")
     return device.type == "cuda" if wanted is None else wanted
 
@@ -78,7 +78,8 @@ def check_gradients(model: nn.Module, image: Tensor) -> None:
             )
 
 
-def _cpu_has_bfloat16() -> bool:
+def cpu_has_bfloat16() -> bool:
+    """True if this processor multiplies bfloat16 by instructions of its own (AVX512-BF16 or AMX)."""
     # Not public, and not in every version.
     asked = (getattr(torch.cpu, name, None) for name in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"))
     return any(ask() for ask in asked if ask is not None)

@@ -39,3 +39,12 @@ def distance_map(
         return normalized_signed_distance(label, spacing, surface=surface)
     signed = signed_distance_target(label, spacing, surface=surface)
     return clipped_sdf(signed, CLIP_VOXELS * max(spacing)) if kind == "clipped" else signed
+
+
+def map_of_distances(distances: Tensor, kind: Map) -> Tensor:
+    """A map as above of signed distances (B,x,y,z), negative inside; "clipped" as "signed": a patch clips it."""
+    inside, outside = (-distances).clamp(min=0), distances.clamp(min=0)
+    inner, outer = (side.flatten(1).amax(1).clamp(min=1e-12).view(-1, 1, 1, 1) for side in (inside, outside))
+    if kind == "foreground":
+        return inside / inner
+    return outside / outer - inside / inner if kind == "normalized" else distances

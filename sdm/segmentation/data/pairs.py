@@ -42,7 +42,7 @@ def label_pairs(predictions: Path, truths: Path) -> Iterator[tuple[str, Tensor, 
         raise FormatError(f"{truths} has no label for {', '.join(missing[:5])}")
     for name, path in found.items():
         prediction, truth = read_image(path), read_image(known[name])
-        first, second = _mask(prediction), _mask(truth)
+        first, second = mask_of(prediction), mask_of(truth)
         if first.shape != second.shape:
             raise FormatError(f"{path} has the shape {tuple(first.shape)}, but {known[name]} {tuple(second.shape)}")
         # HDF5 need not tell where it lies.
@@ -57,7 +57,13 @@ def labels_of(place: Path) -> dict[str, Path]:
     return named([place] if place.is_file() else nifti_files(place) or hdf5_files(place))
 
 
-def _mask(case: Case) -> Tensor:
+def mask_of(case: Case) -> Tensor:
+    """The foreground (x,y,z) bool of a file that was read as an image.
+
+    Raises:
+        FormatError: It is no label of whole numbers.
+        GridError: Its axes are not orthogonal.
+    """
     try:
         Grid.from_affine(case.affine, case.image.shape)
     except GridError as error:

@@ -166,7 +166,11 @@ class Patches:
 
     def _cut(self, d: Draw, frame: Tensor) -> Tensor:
         points = functional.affine_grid(frame[None], [1, 1, *self.size], align_corners=True)
-        return functional.grid_sample(self._cases[d.case][None], points, padding_mode="border", align_corners=True)
+        return functional.grid_sample(self._volume(d)[None], points, padding_mode="border", align_corners=True)
+
+    def _volume(self, d: Draw) -> Tensor:
+        """Channels (C,x,y,z) of a draw's case: image, share of foreground and map."""
+        return self._cases[d.case]
 
     def _intensities(self, image: Tensor, draws: Sequence[Draw], augment: Augment) -> Tensor:
         random = torch.Generator(self.device).manual_seed(draws[0].seed)

@@ -43,6 +43,7 @@ class Settings(TrainingSettings):
         last_dropout: Of what the main output is made of: 0.5 in Ma's public code.
         position: Whether the network is told where each voxel is in its volume: see `positions`. It relies on volumes
             that show about the same part of the body.
+        synthetic: Share of the patches that are of synthetic cases, see `SyntheticPatches`; 0 for none.
         seed: Of weights, patches and dropout.
     """
 
@@ -64,6 +65,7 @@ class Settings(TrainingSettings):
     dropout: float | None = None
     last_dropout: float = 0.0
     position: bool = False
+    synthetic: float = 0.0
     seed: int = 0
 
     def check(self) -> None:
@@ -87,6 +89,7 @@ class Settings(TrainingSettings):
         check_number("filters", self.filters, least=2 if self.architecture == "unet" else 1)
         check_number("dropout", self.dropout, least=0, below=1)
         check_number("last_dropout", self.last_dropout, least=0, below=1)
+        check_number("the share of synthetic patches", self.synthetic, least=0, most=1)
 
     @property
     def mirrored(self) -> str:

@@ -11,6 +11,8 @@ from sdm.surrogate.networks.cochlea_grid import GRID, SPACING_MM
 
 # Half-width [mm] of the shell around the surface that counts more, and how far the eikonal term reaches.
 SHELL_MM, EIKONAL_MM = 0.4, 1.0
+# Half-width [mm] of the tent within which errors count as voxels on the wrong side.
+TENT_MM = 0.2
 # How far from 1 the exact map's own slope may be where the predicted one is asked to be 1: not at its ridges.
 RIDGE = 0.05
 
@@ -23,6 +25,17 @@ def surface_weighted(predicted: Tensor, exact: Tensor, weight: float) -> Tensor:
     error = (predicted - exact).abs().flatten(1)
     shell = torch.exp(-((exact / SHELL_MM) ** 2)).flatten(1)
     return error.mean() + weight * ((shell * error).sum(1) / shell.sum(1).clamp_min(1)).mean()
+
+
+def dice_lost(predicted: Tensor, exact: Tensor) -> Tensor:
+    """About 1 - Dice (B,) of the insides of maps (B,1,nx,ny,nz), with gradients.
+
+    The volume between the two surfaces is the integral of the error over the surface, and that is the sum of all
+    voxels' errors, weighted by a tent of height 1 / width over the exact distance.
+    """
+    tent = (1 - exact.abs() / TENT_MM).clamp_min(0) / TENT_MM
+    between = ((predicted - exact).abs() * tent).flatten(1).sum(1)
+    return between / (2 * (exact < 0).flatten(1).sum(1).clamp_min(1))
 
 
 def slopes(maps: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from sdm.errors import FormatError, SDMError
 from sdm.stream import Mixture, Sampler
 from sdm.surrogate.infer.weights_file import load_weights
 from sdm.surrogate.networks.models import build
+from sdm.surrogate.train.end_sampler import Ends
 from sdm.training.budget import check_budget
 from sdm.training.training_settings import TrainingSettings, check_choice, check_number
 
@@ -23,6 +24,7 @@ RECIPES: dict[str, str | Sampler] = {
     "static": "grid:5",
     "online": "uniform",
     "mostly-online": Mixture(Mixture("grid:2", "grid:5", 0.3), "chebyshev", 0.1),
+    "ends": Ends(),
 }
 STATIC = 625
 
@@ -36,8 +38,8 @@ class Settings(TrainingSettings):
         modes: Modes of SDMNN+.
         channels: Feature maps of the network; by default its own.
         recipe: "paper" (625 static maps and random ones, half each), "static" (the 625 alone), "online" (random
-            ones alone) or "mostly-online" (of the samples a tenth from the 625 and the box's 16 corners, the others
-            by the sampler "chebyshev").
+            ones alone), "mostly-online" (of the samples a tenth from the 625 and the box's 16 corners, the others
+            by the sampler "chebyshev") or "ends" (random ones alone, see `Ends`).
         loss: "mse", or "surface" (absolute errors weighted to the surface, with the terms below).
         steps: Optimiser steps of the whole training.
         budget_s: Seconds of the whole training over all restarts; the schedule follows whichever is nearer its end.
@@ -48,6 +50,7 @@ class Settings(TrainingSettings):
         warm_share: Share of the budget for the coefficients of SDMNN+ before the first step.
         rate: Largest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
+        dice: Weight of what is lost of the Dice coefficient, the root mean square over the shapes of a batch.
         coarse: Weight of the error of the coarse maps of SDMNN+, so that they are of use on their own.
         eikonal: Weight of | |grad f| - 1 |; loss "mse" leaves it out, and the next term.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
@@ -73,6 +76,7 @@ class Settings(TrainingSettings):
     warm_share: float = 0.2
     rate: float = 1e-3
     surface: float = 1.0
+    dice: float = 0.0
     coarse: float = 0.1
     eikonal: float = 0.01
     sobolev: float = 0.05
@@ -89,7 +93,7 @@ class Settings(TrainingSettings):
         check_choice("loss", self.loss, ("mse", "surface"))
         for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
             check_number(name, getattr(self, name), least=1)
-        for name in ("fresh", "rate", "surface", "coarse", "eikonal", "sobolev"):
+        for name in ("fresh", "rate", "surface", "dice", "coarse", "eikonal", "sobolev"):
             check_number(name, getattr(self, name), least=0)
         for name in ("fill_share", "warm_share"):
             check_number(name, getattr(self, name), least=0, most=1)

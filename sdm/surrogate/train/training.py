@@ -19,7 +19,7 @@ from sdm.shapes import make_family
 from sdm.stream import SDMStream
 from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
-from sdm.surrogate.train.losses import eikonal, sobolev, surface_weighted
+from sdm.surrogate.train.losses import dice_lost, eikonal, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay
 from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin
 from sdm.surrogate.train.validation import validation_batches, validation_theta
@@ -164,6 +164,9 @@ class Trainer:
         else:
             predicted, loss = self.model(theta), 0.0
         loss = loss + surface_weighted(predicted, exact, settings.surface)
+        if settings.dice:
+            # The root mean square: shapes that lose much count for more.
+            loss = loss + settings.dice * dice_lost(predicted, exact).square().mean().sqrt()
         return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
 
     @torch.no_grad()

@@ -18,7 +18,7 @@ def sdmnn(
     model: Literal["sdmnn-plus", "sdmnn"] = "sdmnn-plus",
     modes: int = 208,
     channels: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the model's)")] = None,
-    recipe: Literal["mostly-online", "paper", "static", "online"] = "mostly-online",
+    recipe: Literal["mostly-online", "paper", "static", "online", "ends"] = "mostly-online",
     loss: Literal["surface", "mse"] = "surface",
     budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="(default: none)")] = None,
     steps: int = 100_000,
@@ -29,6 +29,7 @@ def sdmnn(
     warm_share: float = 0.2,
     learning_rate: float = 1e-3,
     surface: float = 1.0,
+    dice: float = 0.0,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
     start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
@@ -56,7 +57,8 @@ def sdmnn(
         channels: Feature maps of the network.
         recipe: paper is 625 static maps and random ones, half each; static the 625 alone; online random
             ones alone; of mostly-online's samples a tenth are from the 625 and from the 16 corners of the parameters'
-            box, the others random, denser towards the ends of each parameter.
+            box, the others random, denser towards the ends of each parameter; ends is random ones alone, half of them
+            still denser there and a quarter among the smallest shapes, and none a corner.
         loss: surface weights absolute errors to the surface and uses the terms below; mse is the paper's.
         budget_s: Seconds of training at most; the learning rate follows the clock.
         steps: Steps of training at most, if that is sooner.
@@ -67,6 +69,7 @@ def sdmnn(
         warm_share: Share of the seconds for the coefficients of sdmnn-plus before the first step.
         learning_rate: The highest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
+        dice: Weight of what is lost of the Dice coefficient; shapes that lose much count for more.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.
         start: Weights to go on from, for example the shipped ones; their sizes replace --modes and --channels.
@@ -102,6 +105,7 @@ def sdmnn(
         warm_share=warm_share,
         rate=learning_rate,
         surface=surface,
+        dice=0.0 if plain else dice,
         eikonal=0.0 if plain else eikonal,
         sobolev=0.0 if plain else sobolev,
         start=None if start is None else str(start),

@@ -7,8 +7,9 @@ import torch
 
 from sdm.errors import SDMError
 from sdm.shapes import Cochlea
-from sdm.surrogate import Predictor, SDMNNPlus, build, load_surrogate
+from sdm.surrogate import SDMNNPlus, build, load_surrogate
 from sdm.surrogate.infer.runtime import BACKENDS, NEEDS, available, runner
+from sdm.training.precision import cpu_has_bfloat16
 
 # The exporter warns of its own parts, and of libraries that it does not need here.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
@@ -30,17 +31,22 @@ def test_every_backend_gives_torchs_maps(name, backend):
             torch.testing.assert_close(run(theta), model(theta), atol=1e-4, rtol=1e-4)
 
 
-def test_bfloat16_of_the_refinement_is_close():
-    for module in NEEDS["openvino"]:
+@pytest.mark.parametrize("backend", ["openvino", "torch"])
+def test_bfloat16_of_the_refinement_is_close(backend):
+    for module in NEEDS[backend]:
         pytest.importorskip(module)
-    predictor, run = Predictor(backend="torch"), runner(load_surrogate(), "openvino", threads=1)
+    model = load_surrogate()
+    run, exact = runner(model, backend, threads=1), runner(model, "torch", bfloat16=False)
     # The batch of one in the middle has networks of its own; what came before it must stay as it was.
     thetas = [Cochlea().sample(count, seed=count, device="cpu") for count in (2, 1, 3)]
     found = [run(theta) for theta in thetas]
     for theta, maps in zip(thetas, found, strict=True):
-        error = (maps - predictor.maps(theta)).abs()
+        error = (maps - exact(theta)).abs()
+        assert maps.dtype == torch.float32
         assert float(error.max()) < 0.01
         assert float(error.mean()) < 5e-4
+        # Where the processor has bfloat16, it is used.
+        assert backend == "openvino" or bool(error.any()) == cpu_has_bfloat16()
 
 
 def test_torch_is_always_there_and_others_are_refused_in_a_sentence():

@@ -1,0 +1,187 @@
+"""Error against time of one map of a cochlea: networks, a decomposition, our exact engine and libigl, in one run.
+
+    python -m sdm.bench.surrogate.error_time [--pod 2048] [--maps FILE.pt] [--rounds 9]
+
+Meshes of fewer triangles are quicker, and further from the mesh of 20,000 that all are compared with; a decomposition
+(POD with Chebyshev polynomials) is quicker with fewer modes; the shipped network has one point for each runtime that is
+installed. All methods take turns, shape by shape and round by round, so that what else the machine does slows all of
+them; times are medians. The error is the mean over the voxels within 0.5 mm of the surface, of some shapes that no
+training has seen. Results: bench/results/surrogate-error-time.json and docs/surrogate-error-time.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sdm.bench.common.checkout import docs_folder, results_folder
+from sdm.bench.common.json_file import write
+from sdm.bench.common.machine import describe
+from sdm.bench.common.markdown import markdown_table
+from sdm.bench.common.meshes import Case
+from sdm.bench.peers.base import Peer
+from sdm.bench.peers.libigl import LibiglPseudonormal, LibiglWinding
+from sdm.bench.surrogate.error_time_figure import draw
+from sdm.engine.many import signed_distance_maps
+from sdm.io.files.torch_file import save_torch
+from sdm.shapes import Cochlea
+from sdm.stream import SDMStream
+from sdm.surrogate import GRID, PODChebyshev, load_weights, shipped_weights
+from sdm.surrogate.infer.runtime import available, runner
+from sdm.surrogate.train.map_buffer import Replay
+from sdm.surrogate.train.validation import validation_theta
+
+TRIANGLES = (500, 1250, 3000, 7000, 20_000)
+MODES = (16, 32, 64, 128, 256)
+NEAR_MM = 0.5
+# The first 16 of the validation set are the corners of the box.
+CORNERS = 16
+POD_SEED = 77
+PACKAGES = ("warp-lang", "torch", "numpy", "libigl", "onnxruntime", "openvino")
+
+Method = Callable[[Tensor], Tensor]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pod", type=int, default=2048, help="maps that the decomposition is fitted to; 0: none")
+    parser.add_argument("--maps", type=Path, default=None, help="file that keeps these maps for the next time")
+    parser.add_argument("--weights", type=Path, default=None, help="of SDMNN+; by default the shipped ones")
+    parser.add_argument("--shapes", type=int, default=4)
+    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--threads", type=int, default=min(2, len(os.sched_getaffinity(0))))
+    parser.add_argument("--out", type=Path, default=results_folder() / "surrogate-error-time.json")
+    parser.add_argument("--picture", type=Path, default=docs_folder() / "surrogate-error-time.png")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    theta = validation_theta(Cochlea(), CORNERS + options.shapes)[CORNERS:]
+    rows = measured(methods(options), theta, options.rounds)
+    record = {
+        "machine": describe("cpu", PACKAGES),
+        "threads": options.threads,
+        "shapes": len(theta),
+        "rounds": options.rounds,
+        "pod_maps": options.pod,
+        "rows": rows,
+    }
+    write(options.out, record)
+    draw(record, options.picture)
+    cells = [[r["method"], r["of"], f"{r['ms']:.2f}", f"{r['mae_near_mm']:.5f}", f"{r['mae_mm']:.5f}"] for r in rows]
+    print(markdown_table(["method", "of", "ms", "error near the surface [mm]", "everywhere [mm]"], cells))
+
+
+def methods(options: argparse.Namespace) -> dict[tuple[str, str], Method]:
+    """By curve and the name of its point."""
+    found: dict[tuple[str, str], Method] = {}
+    file = options.weights or shipped_weights()
+    if file is not None:
+        model = load_weights(file)[0].eval()
+        for backend in available():
+            found["SDMNN+", backend] = runner(model, backend, options.threads)
+    if options.pod:
+        whole = decomposition(options.pod, options.maps)
+        for modes in MODES:
+            found["POD + Chebyshev", f"{modes} modes"] = quiet(first_modes(whole, modes))
+    for triangles in TRIANGLES:
+        family = Cochlea(triangles)
+        found["exact engine", f"{triangles:,} triangles"] = exact(family)
+        if importlib.util.find_spec("igl") is not None:
+            for peer in (LibiglWinding(), LibiglPseudonormal()):
+                found[peer.name, f"{triangles:,} triangles"] = by_peer(peer, family)
+    return found
+
+
+def measured(found: dict[tuple[str, str], Method], theta: Tensor, rounds: int) -> list[dict[str, Any]]:
+    """A row for each method; its first call is not timed."""
+    truth = exact(Cochlea())
+    wanted = [truth(row[None]) for row in theta]
+    near = [(w.abs() < NEAR_MM) for w in wanted]
+    times: dict[tuple[str, str], list[float]] = {key: [] for key in found}
+    errors: dict[tuple[str, str], list[tuple[float, float]]] = {key: [] for key in found}
+    for key, method in found.items():
+        for row, right, shell in zip(theta, wanted, near, strict=True):
+            error = (method(row[None]) - right).abs()
+            errors[key].append((float(error[shell].mean()), float(error.mean())))
+    for turn in range(rounds):
+        for row in theta:
+            for key, method in found.items():
+                start = time.perf_counter()
+                method(row[None])
+                times[key].append(1000 * (time.perf_counter() - start))
+        print(f"round {turn + 1} of {rounds}", flush=True)
+    return [
+        {
+            "method": key[0],
+            "of": key[1],
+            "ms": round(statistics.median(times[key]), 3),
+            "least_ms": round(min(times[key]), 3),
+            "mae_near_mm": statistics.fmean(e[0] for e in errors[key]),
+            "mae_mm": statistics.fmean(e[1] for e in errors[key]),
+        }
+        for key in found
+    ]
+
+
+def exact(family: Cochlea) -> Method:
+    def run(theta: Tensor) -> Tensor:
+        with torch.no_grad():
+            faces = family.faces_on(theta.device)
+            return signed_distance_maps(family.vertices(theta), faces, GRID, device="cpu")[:, None]
+
+    return run
+
+
+def by_peer(peer: Peer, family: Cochlea) -> Method:
+    points = GRID.points().reshape(-1, 3).contiguous()
+
+    def run(theta: Tensor) -> Tensor:
+        with torch.no_grad():
+            vertices = family.vertices(theta)[0].numpy()
+        peer.build(Case("cochlea", vertices, family.faces.numpy(), frozenset({"closed"})))
+        return peer.signed_distance(points).reshape(1, 1, *GRID.shape).float()
+
+    return run
+
+
+def quiet(model: torch.nn.Module) -> Method:
+    def run(theta: Tensor) -> Tensor:
+        with torch.inference_mode():
+            return model(theta)
+
+    return run
+
+
+def decomposition(maps: int, file: Path | None) -> PODChebyshev:
+    """Fitted to so many maps of the training's kind, which the file keeps."""
+    if file is None or not file.is_file():
+        stream = SDMStream(Cochlea(), GRID, 8, POD_SEED, 0, 1, sampler="chebyshev", device="cpu")
+        replay = Replay(stream, maps)
+        replay.fill()
+        kept = {"theta": replay.theta, "maps": replay.maps}
+        if file is not None:
+            save_torch(kept, file)
+    else:
+        kept = torch.load(file, weights_only=True)
+    model = PODChebyshev(min(MODES[-1], maps - 1))
+    return model.fit(kept["theta"][:maps], kept["maps"][:maps]).eval()
+
+
+def first_modes(model: PODChebyshev, modes: int) -> PODChebyshev:
+    """The same with fewer modes: they are orthonormal, so the others stay as they are."""
+    own = PODChebyshev(1, model.config["degree"])
+    own.mean, own.modes = model.mean, model.modes[:modes].contiguous()
+    own.weights = model.weights[:, :modes].contiguous()
+    return own.eval()
+
+
+if __name__ == "__main__":
+    main()
