@@ -76,7 +76,7 @@ def warped(values: Tensor, u: Tensor) -> Tensor:
 
 
 def moved(points: Tensor, u: Tensor) -> Tensor:
-    """Where points y (N,3) of the unwarped volume lie after it is warped: the x with x + u(x) = y, in voxels."""
+    """Places x (N,3) of points y of the unwarped volume after it is warped: x + u(x) = y, in voxels."""
     shape, x = u.shape[1:], points
     for _ in range(INVERSIONS):
         at = _normal(x.T.reshape(3, -1, 1, 1), shape)[None]

@@ -158,7 +158,7 @@ class SyntheticPatches(Patches):
         return torch.cat(channels)
 
     def _warp(self, number: int, shape: int) -> Tensor:
-        """How a case is warped to a shape (3,x',y',z') float16, on the larger voxels."""
+        """Displacement (3,x',y',z') float16 of a case to a shape, on the larger voxels."""
         key = (number, shape)
         if key not in self.warps:
             moving = self._coarse(number, self._own[number])
@@ -195,7 +195,7 @@ class SyntheticPatches(Patches):
         return Surface(mesh.vertices - centre, mesh.faces, centre)
 
     def _corner(self, number: int) -> Tensor:
-        """Where a case's first voxel is in its stack, in mm: smaller cases are padded."""
+        """Place of a case's first voxel in its stack, in mm: smaller cases are padded."""
         room = [(n - m) // 2 for n, m in zip(self._cases[number].shape[1:], self._shapes[number], strict=True)]
         return self._there(torch.tensor(room, device="cpu") * torch.tensor(self.spacing, device="cpu"))
 
