@@ -37,7 +37,7 @@ from sdm.shapes import Cochlea
 
 # Ways of plain writers, and bytes of each turn of them at most.
 ONE, THREADS, DIRECT = "one after the other", "threads", "threads, direct"
-MOST_PLAIN = 6 * 10**9
+MOST_PLAIN = 4 * 10**9
 
 
 @dataclass(frozen=True)
