@@ -109,7 +109,7 @@ class FolderSampling:
         self._parts = parts or {}
         self._tasks = [_Task(n, *pair) for n, pair in enumerate(zip(sources, instances, strict=True))]
         self._layout, self._recipe, self._device = layout, recipe, device
-        self._times = StageTimes() if times is None else times
+        self.times = StageTimes() if times is None else times
         self._threads = min(threads_beside(device) if workers is None else workers, len(sources))
         self._numbers = torch.arange(recipe.count, dtype=torch.int64, device=device)
         layout.begin(out, instances, recipe.count)
@@ -127,7 +127,7 @@ class FolderSampling:
 
         Of those that the layout keeps in one file (`Layout.together`) all are to be among them.
         """
-        times, threads = self._times, self._threads
+        times, threads = self.times, self._threads
         nbytes = 40 * self._recipe.count
         begun: list[int] = []
 

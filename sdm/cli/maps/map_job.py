@@ -15,7 +15,7 @@ from sdm.io.files.stand_in import StandIn, adopt
 from sdm.runtime.pipeline.stage_times import StageTimes
 from sdm.runtime.pipeline.stages import in_groups, in_threads, numbered
 from sdm.runtime.pipeline.thread_count import readers_beside, writers_beside
-from sdm.runtime.sharing.folder_job import FolderJob, require_seen
+from sdm.runtime.sharing.folder_job import FolderJob, ShardTold, require_seen
 
 # Meshes that a GPU gets in one call.
 TOGETHER = 8
@@ -115,15 +115,17 @@ class MapJob(FolderJob):
         self,
         shards: Iterable[int],
         maker: Settings,
-        done: Callable[[tuple[int, list[Told]]], None],
+        done: Callable[[ShardTold], None],
         *,
         times: StageTimes | None = None,
     ) -> None:
-        """See `SharedJob`. Told are the shard's number, and what there is to tell of its meshes in their order."""
+        """See `SharedJob`. Told are reports of shards, with what there is to tell of meshes in their order."""
         adopt(self.stand_ins)
-        more = {"workers": self.workers, "times": StageTimes() if times is None else times}
+        times = StageTimes() if times is None else times
+        more = {"workers": self.workers, "times": times}
         self.run_items(
             shards,
             lambda numbers: maps_told(((n, self.tasks[n]) for n in numbers), len(self.wanted), maker, **more),
             done,
+            times,
         )

@@ -68,7 +68,7 @@ def run(
         if wanted and (ray is not None or len(processes) > 1):
             size = shard_size(len(wanted), 0 if ray is not None else len(processes))
             job = MapJob(wanted=wanted, each=size, tasks=tasks, settings=settings, workers=workers, stand_ins=known())
-            share_out(job, job.shards, processes, ray, account.hear)
+            share_out(job, job.shards, processes, ray, account.hear, times)
         elif wanted:
             account.hear(
                 maps_told(

@@ -15,7 +15,7 @@ from sdm.errors import FormatError
 from sdm.io.files.stand_in import StandIn, adopt, shown
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.sharing.folder_job import FolderJob, require_seen
+from sdm.runtime.sharing.folder_job import FolderJob, ShardTold, require_seen
 from sdm.sampling.layouts.by_name import layout_called
 from sdm.sampling.layouts.instance import Instance
 from sdm.sampling.recipe import Recipe
@@ -52,29 +52,28 @@ class SampleJob(FolderJob):
         """See `SharedJob`."""
         require_seen(self.sources[self.wanted[0]], self.out)
 
-    def maker(self, device: str, times: StageTimes | None = None) -> FolderSampling:
+    def maker(self, device: str) -> FolderSampling:
         """See `SharedJob`."""
         adopt(self.stand_ins)
         layout, where = layout_called(self.recipe.layout, self.dataset), choose_device(device)
-        return FolderSampling(
-            self.sources, self.instances, self.out, layout, self.recipe, where, workers=self.workers, times=times
-        )
+        return FolderSampling(self.sources, self.instances, self.out, layout, self.recipe, where, workers=self.workers)
 
     def run(
         self,
         shards: Iterable[int],
         maker: FolderSampling,
-        done: Callable[[tuple[int, list[MeshEntry]]], None],
+        done: Callable[[ShardTold], None],
         *,
         times: StageTimes | None = None,
     ) -> None:
-        """See `SharedJob`. Told are the shard's number, and the report's entries of its meshes in their order."""
+        """See `SharedJob`. Told are reports of shards, with entries of their meshes in their order."""
         self.run_items(
             shards,
             lambda numbers: (
                 entry_of(outcome, self.sources[number], self.recipe.sign) for number, outcome in maker.some(numbers)
             ),
             done,
+            maker.times,
         )
 
 

@@ -144,7 +144,7 @@ def run(
                     workers=workers,
                     stand_ins=known(),
                 )
-                share_out(job, job.shards, processes, ray, hear)
+                share_out(job, job.shards, processes, ray, hear, times)
             else:
                 found_of = sampling.some(range(len(sources)))
                 hear(entry_of(outcome, sources[number], options.sign) for number, outcome in found_of)

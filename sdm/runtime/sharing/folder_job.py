@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sdm.errors import SDMError
+from sdm.runtime.pipeline.stage_times import StageTimes
+
+
+class ShardTold(NamedTuple):
+    """Report of a shard.
+
+    Args:
+        number: Of the shard.
+        items: What there is to tell of each of its items.
+        process: Who did it.
+        times: What the clock of that process tells.
+    """
+
+    number: int
+    items: list[Any]
+    process: str
+    times: tuple[dict[str, int], dict[str, float]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,14 +63,16 @@ class FolderJob:
         self,
         shards: Iterable[int],
         work: Callable[[Iterator[int]], Iterable[Any]],
-        done: Callable[[tuple[int, list[Any]]], None],
+        done: Callable[[ShardTold], None],
+        times: StageTimes,
     ) -> None:
         """Do shards one after the other without a gap.
 
         Args:
             shards: Their numbers, each asked for when there is room for it.
             work: Does items by their numbers, and tells of each in the same order.
-            done: Called with each shard, and what was told of its items.
+            done: Called with what there is to tell of each shard.
+            times: The clock of the work.
         """
         begun: list[int] = []
 
@@ -64,7 +85,7 @@ class FolderJob:
         for one in work(numbers()):
             told.append(one)
             if len(told) == len(self.numbers(begun[0])):
-                done((begun.pop(0), told))
+                done(ShardTold(begun.pop(0), told, f"{platform.node()} {os.getpid()}", times.told()))
                 told = []
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from sdm.kernels.launch import cores
+from sdm.runtime.pipeline.stage_times import StageTimes
+from sdm.runtime.sharing.folder_job import ShardTold
 from sdm.runtime.sharing.in_order import InOrder
 from sdm.runtime.sharing.job import SharedJob
 from sdm.runtime.sharing.processes import run_here
@@ -44,16 +46,22 @@ def shard_size(items: int, devices: int) -> int:
 
 
 def share_out(
-    job: SharedJob, shards: list[int], devices: list[str], ray: str | None, hear: Callable[[Any], None]
+    job: SharedJob,
+    shards: list[int],
+    devices: list[str],
+    ray: str | None,
+    hear: Callable[[list[Any]], None],
+    times: StageTimes,
 ) -> None:
-    """Do shards of a job whose answers are pairs of a shard and what is told of it.
+    """Do shards of a job that tells of each by a `ShardTold`.
 
     Args:
         job: The work.
         shards: Their numbers, in order.
         devices: Of this machine, one process each.
         ray: Address of a Ray cluster in place of them.
-        hear: Called with what is told of each shard, in their order.
+        hear: Called with what is told of the items of each shard, in the order of shards.
+        times: The clock that hears those of the processes.
 
     Raises:
         SDMError: A process or the cluster cannot go on.
@@ -61,7 +69,12 @@ def share_out(
     if not shards:
         return
     in_order = InOrder(shards, hear)
+
+    def done(told: ShardTold) -> None:
+        times.hear(told.process, told.times)
+        in_order(told)
+
     if ray is not None:
-        run_on_ray(job, shards, ray, in_order)
+        run_on_ray(job, shards, ray, done)
     else:
-        run_here(job, shards, devices, in_order)
+        run_here(job, shards, devices, done)

@@ -69,6 +69,11 @@ def test_two_processes_make_what_one_makes(folder, tmp_path, monkeypatch, capfd)
     assert lines[0] == lines[1]
     assert reports[0] == reports[1]
     assert [entry["state"] for entry in reports[0]].index("failed") == 3
+    # Clocks of all processes.
+    for name in ("one", "two"):
+        busy = json.loads((tmp_path / f"{name}.json").read_text())["seconds_of_stages"]
+        assert list(busy) == ["read", "cpu", "write"]
+        assert min(busy.values()) > 0
 
 
 SEVERAL = """
@@ -83,19 +88,27 @@ sys.exit(main())
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes as Linux has them")
-def test_kill_9_of_one_process_or_of_all_is_made_good_by_a_restart(folder, tmp_path, capsys):
+def test_what_is_cut_off_leaves_no_process_and_is_made_good_by_a_restart(folder, tmp_path, capsys):
     """A process that is lost is named; those of a command that is killed end, and do not go on writing."""
-    out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "40", "-o"]
-    for victim in ("child", "parent"):
+    out, words = tmp_path / "out", ["compute", str(folder), "--format", "npz", "--resolution", "64", "-o"]
+    for victim in ("interrupt", "child", "parent"):
         before = len(list(out.glob("[0-9]*.npz")))
         command = [sys.executable, "-W", "ignore", "-c", SEVERAL, *words, str(out), "--resume"]
-        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        child = subprocess.Popen(command, start_new_session=True, **pipes)
         _wait_for(lambda before=before: len(list(out.glob("[0-9]*.npz"))) > before)
         processes = _workers(child.pid)
-        os.kill(processes[0] if victim == "child" else child.pid, signal.SIGKILL)
+        assert len(processes) == 2
+        if victim == "interrupt":
+            # As a terminal does it, to all of them.
+            os.killpg(child.pid, signal.SIGINT)
+        else:
+            os.kill(processes[0] if victim == "child" else child.pid, signal.SIGKILL)
         said = child.communicate()[1]
         if victim == "child":
             assert "the process on cpu died (exit code -9); --resume goes on from there" in said
+        assert "Traceback" not in said
+        assert child.returncode == {"interrupt": 130, "child": 2, "parent": -9}[victim]
         _wait_for(lambda processes=processes: not any(map(_runs, processes)))
     assert main([*words, str(out), "--resume"]) == 2
     assert main([*words, str(tmp_path / "whole")]) == 2

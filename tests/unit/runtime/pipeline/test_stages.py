@@ -164,3 +164,19 @@ def test_the_busiest_stage_limits():
     assert times.limit() == "slow"
     assert times.seconds["slow"] >= 0.06
     assert 0 < times.shares()["slow"] <= 1
+
+
+def test_clocks_of_other_processes_count():
+    own, others = StageTimes(), [StageTimes(), StageTimes()]
+    own.declare("write", 2)
+    for number, other in enumerate(others):
+        other.declare("read", 1)
+        with other.busy("read"):
+            time.sleep(0.02)
+        # Told twice, it counts once.
+        own.hear(f"{number}", other.told())
+        own.hear(f"{number}", other.told())
+    assert own.seconds["read"] == pytest.approx(sum(other.seconds["read"] for other in others))
+    assert list(own.shares()) == ["write", "read"]
+    assert 0 < own.shares()["read"] <= 1
+    assert own.limit() == "read"
