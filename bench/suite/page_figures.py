@@ -173,6 +173,23 @@ def _worst_coverage(record: Any) -> list[float]:
     return [*(100 * x for x in _range([c["coverage_90_shape"] for c in wrong])), *_range([c["trusted"] for c in wrong])]
 
 
+def _formation_of(name: str) -> Numbers:
+    def numbers(record: Any) -> list[float]:
+        found = record["conditions"][name]
+        return [100 * found["coverage_90_shape"], 100 * found["coverage_90_shape_before"]]
+
+    return numbers
+
+
+def _refused(record: Any) -> list[float]:
+    return [record["refused"], 100 * record["refused_at_most_95"]]
+
+
+def _residual(record: Any) -> list[float]:
+    found = record["scanners"]["0.3"]["residual"]
+    return [found["mean_mm"], found["dice"]]
+
+
 def _coverage_of(name: str) -> Numbers:
     def numbers(record: Any) -> list[float]:
         found = record["conditions"][name]
@@ -315,6 +332,15 @@ FIGURES = (
     Figure(FIT, "along x {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
     Figure(FIT, "partial volume {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
     Figure(FIT, "shading together {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
+    Figure(FIT, "as it is told | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("matched")),
+    Figure(FIT, "a blur of 0.3 mm | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("blur")),
+    Figure(FIT, "over 0.6 voxels | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("correlated")),
+    Figure(FIT, "10 % along x | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("shading")),
+    Figure(FIT, "slices of 0.6 mm | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("thick")),
+    Figure(FIT, "about any axis | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("turned")),
+    Figure(FIT, "Of {} images over noise", "fit-refusals", lambda r: [r["with_an_answer"]]),
+    Figure(FIT, "mm, {} were refused, so at most {:.2f} %", "fit-refusals", _refused),
+    Figure(FIT, "comes back with {:.3f} mm and a Dice of {:.3f};", "fit-real", _residual),
     Figure(DEEPSDF, "{:.0f} million samples a second", "sampling-cuda", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(DEEPSDF, "cores {:.2f} million", "sampling-cpu", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(
