@@ -20,7 +20,7 @@ import warp as wp
 
 from sdm.kernels.bvh.nearest_search import NodeStack, WideNodeStack, exact_hit, slot_part
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, slots_of
-from sdm.kernels.bvh.wide_nodes import eight_boxes, eight_triangles, eights_depth, eights_leaf, eights_step
+from sdm.kernels.bvh.wide_nodes import Eight, eight_boxes, eight_triangles, eights_depth, eights_leaf, eights_step
 from sdm.kernels.geometry.triangle_distance import Hit, unit_normal
 from sdm.kernels.primitives.lanes import on_cpu
 
@@ -90,36 +90,54 @@ def faced(tree: Tree, other: int, p: wp.vec3d, largest: wp.float64, turn: int, f
 
 
 @wp.func
-def touching(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing):
-    """`faced` of all triangles but the given one that touch a point, down the tree."""
+def touching_by_eights(
+    tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing
+):
+    """`faced` of all triangles but the given one that touch a point: by eight boxes, or the triangles of one or two
+    leaves, at once."""
+    base = nodes_of(tree, 0)
+    depth = eights_depth(tree)
+    pairs = tree.depth - depth
+    leaves = 1 << depth
+    nodes = WideNodeStack()
+    waiting = int(1)
+    nodes[0] = 1
+    while waiting > 0:
+        waiting = waiting - 1
+        node = nodes[waiting]
+        is_leaf = node >= leaves
+        begin = int(0)
+        step = int(3)
+        squares = Eight()
+        if is_leaf:
+            begin, count = eights_leaf(tree, 0, (node - leaves) << pairs, pairs)
+            squares = eight_triangles(tree.corners, begin, count, at)
+        else:
+            step = eights_step(node, depth)
+            squares = eight_boxes(tree.boxes, base + (node << step), 1 << step, at)
+        for back in range(8):
+            k = 7 - back
+            if squares[k] <= TOUCHING2:
+                if not is_leaf:
+                    nodes[waiting] = (node << step) + k
+                    waiting = waiting + 1
+                elif begin + k != given:
+                    found = faced(tree, begin + k, p, largest, turn, found)
+                    found.seen = found.seen + 1
+    return found
+
+
+@wp.func
+def touching_by_nodes(
+    tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing
+):
+    """The same, node by node.
+
+    A function of its own, as Warp makes a variable of a constant that both branches of a condition have, and what
+    follows reads it, whether the condition was ever asked or not.
+    """
     base = nodes_of(tree, 0)
     leaves = 1 << tree.depth
-    if on_cpu():
-        # By eight boxes, and by the triangles of one or two leaves, at once.
-        depth = eights_depth(tree)
-        pairs = tree.depth - depth
-        leaves = 1 << depth
-        wide = WideNodeStack()
-        above = int(1)
-        wide[0] = 1
-        while above > 0:
-            above = above - 1
-            at_node = wide[above]
-            if at_node >= leaves:
-                begin, count = eights_leaf(tree, 0, (at_node - leaves) << pairs, pairs)
-                squares = eight_triangles(tree.corners, begin, count, at)
-                for k in range(8):
-                    if squares[k] <= TOUCHING2 and begin + k != given:
-                        found = faced(tree, begin + k, p, largest, turn, found)
-                        found.seen = found.seen + 1
-            else:
-                step = eights_step(at_node, depth)
-                squares = eight_boxes(tree.boxes, base + (at_node << step), 1 << step, at)
-                for k in range(8):
-                    if squares[7 - k] <= TOUCHING2:
-                        wide[above] = (at_node << step) + 7 - k
-                        above = above + 1
-        return found
     nodes = NodeStack()
     waiting = int(0)
     node = int(1)
@@ -228,7 +246,10 @@ def facing_slot(tree: Tree, slot: int, p: wp.vec3d):
     turn = int(0)
     while turn < 3:
         found = faced(tree, slot, p, largest, turn, found)
-        found = touching(tree, slot, p, at, largest, turn, found)
+        if on_cpu():
+            found = touching_by_eights(tree, slot, p, at, largest, turn, found)
+        else:
+            found = touching_by_nodes(tree, slot, p, at, largest, turn, found)
         turn = turn + 1
         # Nothing else is there, or nothing else faces p as much.
         if found.seen == 0 or (turn == 2 and found.second < found.most - SAME):
