@@ -90,9 +90,7 @@ def faced(tree: Tree, other: int, p: wp.vec3d, largest: wp.float64, turn: int, f
 
 
 @wp.func
-def touching_by_eights(
-    tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing
-):
+def touching_by_eights(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing):
     """`faced` of all triangles but the given one that touch a point: by eight boxes, or the triangles of one or two
     leaves, at once."""
     base = nodes_of(tree, 0)
@@ -128,9 +126,7 @@ def touching_by_eights(
 
 
 @wp.func
-def touching_by_nodes(
-    tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing
-):
+def touching_by_nodes(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing):
     """The same, node by node.
 
     A function of its own, as Warp makes a variable of a constant that both branches of a condition have, and what
