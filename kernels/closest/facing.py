@@ -91,8 +91,7 @@ def faced(tree: Tree, other: int, p: wp.vec3d, largest: wp.float64, turn: int, f
 
 @wp.func
 def touching_by_eights(tree: Tree, given: int, p: wp.vec3d, at: wp.vec3, largest: wp.float64, turn: int, found: Facing):
-    """`faced` of all triangles but the given one that touch a point: by eight boxes, or the triangles of one or two
-    leaves, at once."""
+    """`faced` of all triangles but the given one that touch a point, by eight boxes or triangles at once."""
     base = nodes_of(tree, 0)
     depth = eights_depth(tree)
     pairs = tree.depth - depth

@@ -1,4 +1,5 @@
 """The triangles that touch a closest point are found node by node, as on a GPU, as by eight boxes at once."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
 
 from __future__ import annotations
 
