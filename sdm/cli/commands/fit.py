@@ -28,6 +28,7 @@ def fit(
     estimate_blur: bool = False,
     estimate_formation: bool = False,
     residuals: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
+    free_form: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
     model: Literal["partial-volume", "labels"] = "partial-volume",
     components: tuple[int, int] = (1, 1),
     fine: Annotated[
@@ -65,6 +66,9 @@ def fit(
         estimate_formation: Estimate blur, intensities that change smoothly over the image, and the noise's correlation
             with the shape, and check by the residuals whether the model describes the image.
         residuals: Also write the image less what the fit expects, as an image (.nii.gz, .nrrd, ...).
+        free_form: Also move the vertices of the fitted surface to where the image is explained best, free of the family
+            and with no intervals, and write that surface here, as --mesh; even where the family does not explain enough
+            for the fit to be trusted.
         model: partial-volume: voxels mix inside and outside; labels: each is one or the other.
         components: Gaussians for the intensities inside and outside, for example 1 2.
         fine: Largest distance between the sample points of a voxel, mm.
@@ -78,7 +82,7 @@ def fit(
         device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
     """
     import sdm
-    from sdm.cli.common.fit_report import print_fit, save_residuals
+    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
     from sdm.cli.common.inputs import refuse_inputs
     from sdm.cli.common.progress import StageProgress
     from sdm.errors import SDMError
@@ -86,8 +90,8 @@ def fit(
     from sdm.fit.model.backend import exact_of
     from sdm.fit.model.backends import make_backends
 
-    refuse_inputs([out, mesh, picture, residuals], [image, weights])
-    _check_targets(out, mesh, picture, residuals)
+    refuse_inputs([out, mesh, picture, residuals, free_form], [image, weights])
+    _check_targets(out, [mesh, free_form], picture, residuals)
     _check_formation(estimate_formation, model, components)
     if points is not None or family is not None:
         from sdm.cli.commands.families.fit_any import fit_any_family, fit_family_points
@@ -99,7 +103,7 @@ def fit(
         if (points is None) == (image is None):
             raise SDMError("give an image or --points, and not both")
         if points is not None:
-            _refuse_with_points(picture, residuals, estimate_formation, mirror)
+            _refuse_with_points(picture, residuals or free_form, estimate_formation, mirror)
             refuse_inputs([out, mesh], [points])
             return fit_family_points(points, family or "cochlea", out, mesh, turn, triangles, device)
         given = {"model": model, "components": components, "blur": blur, "fine": fine, "turn": turn}
@@ -107,7 +111,8 @@ def fit(
             raise SDMError("--estimate-blur is for --model partial-volume: labels have no blur")
         return fit_any_family(
             Path(str(image)), str(family), out, mesh, picture, given, triangles, device,
-            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals, mirror=mirror,
+            with_blur=estimate_blur, with_formation=estimate_formation, residuals=residuals, free_form=free_form,
+            mirror=mirror,
         )  # fmt: skip
     if image is None:
         raise SDMError("give an image, or --points FILE; see sdm fit --help")
@@ -135,6 +140,7 @@ def fit(
         result = blurs.estimate_blur(scan.values, scan.grid, exact, result, options)
     result.save(out)
     save_residuals(scan, result, residuals)
+    save_free_form(scan, finish or first, result, options.blur, free_form)
     result.require()
     if mesh is not None or picture is not None:
         from sdm.viz.fit_figure import draw_fit, write_surface
@@ -162,24 +168,26 @@ def _refuse_with_points(picture: Path | None, residuals: Path | None, formation:
         raise SDMError("--picture is of an image's fit: leave it out with --points")
     if residuals is not None or formation or mirror:
         raise SDMError(
-            "--residuals, --estimate-formation and --mirror are of an image's fit: leave them out with --points"
+            "--residuals, --free-form, --estimate-formation and --mirror are of an image's fit: leave them out with "
+            "--points"
         )
 
 
-def _check_targets(out: Path, mesh: Path | None, picture: Path | None, residuals: Path | None) -> None:
+def _check_targets(out: Path, meshes: list[Path | None], picture: Path | None, residuals: Path | None) -> None:
     """Find out before the fit, which takes minutes, what could not be written after it."""
     from sdm.errors import FormatError
     from sdm.io.maps.formats import check_file, format_of
     from sdm.io.meshes.write import ending_to_write
     from sdm.viz.fit_figure import FORMATS
 
-    if mesh is not None:
-        ending_to_write(mesh)
+    for mesh in meshes:
+        if mesh is not None:
+            ending_to_write(mesh)
     if residuals is not None:
         format_of(residuals)
     if picture is not None and picture.suffix.lower().lstrip(".") not in FORMATS:
         raise FormatError(f"{picture} does not end like a picture: use one of .{', .'.join(FORMATS)}")
-    targets = [target for target in (out, mesh, picture, residuals) if target is not None]
+    targets = [target for target in (out, *meshes, picture, residuals) if target is not None]
     for number, target in enumerate(targets):
         check_file(target)
         if target.resolve() in [other.resolve() for other in targets[:number]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sdm.fit import FitResult
+    from sdm.fit.model.backend import Backend
 
 
 def print_fit(result: FitResult, blur: float, unit_of_length: str = "mm") -> None:
@@ -52,3 +53,17 @@ def save_residuals(scan: Any, result: FitResult, path: Path | None) -> None:
     if path is not None:
         left = scan.values.double().cpu() - result.expected.cpu()
         sdm.save(sdm.SDM(left.float(), scan.grid), path)
+
+
+def save_free_form(scan: Any, backend: Backend, result: FitResult, blur: float, path: Path | None) -> None:
+    """Write the fitted surface with its free-form remainder, where a file for it is named and a shape was found."""
+    if path is None or result.diagnosis.hopeless:
+        return
+    from sdm.fit.solve.free_form import free_form
+    from sdm.io.meshes.write import save_mesh
+    from sdm.viz.fit_figure import surface_of
+
+    own = blur if result.blur is None else result.blur[0]
+    found = free_form(scan.values, scan.grid, surface_of(backend, result), blur=own, device=backend.device)
+    save_mesh(found.mesh, path)
+    print(f"free   vertices moved {found.moved:.3g} (root mean square), free of the family: {path}")

@@ -25,6 +25,7 @@ def fit_any_family(
     with_blur: bool = False,
     with_formation: bool = False,
     residuals: Path | None = None,
+    free_form: Path | None = None,
     mirror: bool = False,
 ) -> None:
     """Fit a family to an image, and write report, surface and picture.
@@ -41,10 +42,11 @@ def fit_any_family(
         with_blur: Estimate the blur with the shape.
         with_formation: Estimate the image's formation with the shape.
         residuals: Residual map, or None.
+        free_form: Surface whose vertices went on freely, or None.
         mirror: Fit mirror images of the family's shapes.
     """
     import sdm
-    from sdm.cli.common.fit_report import print_fit, save_residuals
+    from sdm.cli.common.fit_report import print_fit, save_free_form, save_residuals
     from sdm.cli.common.progress import StageProgress
     from sdm.fit.solve.fit_family import fit_scaled, usual_options
 
@@ -64,11 +66,12 @@ def fit_any_family(
         )
     result.save(out)
     save_residuals(scan, result, residuals)
+    backend = fitted.backend(1.0)
+    save_free_form(scan, backend, result, options.blur, free_form)
     result.require()
     if mesh is not None or picture is not None:
         from sdm.viz.fit_figure import draw_fit, write_surface
 
-        backend = fitted.backend(1.0)
         if mesh is not None:
             write_surface(backend, result, mesh)
         if picture is not None:

@@ -26,6 +26,7 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     words = ["fit", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "fit.json"), "--blur", "0.3", *QUICK]
     words += ["--mesh", str(tmp_path / "fit.glb"), "--picture", str(tmp_path / "fit.png")]
     words += ["--residuals", str(tmp_path / "left.nii.gz"), "--estimate-formation"]
+    words += ["--free-form", str(tmp_path / "free.ply")]
     assert main(words) == 0
     record = json.loads((tmp_path / "fit.json").read_text())
     assert record["trusted"]
@@ -34,7 +35,11 @@ def test_report_surface_and_picture(tmp_path: Path, capsys: pytest.CaptureFixtur
     middle = (mesh.vertices.amin(0) + mesh.vertices.amax(0)) / 2
     assert torch.linalg.vector_norm(middle.double() - truth.translation) < 1.5
     assert (tmp_path / "fit.png").stat().st_size > 10_000
+    free = sdm.load_mesh(tmp_path / "free.ply")
+    apart = sdm.MeshIndex(mesh, "cpu").signed_distance(free.vertices).abs()
+    assert 1e-3 < float(apart.mean()) < 0.1
     said = capsys.readouterr().out
+    assert "free of the family" in said
     assert "90 % within" in said
     assert "counts" in said
     assert record["formation"]["p_value"] > 1e-3
@@ -47,10 +52,12 @@ def test_noise_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     noise = torch.from_numpy(np.random.default_rng(0).standard_normal(grid.shape).astype(np.float32))
     sdm.SDM(noise, grid).save(tmp_path / "noise.nii.gz")
     words = ["fit", str(tmp_path / "noise.nii.gz"), "-o", str(tmp_path / "fit.json"), *QUICK]
+    words += ["--free-form", str(tmp_path / "free.ply")]
     assert main([*words, "--mesh", str(tmp_path / "fit.ply")]) == 2
     assert "the fit gives no answer" in capsys.readouterr().err
     assert json.loads((tmp_path / "fit.json").read_text())["trusted"] is False
     assert not (tmp_path / "fit.ply").exists()
+    assert not (tmp_path / "free.ply").exists()
 
 
 @pytest.mark.parametrize(
