@@ -109,6 +109,14 @@ def test_links_of_all_pages_exist(root):
     assert not missing
 
 
+def test_outside_links_are_well_formed(root):
+    """Whether they answer is not asked: tests need no network."""
+    for page in root.rglob("*.md"):
+        if ".venv" not in page.parts and "build" not in page.parts:
+            for address in re.findall(r"\]\((\w+://[^)\s]*)", page.read_text()):
+                assert re.fullmatch(r"https://(\w[\w-]*\.)+[a-z]{2,}(:\d+)?(/[\w./%~-]*)?(#[\w-]+)?", address), page
+
+
 def test_decisions_named_in_code_exist(root):
     named = {
         name
