@@ -63,6 +63,25 @@ def height_above(
 
 
 @wp.func
+def write_place(
+    x: int,
+    squared: float,
+    base: int,
+    stride: int,
+    scale: float,
+    missing: float,
+    own: wp.array(dtype=wp.float32),
+    own_base: int,
+    out: wp.array(dtype=wp.float32),
+):
+    """Write what a place at this squared distance gets, see `fill_places`."""
+    value = finished(squared, scale, missing)
+    if squared == 0.0 and own_base >= 0:
+        value = -own[own_base + x * stride]
+    out[base + x * stride] = value
+
+
+@wp.func
 def fill_places(
     heights: wp.array(dtype=wp.float32),
     has: wp.array(dtype=wp.int32),
@@ -85,8 +104,8 @@ def fill_places(
     """Distances of the places from `low` to before `high`, by the sites from `low_site` to `high_site` - 1.
 
     Sites whose `has`, from `first` on, each `step` further, is zero have no height; all have where `first` is below
-    zero. Squared distances where `scale` is zero; zeros become
-    minus what `own` has, from `own_base` on, unless that is below zero.
+    zero. Squared distances where `scale` is zero; zeros become minus what `own` has, from `own_base` on, unless that is
+    below zero.
     """
     count = int(0)
     site = int(0)
@@ -136,10 +155,7 @@ def fill_places(
             end = end_of(entry)
             height = height_between(heights, base, stride, low, high, site)
         squared = cost(x, site, height, weight, half)
-        value = finished(squared, scale, missing)
-        if squared == 0.0 and own_base >= 0:
-            value = -own[own_base + x * stride]
-        out[base + x * stride] = value
+        write_place(x, squared, base, stride, scale, missing, own, own_base, out)
 
 
 @wp.kernel
@@ -197,6 +213,8 @@ def nearest_of_class_on_line(
 def nearest_other_label_on_line(
     begin: int,
     labels: wp.array(dtype=wp.uint8),
+    first_value: int,
+    kinds: int,
     heights: wp.array(dtype=wp.float32),
     unread: wp.array(dtype=wp.int32),
     length: int,
@@ -209,7 +227,7 @@ def nearest_other_label_on_line(
 ):
     """Along each line the distances to other labels: of every run of equal labels by its own voxels and its two ends.
 
-    Squared without a `scale`.
+    Of the `kinds` labels from `first_value` on; those of others are left alone. Squared without a `scale`.
     """
     line = begin + wp.tid()
     base = first_voxel(line, length, stride)
@@ -223,23 +241,24 @@ def nearest_other_label_on_line(
             if going:
                 high = high + 1
                 going = high < length
-        fill_places(
-            heights,
-            unread,
-            -1,
-            0,
-            base,
-            stride,
-            low,
-            high,
-            wp.max(low - 1, 0),
-            wp.min(high + 1, length),
-            weight,
-            half,
-            scale,
-            missing,
-            heights,
-            -1,
-            out,
-        )
+        if int(label) >= first_value and int(label) < first_value + kinds:
+            fill_places(
+                heights,
+                unread,
+                -1,
+                0,
+                base,
+                stride,
+                low,
+                high,
+                wp.max(low - 1, 0),
+                wp.min(high + 1, length),
+                weight,
+                half,
+                scale,
+                missing,
+                heights,
+                -1,
+                out,
+            )
         low = high

@@ -18,6 +18,8 @@ from sdm.kernels.primitives.lanes import GPU_LANES
 
 def own_distances(
     labels: wp.array,
+    first_value: int,
+    kinds: int,
     shape: tuple[int, int, int],
     spacing: tuple[float, float, float],
     half: float,
@@ -26,10 +28,12 @@ def own_distances(
     between: wp.array,
     own: wp.array,
 ) -> None:
-    """Fill `own` with distances to the nearest voxel with another label.
+    """Fill `own` with distances of the voxels of all classes to the nearest voxel with another label.
 
     Args:
         labels: uint8, flat.
+        first_value: That of the first class; the others' follow.
+        kinds: Number of classes. Voxels of none are left alone.
         shape: (nx,ny,nz).
         spacing: Size of a voxel along each axis.
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
@@ -41,16 +45,47 @@ def own_distances(
     nx, ny, nz = shape
     device, unit, weights = labels.device, max(spacing), _weights(spacing)
     lanes = GPU_LANES if device.is_cuda else 1
+    wanted = [labels, first_value, kinds]
     launch(nearest_other_label, nx * ny * lanes, [labels, nz, lanes, weights[2], half, own], device)
-    along_y = [labels, own, unread, ny, nz, weights[1], half, 0.0, missing, between]
-    along_x = [labels, between, unread, nx, ny * nz, weights[0], half, unit, missing, own]
+    along_y = [*wanted, own, unread, ny, nz, weights[1], half, 0.0, missing, between]
+    along_x = [*wanted, between, unread, nx, ny * nz, weights[0], half, unit, missing, own]
     launch(nearest_other_label_on_line, nx * nz, along_y, device, BLOCK_DIM)
     launch(nearest_other_label_on_line, ny * nz, along_x, device, BLOCK_DIM)
 
 
-def transform_classes(
+def find_rows(
     labels: wp.array,
     first_value: int,
+    shape: tuple[int, int, int, int],
+    spacing: tuple[float, float, float],
+    half: float,
+    row_has: wp.array,
+    row_ends: wp.array,
+    slice_ends: wp.array,
+    out: wp.array,
+) -> None:
+    """The first pass: squared distances in the rows that have a class, and where these are.
+
+    Args:
+        labels: uint8, flat.
+        first_value: That of the first class; the others' follow.
+        shape: (C,nx,ny,nz), classes first.
+        spacing: Size of a voxel along each axis.
+        half: See `own_distances`.
+        row_has: int32, C * nx * ny zeros, filled.
+        row_ends: int32, 2 * C * nx zeros, filled.
+        slice_ends: int32, 2 * C zeros, filled.
+        out: float32, flat.
+    """
+    kinds, nx, ny, nz = shape
+    device = labels.device
+    lanes = GPU_LANES if device.is_cuda else 1
+    ends = [row_has, row_ends, slice_ends]
+    rows = [labels, first_value, kinds, nx * ny, ny, nz, lanes, _weights(spacing)[2], half, *ends, out]
+    launch(nearest_of_classes, nx * ny * lanes, rows, device)
+
+
+def transform_classes(
     shape: tuple[int, int, int, int],
     spacing: tuple[float, float, float],
     half: float,
@@ -63,29 +98,23 @@ def transform_classes(
     between: wp.array,
     out: wp.array,
 ) -> None:
-    """Fill `out` with distances to the nearest voxel of each class.
+    """Fill `out`, in which `find_rows` has left the first pass, with distances to the nearest voxel of each class.
 
     Args:
-        labels: uint8, flat.
-        first_value: That of the first class; the others' follow.
         shape: (C,nx,ny,nz), classes first.
         spacing: Size of a voxel along each axis.
         half: See `own_distances`.
         signed: Whether voxels of a class get minus their distance in `own`, rather than 0.
         missing: Distance where there is no voxel of the class.
         own: What `own_distances` found; not read if not `signed`.
-        row_has: Workspace, int32, C * nx * ny zeros.
-        row_ends: Workspace, int32, 2 * C * nx zeros.
-        slice_ends: Workspace, int32, 2 * C zeros.
+        row_has: See `find_rows`.
+        row_ends: See there.
+        slice_ends: See there.
         between: Workspace, float32, C * nx * ny * nz.
         out: float32, flat.
     """
     kinds, nx, ny, nz = shape
-    device, unit, weights = labels.device, max(spacing), _weights(spacing)
-    lanes = GPU_LANES if device.is_cuda else 1
-    ends = [row_has, row_ends, slice_ends]
-    rows = [labels, first_value, kinds, nx * ny, ny, nz, lanes, weights[2], half, *ends, out]
-    launch(nearest_of_classes, nx * ny * lanes, rows, device)
+    device, unit, weights = out.device, max(spacing), _weights(spacing)
     along_y = [out, row_has, 1, row_ends, ny, nz, weights[1], half, 0.0, missing, 0, own, between]
     sides = [missing, int(signed), own, out]
     along_x = [between, row_ends, 2, slice_ends, nx, ny * nz, weights[0], half, unit, *sides]

@@ -110,7 +110,7 @@ def test_links_of_all_pages_exist(root):
 
 
 def test_outside_links_are_well_formed(root):
-    """Whether they answer is not asked: tests need no network."""
+    """That they answer is not asked, as tests need no network."""
     for page in root.rglob("*.md"):
         if ".venv" not in page.parts and "build" not in page.parts:
             for address in re.findall(r"\]\((\w+://[^)\s]*)", page.read_text()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -122,24 +122,32 @@ def _fill_kinds(
         source, inside = as_warp(labels.view(-1), wp.uint8), as_warp(own, wp.float32)
         if signed:
             room = as_warp(row_has, wp.int32), as_warp(between[:voxels], wp.float32)
-            class_transform.own_distances(source, (nx, ny, nz), sizes, half, missing, *room, inside)
-        for begin in range(0, kinds, chunk):
-            some = out[begin : begin + chunk]
+            class_transform.own_distances(source, value, kinds, (nx, ny, nz), sizes, half, missing, *room, inside)
+        # Kernels count the voxels of their results in 32 bits.
+        for begin, end in _parts(kinds, min(MOST_KINDS, MOST_VOXELS // voxels)):
+            ends = (row_has[begin * nx * ny :], row_ends[2 * begin * nx :], slice_ends[2 * begin :])
+            some, room = out[begin:end], [as_warp(each, wp.int32) for each in ends]
+            found = as_warp(some.view(-1), wp.float32)
+            class_transform.find_rows(source, value + begin, (end - begin, nx, ny, nz), sizes, half, *room, found)
+        for begin, end in _parts(kinds, chunk):
+            ends = (row_has[begin * nx * ny :], row_ends[2 * begin * nx :], slice_ends[2 * begin :])
+            some, room = out[begin:end], [as_warp(each, wp.int32) for each in ends]
             class_transform.transform_classes(
-                source,
-                value + begin,
-                (len(some), nx, ny, nz),
+                (end - begin, nx, ny, nz),
                 sizes,
                 half,
                 signed,
                 missing,
                 inside,
-                as_warp(row_has[begin * nx * ny :], wp.int32),
-                as_warp(row_ends[2 * begin * nx :], wp.int32),
-                as_warp(slice_ends[2 * begin :], wp.int32),
+                *room,
                 as_warp(between, wp.float32),
                 as_warp(some.view(-1), wp.float32),
             )
+
+
+def _parts(count: int, most: int) -> Iterator[tuple[int, int]]:
+    for first in range(0, count, most):
+        yield first, min(first + most, count)
 
 
 def is_class(labels: Tensor, value: int) -> Tensor:
