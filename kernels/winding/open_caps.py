@@ -29,17 +29,16 @@ from sdm.kernels.primitives.lanes import (
     gpu_workers,
     int_from_lane,
     one_on_cpu,
-    sum_of_lanes_in_double,
     unknown,
     wait_for_lanes,
 )
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU, large_stack_of
-from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.boundary_term import Boundary
 from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
 from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.near_caps import FULL, NEAR_EACH, WIDER, near_list_of
-from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.open_rims import _open_by_rims, open_voxel, place_of_voxel
 from sdm.kernels.winding.settled_boxes import is_left, is_whole, settle_box
 
 wp.set_module_options({"enable_backward": False})
@@ -63,12 +62,16 @@ TOGETHER = {"cuda": False, "cpu": True}
 PLAIN = {"cuda": 0, "cpu": 3}
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
+# Where boxes are left to the sum over all boundary edges (`open_rims`): the size in bits of the smallest that are looked
+# at, if a mesh has no more edges than this. A CPU goes on to single voxels.
+SUMMED: dict[str, tuple[tuple[int, float], ...]] = {"cuda": ((3, 64), (2, 3000), (1, math.inf)), "cpu": ()}
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
 FEWEST_ITEMS = 3, 4
 # Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how
 # many of their octants, or voxels, were looked at.
 NEXT, LENGTH, LOOKED, STRIDE = 0, 1, 2, 3
 EXACT = STRIDE * len(BITS) + LOOKED
+ALONE = BITS.index(0)
 COUNTS = EXACT + 1
 
 
@@ -274,24 +277,6 @@ def _open_boxes(
         item = fetch_add_once(counts, STRIDE * level + NEXT, 1, lane)
 
 
-@wp.func
-def open_voxel(
-    tree: Tree,
-    boundary: Boundary,
-    caps: Caps,
-    mesh: int,
-    p: wp.vec3d,
-    whole: float,
-    lane: int,
-    lanes: int,
-):
-    """The winding number at p (scaled) by the sum over all boundary edges, from that of surface and caps."""
-    share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
-    if caps.are_faces != 0:
-        return float(count_crossings(tree, mesh, p)) + float(share)
-    return whole - float(count_crossings(tree_of(caps.tree, mesh), mesh, p)) + float(share)
-
-
 @wp.kernel
 def _open_exactly(
     begin: int,
@@ -313,7 +298,7 @@ def _open_exactly(
     while item < total:
         mesh, v = voxel_of_piece(pieces[item / 8], item, cells)
         if is_left(slab, values, mesh, v):
-            p = tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), v[0], v[1], v[2]))
+            p = place_of_voxel(tree, slab, mesh, v)
             winding = open_voxel(tree, boundary, caps, mesh, p, values[mesh, v[0], v[1], v[2]], lane, lanes)
             # All lanes have read the whole number before it goes.
             wait_for_lanes()
@@ -353,8 +338,14 @@ def open_caps(
     boxes = octants = left = left_octants = empty(1, wp.int32)
     first = first_level(meshes, shape, MOST_FIRST[kind])
     fewest = FEWEST_ITEMS[0] * workers // FEWEST_ITEMS[1] if device.is_cuda else 0
+    smallest = next((size for size, most in SUMMED[kind] if boundary.count <= most), 0)
     for level in range(first, len(BITS)):
         bits = BITS[level]
+        if smallest and level > first and bits < smallest:
+            at = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
+            inputs = [tree, boundary, caps, slab, BITS[level - 1], cells, fewest, left, left_octants, *at, counts]
+            launch(_open_by_rims, workers * lanes, [*inputs, lanes, values], device, smallest=1)
+            return counts
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         if bits > 0:
             boxes, octants = left, left_octants

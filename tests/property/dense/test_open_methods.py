@@ -87,26 +87,31 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
 
 @settings(max_examples=80)
 @given(
-    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), alone=st.booleans(),
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3, -1]),
     seed=strategies.seeds,
 )  # fmt: skip
-def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, alone, seed):
-    """Also where the last voxels are looked at one by one, as on a GPU."""
+def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, seed):
+    """Also where boxes of some size are left to the sum over all edges, as on a GPU, or voxels looked at one by one."""
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(open_caps.TOGETHER, "cpu", not alone)
+        patch.setitem(open_caps.TOGETHER, "cpu", last >= 0)
+        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
 
 
 @settings(max_examples=60)
-@given(mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), seed=strategies.seeds)
-def test_the_faces_themselves_for_caps(mesh, shape, turned, seed):
+@given(
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2]),
+    seed=strategies.seeds,
+)  # fmt: skip
+def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     """As meshes with many boundary edges have them, if those are more than the faces."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
         patch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
+        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     sizes = index._structure.sizes

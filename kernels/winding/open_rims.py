@@ -1,0 +1,176 @@
+"""Voxels that boxes have left in doubt, by the sum over all boundary edges: in float32, then in float64.
+
+The lanes of a group share the edges, and the voxels of a box of 2^3 between them. The winding number of the surface is
+that of surface and caps, less the crossings of the caps by the ray along x, plus the boundary's share: as float64's sum
+has it, and with the same sides, so that where float32's error (`rim_sums`) leaves the side open, that is all that is
+added up again.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
+from sdm.kernels.geometry.voxel_box import is_within
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
+from sdm.kernels.primitives.lanes import (
+    BLOCKS_PER_SM,
+    ballot,
+    bit_at,
+    bits_of_lanes,
+    first_member,
+    int_from_lane,
+    one_on_cpu,
+    sum_of_lanes_in_double,
+    sum_of_some,
+    unknown,
+    wait_for_lanes,
+)
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.eight_voxels import place_in_box
+from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.rim_sums import rim_part
+from sdm.kernels.winding.settled_boxes import is_left, is_sure, opened
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def without_caps(tree: Tree, caps: Caps, mesh: int, p: wp.vec3d, whole: float):
+    """The crossings of the surface alone by the ray from p (scaled), from the winding number of surface and caps."""
+    crossings = float(0.0)
+    if caps.are_faces != 0:
+        crossings = float(count_crossings(tree_of(tree, mesh), mesh, p))
+    else:
+        crossings = whole - float(count_crossings(tree_of(caps.tree, mesh), mesh, p))
+    return crossings
+
+
+@wp.func
+def open_voxel(
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    mesh: int,
+    p: wp.vec3d,
+    whole: float,
+    lane: int,
+    lanes: int,
+):
+    """The winding number at p (scaled) by the sum over all boundary edges, from that of surface and caps."""
+    share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, p, lane, lanes))
+    return without_caps(tree, caps, mesh, p, whole) + float(share)
+
+
+@wp.func
+def place_of_voxel(tree: Tree, slab: Slab, mesh: int, v: wp.vec3i):
+    """A voxel's place, scaled: a power of two times float32 numbers, which is exact."""
+    return tree.frame[mesh * FRAME_SIZE + SCALE] * wp.vec3d(voxel(slab_of(slab, mesh), v[0], v[1], v[2]))
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _open_by_rims(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    caps: Caps,
+    slab: Slab,
+    bits: int,
+    cells: wp.vec3i,
+    fewest: int,
+    boxes: wp.array(dtype=wp.int32),
+    octants: wp.array(dtype=wp.int32),
+    length: int,
+    next_item: int,
+    looked: int,
+    exact: int,
+    counts: wp.array(dtype=wp.int32),
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open what is left of listed boxes of 2^bits voxels along each edge, which are so many along each axis.
+
+    Items of work are their octants in doubt, or some of the voxels of boxes of 2^3 where there are fewer than `fewest`.
+    `length`, `next_item`, `looked` and `exact` are places of the counts.
+    """
+    lane = (begin + wp.tid()) % lanes
+    share = int(8)
+    if bits == 1:
+        share = int(1)
+        while share < 8 and counts[length] * share < fewest:
+            share = 2 * share
+    total = counts[length] * share
+    # Boxes of 2^3 in an octant, along each edge and in all, or the box itself.
+    half = wp.max(bits - 2, 0)
+    item = fetch_add_once(counts, next_item, 1, lane)
+    while item < total:
+        number = item / share
+        part_of_box = item - number * share
+        mesh, at = unravel(boxes[number], cells)
+        first = wp.vec3i(at[0] << bits, at[1] << bits, at[2] << bits)
+        some = int(255)
+        inner = 1 << (3 * half)
+        if bits == 1:
+            # Every so many voxels.
+            some = wp.where(share == 1, 255, wp.where(share == 2, 0x55, wp.where(share == 4, 0x11, 1))) << part_of_box
+        else:
+            octant = place_in_box(part_of_box, 1)
+            size = bits - 1
+            first = first + wp.vec3i(octant[0] << size, octant[1] << size, octant[2] << size)
+            inner = wp.where((octants[number] >> part_of_box) & 1, inner, 0)
+        for cell in range(inner):
+            start = first + 2 * place_in_box(cell, half)
+            left = int(0)
+            for k in range(unknown(8)):
+                # Each lane has a look at one of them; a CPU's only one at all.
+                if k % lanes == lane and is_left(slab, values, mesh, start + place_in_box(k, 1)):
+                    left = left | (1 << k)
+            left = bits_of_lanes(left) & some
+            wait_for_lanes()
+            while left != 0:
+                parts = int(1)
+                while parts < lanes and bit_at(left, parts) < 8:
+                    parts = 2 * parts
+                parts = one_on_cpu(parts)
+                part = one_on_cpu(lanes / parts)
+                k = bit_at(left, lane / part)
+                idle = k > 7
+                v = start + place_in_box(wp.min(k, 7), 1)
+                whole = float(0.0)
+                winding = float(0.0)
+                error = float(0.0)
+                p = wp.vec3d()
+                if not idle:
+                    p = place_of_voxel(tree, slab, mesh, v)
+                    whole = values[mesh, v[0], v[1], v[2]]
+                    found = rim_part(boundary, mesh, wp.vec3(p), lane & (part - 1), part)
+                    winding = found[0]
+                    error = found[1]
+                winding = sum_of_some(winding, part)
+                error = sum_of_some(error, part)
+                sure = bool(True)
+                if not idle:
+                    winding = winding + without_caps(tree, caps, mesh, p, whole)
+                    sure = is_sure(winding, whole, error)
+                wait_for_lanes()
+                if not idle and sure and (lane & (part - 1)) == 0:
+                    values[mesh, v[0], v[1], v[2]] = opened(winding)
+                    fetch_add(counts, looked, 1)
+                again = ballot(not sure and (lane & (part - 1)) == 0)
+                while again != wp.uint32(0):
+                    source = first_member(again)
+                    again = again & (again - wp.uint32(1))
+                    u = start + place_in_box(int_from_lane(k, source), 1)
+                    here = place_of_voxel(tree, slab, mesh, u)
+                    own = values[mesh, u[0], u[1], u[2]]
+                    last = open_voxel(tree, boundary, caps, mesh, here, own, lane, lanes)
+                    wait_for_lanes()
+                    if lane == 0:
+                        values[mesh, u[0], u[1], u[2]] = last
+                        fetch_add(counts, looked, 1)
+                        fetch_add(counts, exact, 1)
+                for _part in range(unknown(parts)):
+                    left = left & (left - 1)
+        item = fetch_add_once(counts, next_item, 1, lane)
