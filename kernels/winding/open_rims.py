@@ -20,6 +20,7 @@ from sdm.kernels.primitives.lanes import (
     bit_at,
     bits_of_lanes,
     first_member,
+    from_lane,
     int_from_lane,
     one_on_cpu,
     sum_of_lanes_in_double,
@@ -40,12 +41,11 @@ wp.set_module_options({"enable_backward": False})
 @wp.func
 def without_caps(tree: Tree, caps: Caps, mesh: int, p: wp.vec3d, whole: float):
     """The crossings of the surface alone by the ray from p (scaled), from the winding number of surface and caps."""
-    crossings = float(0.0)
+    one = tree_of(caps.tree, mesh)
     if caps.are_faces != 0:
-        crossings = float(count_crossings(tree_of(tree, mesh), mesh, p))
-    else:
-        crossings = whole - float(count_crossings(tree_of(caps.tree, mesh), mesh, p))
-    return crossings
+        one = tree_of(tree, mesh)
+    crossings = float(count_crossings(one, mesh, p))
+    return wp.where(caps.are_faces != 0, crossings, whole - crossings)
 
 
 @wp.func
@@ -139,6 +139,7 @@ def _open_by_rims(
                 idle = k > 7
                 v = start + place_in_box(wp.min(k, 7), 1)
                 whole = float(0.0)
+                crossings = float(0.0)
                 winding = float(0.0)
                 error = float(0.0)
                 p = wp.vec3d()
@@ -148,11 +149,12 @@ def _open_by_rims(
                     found = rim_part(boundary, mesh, wp.vec3(p), lane & (part - 1), part)
                     winding = found[0]
                     error = found[1]
+                    crossings = without_caps(tree, caps, mesh, p, whole)
                 winding = sum_of_some(winding, part)
                 error = sum_of_some(error, part)
                 sure = bool(True)
                 if not idle:
-                    winding = winding + without_caps(tree, caps, mesh, p, whole)
+                    winding = winding + crossings
                     sure = is_sure(winding, whole, error)
                 wait_for_lanes()
                 if not idle and sure and (lane & (part - 1)) == 0:
@@ -164,9 +166,8 @@ def _open_by_rims(
                     again = again & (again - wp.uint32(1))
                     u = start + place_in_box(int_from_lane(k, source), 1)
                     here = place_of_voxel(tree, slab, mesh, u)
-                    own = values[mesh, u[0], u[1], u[2]]
-                    last = open_voxel(tree, boundary, caps, mesh, here, own, lane, lanes)
-                    wait_for_lanes()
+                    whole_share = sum_of_lanes_in_double(boundary_part(boundary, tree, mesh, here, lane, lanes))
+                    last = from_lane(crossings, source) + float(whole_share)
                     if lane == 0:
                         values[mesh, u[0], u[1], u[2]] = last
                         fetch_add(counts, looked, 1)
