@@ -18,6 +18,7 @@ from sdm.kernels.geometry.voxel_grid import Slab, slab_of, start_of_mesh, unrave
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
+from sdm.kernels.winding.add_rims import MOST_SUMS, add_rims
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.open_caps import open_caps
@@ -205,8 +206,10 @@ def slab_winding(
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()
-    # Caps close the holes, and are opened again.
-    with_caps = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
+    # Caps close the holes, and are opened again, unless the edges are few.
+    fast = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
+    few = fast and winding.boundary.count * total <= MOST_SUMS["cuda" if device.is_cuda else "cpu"]
+    with_caps = fast and not few
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()
     elif slab.turned != 0:
@@ -220,5 +223,7 @@ def slab_winding(
         launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
+    elif few:
+        add_rims(tree, winding.boundary, slab, flat)
     elif winding.kind != CLOSED:
         launch(_add_boundary, total, [tree, winding, slab, values], device)
