@@ -22,6 +22,7 @@ from sdm.kernels.winding.add_rims import MOST_SUMS, add_rims
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.open_caps import open_caps
+from sdm.kernels.winding.open_edges import MOST_EDGES, open_edges
 from sdm.kernels.winding.ray_crossings import count_crossings
 from sdm.kernels.winding.scan_convert import mark_triangle
 from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
@@ -208,8 +209,10 @@ def slab_winding(
     flat = values.flatten()
     # Caps close the holes, and are opened again, unless the edges are few.
     fast = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
-    few = fast and winding.boundary.count * total <= MOST_SUMS["cuda" if device.is_cuda else "cpu"]
-    with_caps = fast and not few
+    kind, edges = "cuda" if device.is_cuda else "cpu", winding.boundary.count
+    few = fast and edges * total <= MOST_SUMS[kind]
+    by_edges = fast and not few and edges <= MOST_EDGES[kind]
+    with_caps = fast and not few and not by_edges
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()
     elif slab.turned != 0:
@@ -223,6 +226,8 @@ def slab_winding(
         launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
+    elif by_edges:
+        open_edges(tree, winding.boundary, winding.caps, slab, values, empty)
     elif few:
         add_rims(tree, winding.boundary, slab, flat)
     elif winding.kind != CLOSED:

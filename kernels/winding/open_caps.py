@@ -343,7 +343,7 @@ def open_caps(
         bits = BITS[level]
         if smallest and level > first and bits < smallest:
             at = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
-            inputs = [tree, boundary, caps, slab, BITS[level - 1], cells, fewest, left, left_octants, *at, counts]
+            inputs = [tree, boundary, caps, 0, slab, BITS[level - 1], cells, fewest, left, left_octants, *at, counts]
             launch(_open_by_rims, workers * lanes, [*inputs, lanes, values], device, smallest=1)
             return counts
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))

@@ -76,6 +76,7 @@ def _open_by_rims(
     tree: Tree,
     boundary: Boundary,
     caps: Caps,
+    surface: int,
     slab: Slab,
     bits: int,
     cells: wp.vec3i,
@@ -93,7 +94,8 @@ def _open_by_rims(
     """Open what is left of listed boxes of 2^bits voxels along each edge, which are so many along each axis.
 
     Items of work are their octants in doubt, or some of the voxels of boxes of 2^3 where there are fewer than `fewest`.
-    `length`, `next_item`, `looked` and `exact` are places of the counts.
+    `surface` is 1 if values are the crossings of the surface alone. `length`, `next_item`, `looked` and `exact` are
+    places of the counts.
     """
     lane = (begin + wp.tid()) % lanes
     share = int(8)
@@ -149,7 +151,9 @@ def _open_by_rims(
                     found = rim_part(boundary, mesh, wp.vec3(p), lane & (part - 1), part)
                     winding = found[0]
                     error = found[1]
-                    crossings = without_caps(tree, caps, mesh, p, whole)
+                    crossings = whole
+                    if surface == 0:
+                        crossings = without_caps(tree, caps, mesh, p, whole)
                 winding = sum_of_some(winding, part)
                 error = sum_of_some(error, part)
                 sure = bool(True)

@@ -35,8 +35,9 @@ SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.5 * UNIT, 8.0 * UNIT, 16.0 * UNIT
 LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 
 
-@wp.func_native(
-    snippet=f"""
+# Turns (re, im) by the strip of an edge with its ends a and b ways off, where `ey` and `ez` are of b - a; a `sense` of
+# -1 turns it back.
+_TURN = f"""
     {FUSED}
 #if defined(__CUDA_ARCH__)
 #define RIM_ROOT(x) [](float y) {{ float r; asm("sqrt.approx.f32 %0, %1;" : "=f"(r) : "f"(y)); return r; }}(x)
@@ -46,19 +47,15 @@ LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 #define RIM_QUOTIENT(x, y) ((x) / (y))
 #endif
     float re = 1.0f, im = 0.0f, turns = 0.0f, error = 0.0f;
-    int step = 0;
-    for (int e = lane; e < count; e += lanes) {{
-        const auto* at = ends.data + 2 * (first + e);
-        const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
-        const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
-        const float ey = at[1].c[1] - at[0].c[1], ez = at[1].c[2] - at[0].c[2];
+    int steps = 0;
+    auto turn = [&](float ax, float ay, float az, float bx, float by, float bz, float ey, float ez, float sense) {{
         const float aside_a = FUSED(ay, ay, az * az), aside_b = FUSED(by, by, bz * bz);
         const float la = RIM_ROOT(FUSED(ax, ax, aside_a)), lb = RIM_ROOT(FUSED(bx, bx, aside_b));
         const float far_a = la + fabsf(ax), far_b = lb + fabsf(bx);
         const float sa = ax > 0.0f ? RIM_QUOTIENT(aside_a, far_a) : far_a;
         const float sb = bx > 0.0f ? RIM_QUOTIENT(aside_b, far_b) : far_b;
         const float along = FUSED(ay, by, az * bz);
-        const float x = FUSED(sa, sb, along), y = FUSED(az, ey, -(ay * ez));
+        const float x = FUSED(sa, sb, along), y = sense * FUSED(az, ey, -(ay * ez));
         const float sx = fabsf(x), sy = fabsf(y), most = sx < sy ? sy : sx, both = la + lb;
         const float dx = {PARTS}f * FUSED(sa, sb, fabsf(along) + sy) + {SNAP_ALONG}f * both;
         const float dy = {ACROSS}f * (fabsf(az * ey) + fabsf(ay * ez)) + {SNAP_ACROSS}f * both;
@@ -72,18 +69,74 @@ LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
         re = new_re;
         im = new_im;
         // A factor is between 1 and 1.5: this is long before an overflow.
-        step += 1;
-        if (step % 32 == 0 && fabsf(re) + fabsf(im) > {LARGEST_PRODUCT}f) {{
+        steps += 1;
+        if (steps % 32 == 0 && fabsf(re) + fabsf(im) > {LARGEST_PRODUCT}f) {{
             re *= {SHRINK}f;
             im *= {SHRINK}f;
         }}
-    }}
+    }};
+"""
+_SHARE = f"""
     const float angle = atan2f(im, re) + {2.0 * wp.PI}f * turns;
     return wp::vec2(angle / {2.0 * wp.PI}f, (error + {SUMMED}f * (1.0f + fabsf(angle))) / {2.0 * wp.PI}f);
+"""
+
+
+@wp.func_native(
+    snippet=f"""
+    {_TURN}
+    for (int e = lane; e < count; e += lanes) {{
+        const auto* at = ends.data + 2 * (first + e);
+        const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
+        const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
+        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2], 1.0f);
+    }}
+    {_SHARE}
 """
 )
 def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, lane: int, lanes: int) -> wp.vec2:
     """A lane's part of the share of so many edges of the winding number at p (scaled), and the largest error of it."""
+    ...
+
+
+@wp.func_native(
+    snippet=f"""
+    {_TURN}
+    const float ty = c.c[1] - p.c[1], tz = c.c[2] - p.c[2];
+    for (int i = lane; i < count; i += lanes) {{
+        const auto* at = ends.data + 2 * list.data[start + i];
+        const float ex = at[0].c[0], ey = at[1].c[1] - at[0].c[1], ez = at[1].c[2] - at[0].c[2];
+        const float ax = ex - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
+        const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
+        const float fx = ex - c.c[0], fy = at[0].c[1] - c.c[1], fz = at[0].c[2] - c.c[2];
+        const float gx = at[1].c[0] - c.c[0], gy = at[1].c[1] - c.c[1], gz = at[1].c[2] - c.c[2];
+        if (kind != 1) {{
+            turn(ax, ay, az, bx, by, bz, ey, ez, 1.0f);
+            // What a half line from each end adds along the way.
+            turn(fx, fy, fz, ax, ay, az, ty, tz, 1.0f);
+            turn(gx, gy, gz, bx, by, bz, ty, tz, -1.0f);
+        }}
+        if (kind != 0)
+            turn(fx, fy, fz, gx, gy, gz, ey, ez, -1.0f);
+    }}
+    {_SHARE}
+"""
+)
+def way_sum(
+    ends: wp.array(dtype=wp.vec3),
+    list: wp.array(dtype=wp.int32),
+    start: int,
+    count: int,
+    c: wp.vec3,
+    p: wp.vec3,
+    kind: int,
+    lane: int,
+    lanes: int,
+) -> wp.vec2:
+    """A lane's part of what the listed edges add to the share on the way from c to p (scaled), and the largest error.
+
+    By kind: 0 without their share at c, 1 nothing but that, taken off, 2 both.
+    """
     ...
 
 

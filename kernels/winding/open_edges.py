@@ -1,0 +1,349 @@
+"""Winding numbers of a mesh with few boundary edges, by the edges alone: without caps or a tree.
+
+The winding number is the crossings of the surface plus the boundary's share (`boundary_term`), and changes within a box
+of voxels, where it does not jump, by the boundary alone (Biot and Savart): so a box gets the share at its centre, by
+the sum over all edges (`rim_sums`), and Taylor polynomials of the edges that are far for its size (`cap_taylor`).
+
+The share of an edge is that of a strip, which has two half lines for its sides. Those of all edges cancel, as each edge
+begins where another ends, and the polynomials are without them. So what has to be added for the edges that are near,
+or whose strips pass through the box, is at x what their strips are there, less what their half lines add on the way
+from the centre c to x. A half line at V moved by c - x sweeps the strip of the edge from V to V + c - x as it is seen
+from c, so that this is a sum over strips too: with theta(A, B) that of the edge AB,
+
+    share(x) = share(c) + P(x) + sum over the others of theta_x(A, B) + theta_c(A, A + c - x) - theta_c(B, B + c - x)
+               - theta_c(A, B).
+
+The way from c to x may pass no strip of the far edges, which the distance of box and strip tells; it may pass any of
+the others, whose jumps are those of theta_x.
+
+A box of 8^3 voxels looks at all edges, its octants at those that were not far for it; what is left in doubt gets the
+sum over all edges (`open_rims`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
+from sdm.kernels.geometry.voxel_box import VoxelBox, box_of_voxels, is_within, octant_at
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.launch import launch, threads
+from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
+from sdm.kernels.primitives.lanes import (
+    BLOCKS_PER_SM,
+    GPU_LANES,
+    ballot,
+    bits_of_lanes,
+    gpu_workers,
+    members,
+    rank,
+    sum_of_lanes,
+    unknown,
+    wait_for_lanes,
+)
+from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU, large_stack_of
+from sdm.kernels.winding.boundary_term import Boundary, edges_of
+from sdm.kernels.winding.cap_descent import sum_of_parts
+from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field, share_at
+from sdm.kernels.winding.cap_taylor import Taylor, add_edge
+from sdm.kernels.winding.cap_tree import Caps
+from sdm.kernels.winding.eight_voxels import place_in_box
+from sdm.kernels.winding.near_caps import FULL, UNIT, WIDER
+from sdm.kernels.winding.open_caps import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
+from sdm.kernels.winding.open_rims import _open_by_rims
+from sdm.kernels.winding.rim_sums import rim_part, way_sum
+from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_sure, is_whole, opened
+
+wp.set_module_options({"enable_backward": False})
+
+# Room in a stack for the edges that are not far for a box, and for an octant.
+ROOM = 1152
+ROOM_OF_OCTANT = LARGE_STACK - ROOM
+# More than rounding takes from the distance of a strip, in shares of the ends' distances.
+STRIP_ROOM = 1.0e-6
+
+
+@wp.func
+def strip_misses(a: wp.vec3, b: wp.vec3, radius: float):
+    """True if the strip of an edge whose ends are a and b off does not come within a radius."""
+    along_y = b[1] - a[1]
+    along_z = b[2] - a[2]
+    length2 = along_y * along_y + along_z * along_z
+    part = float(0.0)
+    if length2 > 0.0:
+        part = wp.clamp(-(a[1] * along_y + a[2] * along_z) / length2, 0.0, 1.0)
+    y = a[1] + part * along_y
+    z = a[2] + part * along_z
+    x = wp.min(wp.max(a[0], b[0]), 0.0)
+    room = radius * WIDER + STRIP_ROOM * (1.0 + wp.length(a) + wp.length(b))
+    return x * x + y * y + z * z > room * room
+
+
+@wp.struct
+class Seen:
+    """What is known of the edges for a box."""
+
+    field: Field
+    near: wp.int32  # edges that are not far
+
+
+@wp.func
+def see_edges(
+    boundary: Boundary,
+    first: int,
+    count: int,
+    listed: int,
+    box: VoxelBox,
+    tolerance: float,
+    stack: wp.array(dtype=wp.int32),
+    start: int,
+    place: int,
+    room: int,
+    begin: Field,
+    lane: int,
+    lanes: int,
+):
+    """Add the polynomials of all edges that are far for a box to a field, and list the others in the stack.
+
+    Args:
+        boundary: The edges.
+        first: The first of them.
+        count: How many are looked at.
+        listed: 1 if these are listed in the stack, from `start` on.
+        box: The box, its voxels within the root of `half2` from its centre.
+        tolerance: The largest bound of what an edge's polynomial leaves out.
+        stack: Of this group.
+        start: See above.
+        place: Where in the stack those that are not far go.
+        room: For them; if there are more, the error is infinite.
+        begin: The field.
+        lane: This lane's number.
+        lanes: Their number.
+    """
+    radius = wp.sqrt(box.half2) * WIDER
+    seen = Seen()
+    if lane == 0:
+        seen.field = begin
+    steps = float(0.0)
+    near = int(0)
+    i = lane
+    while i - lane < count and near <= room:
+        other = bool(False)
+        edge = first + i
+        if i < count:
+            if listed != 0:
+                edge = stack[start + i]
+            a = boundary.ends[2 * edge] - box.centre
+            b = boundary.ends[2 * edge + 1] - box.centre
+            t = Taylor()
+            t.nearest = float(wp.inf)
+            t = add_edge(t, a, b, radius)
+            if t.bound <= tolerance and strip_misses(a, b, radius):
+                seen.field.slope = seen.field.slope + t.slope
+                seen.field.squares = seen.field.squares + t.squares
+                seen.field.products = seen.field.products + t.products
+                seen.field.cubes = seen.field.cubes + t.cubes
+                seen.field.error = seen.field.error + WIDER * t.bound + t.rounding
+                seen.field.drift = seen.field.drift + t.drift
+                steps = steps + 1.0
+            else:
+                other = bool(True)
+        mask = ballot(other)
+        if other and near + rank(mask, lane) < room:
+            stack[place + near + rank(mask, lane)] = edge
+        near = near + members(mask)
+        i = i + lanes
+    seen.field.error = seen.field.error + 4.0 * UNIT * (steps + 6.0) * seen.field.drift
+    if near > room:
+        seen.field.error = float(wp.inf)
+    seen.field = sum_of_parts(seen.field, lanes, True)
+    seen.near = near
+    wait_for_lanes()
+    return seen
+
+
+@wp.func
+def with_share(field: Field, found: wp.vec2):
+    """A field to which each lane adds a share of the winding number, give or take an error."""
+    share = sum_of_lanes(found[0])
+    field.value = field.value + wp.float64(FULL * share)
+    field.error = field.error + FULL * (sum_of_lanes(found[1]) + 8.0 * UNIT * (1.0 + wp.abs(share)))
+    return field
+
+
+@wp.func
+def settle_octant(
+    boundary: Boundary,
+    field: Field,
+    near: int,
+    stack: wp.array(dtype=wp.int32),
+    place: int,
+    slab: Slab,
+    mesh: int,
+    start: wp.vec3i,
+    bits: int,
+    box: VoxelBox,
+    scale: float,
+    lane: int,
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Write the winding numbers of an octant's voxels that are sure; a bit for each octant of it that holds others."""
+    left = int(0)
+    change = most_change(field, box.half)
+    error = doubt(field)
+    middle = float(field.value) / FULL
+    far = near == 0 and largest_share(field, change) < LARGEST_SHARE
+    plain = near == 0 and is_sure(middle - wp.floor(middle), 1.0, error + change)
+    if not error < MOST_DOUBT:
+        left = int(255)
+    elif not far:
+        number = lane
+        while number < 1 << (3 * bits):
+            at = place_in_box(number, bits)
+            v = start + at
+            whole = float(0.5)
+            if is_within(slab, v):
+                whole = values[mesh, v[0], v[1], v[2]]
+            if is_whole(whole):
+                share = middle
+                wrong = error + change
+                if not plain:
+                    p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
+                    found = wp.vec2()
+                    if near > 0:
+                        found = way_sum(boundary.ends, stack, place, near, box.centre, p, 0, 0, 1)
+                    share = share_at(field, p - box.centre) + found[0]
+                    wrong = error + found[1] + 4.0 * UNIT * wp.abs(found[0])
+                if is_sure(whole + share, whole, wrong):
+                    values[mesh, v[0], v[1], v[2]] = opened(whole + share)
+                else:
+                    half = bits - 1
+                    left = left | (1 << (4 * (at[0] >> half) + 2 * (at[1] >> half) + (at[2] >> half)))
+            number = number + lanes
+    return bits_of_lanes(left)
+
+
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _open_by_edges(
+    begin: int,
+    tree: Tree,
+    boundary: Boundary,
+    slab: Slab,
+    bits: int,
+    tolerance: float,
+    tolerance_of_octant: float,
+    parents: wp.vec3i,
+    cells: wp.vec3i,
+    fewest: int,
+    left: wp.array(dtype=wp.int32),
+    left_octants: wp.array(dtype=wp.int32),
+    next_item: int,
+    looked: int,
+    length: int,
+    counts: wp.array(dtype=wp.int32),
+    stacks: wp.array(dtype=wp.int32),
+    lanes: int,
+    values: wp.array4d(dtype=wp.float32),
+):
+    """Open boxes of 2^(bits + 1) voxels along each edge, octant by octant; list what they leave in doubt.
+
+    `parents` boxes and `cells` octants are along each axis. A box is some items of work where there would be fewer than
+    `fewest`. `next_item`, `looked` and `length` are places of the counts.
+    """
+    thread = begin + wp.tid()
+    lane = thread % lanes
+    stack = large_stack_of(stacks, thread / lanes)
+    total = values.shape[0] * parents[0] * parents[1] * parents[2]
+    pieces = int(1)
+    while pieces < 8 and total * pieces < fewest:
+        pieces = 2 * pieces
+    item = fetch_add_once(counts, next_item, 1, lane)
+    while item < total * pieces:
+        number = item / pieces
+        mesh, at = unravel(number, parents)
+        scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
+        first = mesh * boundary.count
+        count = edges_of(boundary)
+        begins = wp.vec3i(at[0] << (bits + 1), at[1] << (bits + 1), at[2] << (bits + 1))
+        whole_box = box_of_voxels(slab_of(slab, mesh), begins, 2 << bits, scale)
+        whole = see_edges(
+            boundary, first, count, 0, whole_box, tolerance, stack, 0, 0, ROOM, Field(), lane, lanes
+        )
+        whole.field = with_share(whole.field, rim_part(boundary, mesh, whole_box.centre, lane, lanes))
+        # The octants' polynomials have errors of their own.
+        far = whole.near == 0 and largest_share(whole.field, most_change(whole.field, whole_box.half)) < LARGEST_SHARE
+        for octant in range(unknown(8)):
+            child = 2 * at + octant_at(octant)
+            start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
+            if octant / (8 / pieces) == item % pieces and is_within(slab, start) and not far:
+                box = box_of_voxels(slab_of(slab, mesh), start, 1 << bits, scale)
+                field = moved_field(whole.field, box.centre - whole_box.centre)
+                near = int(0)
+                undone = int(255)
+                if whole.near <= ROOM:
+                    found = way_sum(
+                        boundary.ends, stack, 0, whole.near, whole_box.centre, box.centre, 2, lane, lanes
+                    )
+                    seen = see_edges(
+                        boundary, 0, whole.near, 1, box, tolerance_of_octant, stack, 0, ROOM, ROOM_OF_OCTANT, field,
+                        lane, lanes,
+                    )  # fmt: skip
+                    field = with_share(seen.field, found)
+                    near = seen.near
+                    if near > 0 and near <= ROOM_OF_OCTANT:
+                        off = way_sum(boundary.ends, stack, ROOM, near, box.centre, box.centre, 1, lane, lanes)
+                        field = with_share(field, off)
+                    undone = settle_octant(
+                        boundary, field, near, stack, ROOM, slab, mesh, start, bits, box, scale, lane, lanes, values
+                    )
+                if lane == 0:
+                    fetch_add(counts, looked, 1)
+                    if undone != 0:
+                        place = fetch_add(counts, length, 1)
+                        left[place] = ((mesh * cells[0] + child[0]) * cells[1] + child[1]) * cells[2] + child[2]
+                        left_octants[place] = undone
+                # All have read the list before another takes its place.
+                wait_for_lanes()
+        item = fetch_add_once(counts, next_item, 1, lane)
+
+
+# A mesh with no more boundary edges than this is opened by them: others by caps.
+MOST_EDGES = {"cuda": 3000, "cpu": 0}
+# What an edge's polynomial may leave out of the winding number, for a box and for an octant.
+TOLERANCES = {"cuda": (3e-5, 3e-5), "cpu": (3e-5, 3e-5)}
+BITS_OF_OCTANT = 2
+
+
+def open_edges(
+    tree: Tree, boundary: Boundary, caps: Caps, slab: Slab, values: wp.array, empty: Callable[[int, Any], wp.array]
+) -> wp.array:
+    """From the crossings of the surface to its winding numbers, where it matters for sign or clearness.
+
+    Changes `values` (meshes, n, ny, nz) float32. `empty(length, dtype)` allocates workspace. Returns the
+    counts, as `open_caps` has them.
+    """
+    device = values.device
+    meshes, *shape = values.shape
+    lanes, workers, fewest = 1, 16 * threads(), 0
+    if device.is_cuda:
+        lanes, workers = GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)
+        fewest = workers
+    kind = "cuda" if device.is_cuda else "cpu"
+    counts = empty(COUNTS, wp.int32)
+    counts.zero_()
+    stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
+    bits, level = BITS_OF_OCTANT, BITS.index(BITS_OF_OCTANT)
+    parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
+    left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
+    at, after = STRIDE * level, STRIDE * (level + 1)
+    inputs = [tree, boundary, slab, bits, *(FULL * one for one in TOLERANCES[kind]), parents, cells, fewest]
+    inputs += [left, left_octants, at + NEXT, at + LOOKED, after + LENGTH, counts, stacks, lanes, values]
+    launch(_open_by_edges, workers * lanes, inputs, device, smallest=1)
+    inputs = [tree, boundary, caps, 1, slab, bits, cells, fewest, left, left_octants]
+    inputs += [after + LENGTH, after + NEXT, STRIDE * ALONE + LOOKED, EXACT, counts, lanes, values]
+    launch(_open_by_rims, workers * lanes, inputs, device, smallest=1)
+    return counts
