@@ -193,6 +193,9 @@ def settle_octant(
 ):
     """Write the winding numbers of an octant's voxels that are sure; a bit for each octant of it that holds others."""
     left = int(0)
+    if near > 0:
+        # What the listed edges are at the centre: they are added up for each voxel.
+        field = with_share(field, way_sum(boundary.ends, stack, place, near, box.centre, box.centre, 1, lane, lanes))
     change = most_change(field, box.half)
     error = doubt(field)
     middle = float(field.value) / FULL
@@ -270,42 +273,59 @@ def _open_by_edges(
         count = edges_of(boundary)
         begins = wp.vec3i(at[0] << (bits + 1), at[1] << (bits + 1), at[2] << (bits + 1))
         whole_box = box_of_voxels(slab_of(slab, mesh), begins, 2 << bits, scale)
-        whole = see_edges(
-            boundary, first, count, 0, whole_box, tolerance, stack, 0, 0, ROOM, Field(), lane, lanes
-        )
-        whole.field = with_share(whole.field, rim_part(boundary, mesh, whole_box.centre, lane, lanes))
-        # The octants' polynomials have errors of their own.
-        far = whole.near == 0 and largest_share(whole.field, most_change(whole.field, whole_box.half)) < LARGEST_SHARE
-        for octant in range(unknown(8)):
+        whole = Field()
+        listed = int(0)
+        # The box, then its octants: one loop, as a GPU keeps few instructions at hand.
+        for step in range(unknown(9)):
+            octant = wp.max(step - 1, 0)
             child = 2 * at + octant_at(octant)
             start = wp.vec3i(child[0] << bits, child[1] << bits, child[2] << bits)
-            if octant / (8 / pieces) == item % pieces and is_within(slab, start) and not far:
-                box = box_of_voxels(slab_of(slab, mesh), start, 1 << bits, scale)
-                field = moved_field(whole.field, box.centre - whole_box.centre)
-                near = int(0)
-                undone = int(255)
-                if whole.near <= ROOM:
-                    found = way_sum(
-                        boundary.ends, stack, 0, whole.near, whole_box.centre, box.centre, 2, lane, lanes
-                    )
-                    seen = see_edges(
-                        boundary, 0, whole.near, 1, box, tolerance_of_octant, stack, 0, ROOM, ROOM_OF_OCTANT, field,
-                        lane, lanes,
-                    )  # fmt: skip
-                    field = with_share(seen.field, found)
-                    near = seen.near
-                    if near > 0 and near <= ROOM_OF_OCTANT:
-                        off = way_sum(boundary.ends, stack, ROOM, near, box.centre, box.centre, 1, lane, lanes)
-                        field = with_share(field, off)
+            looks = step == 0
+            if octant / (8 / pieces) == item % pieces and is_within(slab, start) and not whole.error < 0.0:
+                looks = bool(True)
+            if looks:
+                box = whole_box
+                field = Field()
+                found = wp.vec2()
+                edges = int(count)
+                place = int(0)
+                room = int(ROOM)
+                allowed = float(tolerance)
+                if step == 0:
+                    found = rim_part(boundary, mesh, box.centre, lane, lanes)
+                else:
+                    box = box_of_voxels(slab_of(slab, mesh), start, 1 << bits, scale)
+                    field = moved_field(whole, box.centre - whole_box.centre)
+                    found = way_sum(boundary.ends, stack, 0, listed, whole_box.centre, box.centre, 2, lane, lanes)
+                    edges = listed
+                    place = ROOM
+                    room = ROOM_OF_OCTANT
+                    allowed = tolerance_of_octant
+                seen = see_edges(
+                    boundary, first, edges, wp.where(step == 0, 0, 1), box, allowed, stack, 0, place, room, field, lane,
+                    lanes,
+                )  # fmt: skip
+                field = with_share(seen.field, found)
+                near = seen.near
+                if step == 0:
+                    whole = field
+                    listed = wp.min(near, ROOM)
+                    if near == 0 and largest_share(whole, most_change(whole, box.half)) < LARGEST_SHARE:
+                        # Nothing is in doubt.
+                        whole.error = -1.0
+                else:
                     undone = settle_octant(
-                        boundary, field, near, stack, ROOM, slab, mesh, start, bits, box, scale, lane, lanes, values
-                    )
-                if lane == 0:
-                    fetch_add(counts, looked, 1)
-                    if undone != 0:
-                        place = fetch_add(counts, length, 1)
-                        left[place] = ((mesh * cells[0] + child[0]) * cells[1] + child[1]) * cells[2] + child[2]
-                        left_octants[place] = undone
+                        boundary, field, wp.min(near, ROOM_OF_OCTANT), stack, ROOM, slab, mesh, start, bits, box, scale,
+                        lane, lanes, values,
+                    )  # fmt: skip
+                    if lane == 0:
+                        fetch_add(counts, looked, 1)
+                        if undone != 0:
+                            number_left = fetch_add(counts, length, 1)
+                            left[number_left] = (
+                                (mesh * cells[0] + child[0]) * cells[1] + child[1]
+                            ) * cells[2] + child[2]
+                            left_octants[number_left] = undone
                 # All have read the list before another takes its place.
                 wait_for_lanes()
         item = fetch_add_once(counts, next_item, 1, lane)

@@ -110,14 +110,17 @@ def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, l
         const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
         const float fx = ex - c.c[0], fy = at[0].c[1] - c.c[1], fz = at[0].c[2] - c.c[2];
         const float gx = at[1].c[0] - c.c[0], gy = at[1].c[1] - c.c[1], gz = at[1].c[2] - c.c[2];
-        if (kind != 1) {{
-            turn(ax, ay, az, bx, by, bz, ey, ez, 1.0f);
-            // What a half line from each end adds along the way.
-            turn(fx, fy, fz, ax, ay, az, ty, tz, 1.0f);
-            turn(gx, gy, gz, bx, by, bz, ty, tz, -1.0f);
+        // One after the other, as a GPU keeps few instructions at hand: the edge at p, what a half line from each end
+        // adds along the way, and the edge at c.
+#if defined(__CUDA_ARCH__)
+#pragma unroll 1
+#endif
+        for (int k = kind == 1 ? 3 : 0; k < (kind == 0 ? 3 : 4); ++k) {{
+            const bool at_c = k == 3, along = k == 1 || k == 2;
+            turn(k == 0 ? ax : k == 2 ? gx : fx, k == 0 ? ay : k == 2 ? gy : fy, k == 0 ? az : k == 2 ? gz : fz,
+                at_c ? gx : k == 1 ? ax : bx, at_c ? gy : k == 1 ? ay : by, at_c ? gz : k == 1 ? az : bz,
+                along ? ty : ey, along ? tz : ez, k < 2 ? 1.0f : -1.0f);
         }}
-        if (kind != 0)
-            turn(fx, fy, fz, gx, gy, gz, ey, ez, -1.0f);
     }}
     {_SHARE}
 """
