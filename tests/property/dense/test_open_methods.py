@@ -12,7 +12,7 @@ import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
-from sdm.kernels.winding import add_rims, column_sums, open_caps
+from sdm.kernels.winding import add_rims, column_sums, open_caps, open_edges
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -87,16 +87,17 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
 
 @settings(max_examples=80)
 @given(
-    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3, 4, -1]),
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3, 4, 5, 5, -1]),
     seed=strategies.seeds,
 )  # fmt: skip
 def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, seed):
-    """Also where boxes of some size, or all voxels, are left to the sum over all edges, as on a GPU."""
+    """Also where boxes of some size, or all voxels, are left to the sum over all edges, or boxes look at edges alone."""
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(open_caps.TOGETHER, "cpu", last >= 0)
         patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
         patch.setitem(add_rims.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
+        patch.setitem(open_edges.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
@@ -104,7 +105,7 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
 
 @settings(max_examples=60)
 @given(
-    mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2]),
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 30)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3]),
     seed=strategies.seeds,
 )  # fmt: skip
 def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
@@ -113,6 +114,7 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
         patch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
         patch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
         patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
+        patch.setitem(open_edges.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     sizes = index._structure.sizes
@@ -154,12 +156,13 @@ def test_a_batch_has_the_bits_of_its_meshes(monkeypatch, share):
 def test_a_gpu_has_the_same_bits_by_either_way(monkeypatch, share):
     mesh = torn(share, 5)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
-    for seed in range(5):
+    for seed in range(7):
         # Large boxes first, as large maps have them, or small ones.
         monkeypatch.setitem(open_caps.MOST_FIRST, "cuda", (16, 8192)[seed % 2])
         # What boxes of these sizes leave in doubt is summed up over all edges.
         monkeypatch.setitem(open_caps.SUMMED, "cuda", ((1 + seed % 3, np.inf),))
         monkeypatch.setitem(add_rims.MOST_SUMS, "cuda", np.inf if seed == 3 else 0)
-        fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed > 1, seed))
+        monkeypatch.setitem(open_edges.MOST_EDGES, "cuda", np.inf if seed > 3 else 0)
+        fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed in (2, 3, 6), seed))
         assert torch.equal(fast.values, slow.values)
         assert fast.ambiguous_voxels == slow.ambiguous_voxels
