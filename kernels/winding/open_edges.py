@@ -4,17 +4,10 @@ The winding number is the crossings of the surface plus the boundary's share (`b
 of voxels, where it does not jump, by the boundary alone (Biot and Savart): so a box gets the share at its centre, by
 the sum over all edges (`rim_sums`), and Taylor polynomials of the edges that are far for its size (`cap_taylor`).
 
-The share of an edge is that of a strip, which has two half lines for its sides. Those of all edges cancel, as each edge
-begins where another ends, and the polynomials are without them. So what has to be added for the edges that are near,
-or whose strips pass through the box, is at x what their strips are there, less what their half lines add on the way
-from the centre c to x. A half line at V moved by c - x sweeps the strip of the edge from V to V + c - x as it is seen
-from c, so that this is a sum over strips too: with theta(A, B) that of the edge AB,
-
-    share(x) = share(c) + P(x) + sum over the others of theta_x(A, B) + theta_c(A, A + c - x) - theta_c(B, B + c - x)
-               - theta_c(A, B).
-
-The way from c to x may pass no strip of the far edges, which the distance of box and strip tells; it may pass any of
-the others, whose jumps are those of theta_x.
+The share of an edge is that of a strip, which has two half lines for its sides (`half_line`): it is far if all three,
+and what is between them, are far. As each edge begins where another ends, the half lines of all edges cancel, and
+those of the far ones are those of the others turned round; of these only what is far, as an edge that has a near half
+line is not far at either side of it. What the others add is summed up for each voxel.
 
 A box of 8^3 voxels looks at all edges, its octants at those that were not far for it; what is left in doubt gets the
 sum over all edges (`open_rims`).
@@ -47,14 +40,14 @@ from sdm.kernels.primitives.lanes import (
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK, LARGE_STACK_ON_CPU, large_stack_of
 from sdm.kernels.winding.boundary_term import Boundary, edges_of
 from sdm.kernels.winding.cap_descent import sum_of_parts
-from sdm.kernels.winding.cap_field import Field, doubt, largest_share, most_change, moved_field, share_at
+from sdm.kernels.winding.cap_field import Field, cubes_of, doubt, largest_share, most_change, moved_field, share_at
 from sdm.kernels.winding.cap_taylor import Taylor, add_edge
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.near_caps import FULL, UNIT, WIDER
 from sdm.kernels.winding.open_caps import ALONE, BITS, COUNTS, EXACT, LENGTH, LOOKED, NEXT, STRIDE
 from sdm.kernels.winding.open_rims import _open_by_rims
-from sdm.kernels.winding.rim_sums import rim_part, way_sum
+from sdm.kernels.winding.rim_sums import listed_sum, rim_part
 from sdm.kernels.winding.settled_boxes import LARGEST_SHARE, MOST_DOUBT, is_sure, is_whole, opened
 
 wp.set_module_options({"enable_backward": False})
@@ -80,6 +73,87 @@ def strip_misses(a: wp.vec3, b: wp.vec3, radius: float):
     x = wp.min(wp.max(a[0], b[0]), 0.0)
     room = radius * WIDER + STRIP_ROOM * (1.0 + wp.length(a) + wp.length(b))
     return x * x + y * y + z * z > room * room
+
+
+@wp.func
+def half_line(a: wp.vec3, sense: float, radius: float):
+    """Taylor polynomial of a half line from a way off along -x: `cap_taylor.add_edge` for an end without end.
+
+    With h = (-1, 0, 0), A = a/|a|, u = 1/|a| and k = |a| + a.h, and each of k, and of what is added up, right within 16
+    and 120 roundings of itself, S = u/k, s = u^2 A/k + u (A + h)/k^2, and H has
+
+        p = 3 u^3/k + 3 u^2/k^2 + r,   q = u^2/k^2 + r,   r = 2 u/k^3,   t = -u^3/k - u^2/k^2.
+
+    The derivatives' integral along it is less than that of a whole line, pi rho^m.
+    """
+    t = Taylor()
+    aside2 = a[1] * a[1] + a[2] * a[2]
+    la = wp.sqrt(a[0] * a[0] + aside2)
+    k = la + wp.abs(a[0])
+    d = la
+    if a[0] > 0.0:
+        k = aside2 / k
+        d = wp.sqrt(aside2)
+    d = 0.999 * d - 1.0e-6 * la
+    t.bound = float(wp.inf)
+    if d > 2.0 * radius and k > 0.0:
+        rho = radius / d
+        t.bound = wp.PI * (rho * rho * rho * rho) / (1.0 - rho)
+        u = 1.0 / la
+        ik = 1.0 / k
+        h = wp.vec3(-1.0, 0.0, 0.0)
+        along = u * a
+        normal = sense * wp.cross(a, h)
+        s1 = u * ik
+        s = (u * s1) * along + (s1 * ik) * (along + h)
+        r = 2.0 * s1 * ik * ik
+        p = 3.0 * u * s1 * (u + ik) + r
+        q = s1 * s1 + r
+        level = -u * s1 * (u + ik)
+        t.slope = s1 * normal
+        t.squares = 0.5 * wp.cw_mul(normal, s)
+        t.products = 0.5 * wp.vec3(
+            normal[0] * s[1] + normal[1] * s[0],
+            normal[0] * s[2] + normal[2] * s[0],
+            normal[1] * s[2] + normal[2] * s[1],
+        )
+        ga = p * along + q * h
+        gb = q * along + r * h
+        squares = wp.cw_mul(ga, along) + wp.cw_mul(gb, h)
+        sixth = normal / 6.0
+        xy = 2.0 * (ga[0] * along[1] + gb[0] * h[1])
+        xz = 2.0 * (ga[0] * along[2] + gb[0] * h[2])
+        yz = 2.0 * (ga[1] * along[2] + gb[1] * h[2])
+        t.cubes = cubes_of(sixth, level * sixth, squares, xy, xz, yz)
+        flat = wp.sqrt(aside2)
+        square = wp.length(s) * radius * radius
+        cubic = radius * radius * radius * (p + 2.0 * q + r - 3.0 * level) / 3.0
+        t.drift = (s1 * radius + square + cubic) * flat
+        t.rounding = UNIT * (120.0 * t.drift + 4.0 * wp.PI / d)
+    return t
+
+
+@wp.func
+def half_line_is_far(a: wp.vec3, radius: float, tolerance: float):
+    """True if the polynomial of a half line leaves out no more than a tolerance: the same for all edges that end there."""
+    aside2 = a[1] * a[1] + a[2] * a[2]
+    if a[0] <= 0.0:
+        aside2 = aside2 + a[0] * a[0]
+    d = 0.999 * wp.sqrt(aside2) - 1.0e-6 * wp.length(a)
+    rho = radius / d
+    return d > 2.0 * radius and wp.PI * (rho * rho * rho * rho) <= tolerance * (1.0 - rho)
+
+
+@wp.func
+def with_polynomial(field: Field, t: Taylor):
+    """A field and a polynomial."""
+    field.slope = field.slope + t.slope
+    field.squares = field.squares + t.squares
+    field.products = field.products + t.products
+    field.cubes = field.cubes + t.cubes
+    field.error = field.error + WIDER * t.bound + t.rounding
+    field.drift = field.drift + t.drift
+    return field
 
 
 @wp.struct
@@ -141,16 +215,22 @@ def see_edges(
             t = Taylor()
             t.nearest = float(wp.inf)
             t = add_edge(t, a, b, radius)
-            if t.bound <= tolerance and strip_misses(a, b, radius):
-                seen.field.slope = seen.field.slope + t.slope
-                seen.field.squares = seen.field.squares + t.squares
-                seen.field.products = seen.field.products + t.products
-                seen.field.cubes = seen.field.cubes + t.cubes
-                seen.field.error = seen.field.error + WIDER * t.bound + t.rounding
-                seen.field.drift = seen.field.drift + t.drift
+            other = not (t.bound <= tolerance and strip_misses(a, b, radius))
+            # Both ends before it is known whether any counts, one after the other, as a GPU keeps few instructions.
+            for end in range(unknown(2)):
+                if not half_line_is_far(wp.where(end == 0, a, b), radius, tolerance):
+                    other = bool(True)
+            if not other:
+                seen.field = with_polynomial(seen.field, t)
                 steps = steps + 1.0
-            else:
-                other = bool(True)
+            if other == (listed == 0):
+                for end in range(unknown(2)):
+                    # That of the first end counts against, and all turned round of the others.
+                    way = wp.where(end == 0, a, b)
+                    sense = wp.where((end == 0) == other, 1.0, -1.0)
+                    if not other or half_line_is_far(way, radius, tolerance):
+                        seen.field = with_polynomial(seen.field, half_line(way, sense, radius))
+                        steps = steps + 1.0
         mask = ballot(other)
         if other and near + rank(mask, lane) < room:
             stack[place + near + rank(mask, lane)] = edge
@@ -193,9 +273,6 @@ def settle_octant(
 ):
     """Write the winding numbers of an octant's voxels that are sure; a bit for each octant of it that holds others."""
     left = int(0)
-    if near > 0:
-        # What the listed edges are at the centre: they are added up for each voxel.
-        field = with_share(field, way_sum(boundary.ends, stack, place, near, box.centre, box.centre, 1, lane, lanes))
     change = most_change(field, box.half)
     error = doubt(field)
     middle = float(field.value) / FULL
@@ -218,7 +295,7 @@ def settle_octant(
                     p = scale * voxel(slab_of(slab, mesh), v[0], v[1], v[2])
                     found = wp.vec2()
                     if near > 0:
-                        found = way_sum(boundary.ends, stack, place, near, box.centre, p, 0, 0, 1)
+                        found = listed_sum(boundary.ends, stack, place, near, p, 0, 1)
                     share = share_at(field, p - box.centre) + found[0]
                     wrong = error + found[1] + 4.0 * UNIT * wp.abs(found[0])
                 if is_sure(whole + share, whole, wrong):
@@ -296,7 +373,7 @@ def _open_by_edges(
                 else:
                     box = box_of_voxels(slab_of(slab, mesh), start, 1 << bits, scale)
                     field = moved_field(whole, box.centre - whole_box.centre)
-                    found = way_sum(boundary.ends, stack, 0, listed, whole_box.centre, box.centre, 2, lane, lanes)
+                    found = listed_sum(boundary.ends, stack, 0, listed, box.centre, lane, lanes)
                     edges = listed
                     place = ROOM
                     room = ROOM_OF_OCTANT
@@ -305,17 +382,19 @@ def _open_by_edges(
                     boundary, first, edges, wp.where(step == 0, 0, 1), box, allowed, stack, 0, place, room, field, lane,
                     lanes,
                 )  # fmt: skip
-                field = with_share(seen.field, found)
-                near = seen.near
+                near = wp.min(seen.near, room)
+                # What is listed is no part of the field: it is added for each octant, or voxel.
+                less = listed_sum(boundary.ends, stack, place, near, box.centre, lane, lanes)
+                field = with_share(with_share(seen.field, found), wp.vec2(-less[0], less[1]))
                 if step == 0:
                     whole = field
-                    listed = wp.min(near, ROOM)
+                    listed = near
                     if near == 0 and largest_share(whole, most_change(whole, box.half)) < LARGEST_SHARE:
                         # Nothing is in doubt.
                         whole.error = -1.0
                 else:
                     undone = settle_octant(
-                        boundary, field, wp.min(near, ROOM_OF_OCTANT), stack, ROOM, slab, mesh, start, bits, box, scale,
+                        boundary, field, near, stack, ROOM, slab, mesh, start, bits, box, scale,
                         lane, lanes, values,
                     )  # fmt: skip
                     if lane == 0:

@@ -35,8 +35,7 @@ SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.5 * UNIT, 8.0 * UNIT, 16.0 * UNIT
 LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 
 
-# Turns (re, im) by the strip of an edge with its ends a and b ways off, where `ey` and `ez` are of b - a; a `sense` of
-# -1 turns it back.
+# Turns (re, im) by the strip of an edge with its ends a and b off, where `ey` and `ez` are of b - a.
 _TURN = f"""
     {FUSED}
 #if defined(__CUDA_ARCH__)
@@ -48,14 +47,14 @@ _TURN = f"""
 #endif
     float re = 1.0f, im = 0.0f, turns = 0.0f, error = 0.0f;
     int steps = 0;
-    auto turn = [&](float ax, float ay, float az, float bx, float by, float bz, float ey, float ez, float sense) {{
+    auto turn = [&](float ax, float ay, float az, float bx, float by, float bz, float ey, float ez) {{
         const float aside_a = FUSED(ay, ay, az * az), aside_b = FUSED(by, by, bz * bz);
         const float la = RIM_ROOT(FUSED(ax, ax, aside_a)), lb = RIM_ROOT(FUSED(bx, bx, aside_b));
         const float far_a = la + fabsf(ax), far_b = lb + fabsf(bx);
         const float sa = ax > 0.0f ? RIM_QUOTIENT(aside_a, far_a) : far_a;
         const float sb = bx > 0.0f ? RIM_QUOTIENT(aside_b, far_b) : far_b;
         const float along = FUSED(ay, by, az * bz);
-        const float x = FUSED(sa, sb, along), y = sense * FUSED(az, ey, -(ay * ez));
+        const float x = FUSED(sa, sb, along), y = FUSED(az, ey, -(ay * ez));
         const float sx = fabsf(x), sy = fabsf(y), most = sx < sy ? sy : sx, both = la + lb;
         const float dx = {PARTS}f * FUSED(sa, sb, fabsf(along) + sy) + {SNAP_ALONG}f * both;
         const float dy = {ACROSS}f * (fabsf(az * ey) + fabsf(ay * ez)) + {SNAP_ACROSS}f * both;
@@ -89,7 +88,7 @@ _SHARE = f"""
         const auto* at = ends.data + 2 * (first + e);
         const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
         const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
-        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2], 1.0f);
+        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2]);
     }}
     {_SHARE}
 """
@@ -102,44 +101,25 @@ def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, l
 @wp.func_native(
     snippet=f"""
     {_TURN}
-    const float ty = c.c[1] - p.c[1], tz = c.c[2] - p.c[2];
     for (int i = lane; i < count; i += lanes) {{
         const auto* at = ends.data + 2 * list.data[start + i];
-        const float ex = at[0].c[0], ey = at[1].c[1] - at[0].c[1], ez = at[1].c[2] - at[0].c[2];
-        const float ax = ex - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
+        const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
         const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
-        const float fx = ex - c.c[0], fy = at[0].c[1] - c.c[1], fz = at[0].c[2] - c.c[2];
-        const float gx = at[1].c[0] - c.c[0], gy = at[1].c[1] - c.c[1], gz = at[1].c[2] - c.c[2];
-        // One after the other, as a GPU keeps few instructions at hand: the edge at p, what a half line from each end
-        // adds along the way, and the edge at c.
-#if defined(__CUDA_ARCH__)
-#pragma unroll 1
-#endif
-        for (int k = kind == 1 ? 3 : 0; k < (kind == 0 ? 3 : 4); ++k) {{
-            const bool at_c = k == 3, along = k == 1 || k == 2;
-            turn(k == 0 ? ax : k == 2 ? gx : fx, k == 0 ? ay : k == 2 ? gy : fy, k == 0 ? az : k == 2 ? gz : fz,
-                at_c ? gx : k == 1 ? ax : bx, at_c ? gy : k == 1 ? ay : by, at_c ? gz : k == 1 ? az : bz,
-                along ? ty : ey, along ? tz : ez, k < 2 ? 1.0f : -1.0f);
-        }}
+        turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2]);
     }}
     {_SHARE}
 """
 )
-def way_sum(
+def listed_sum(
     ends: wp.array(dtype=wp.vec3),
     list: wp.array(dtype=wp.int32),
     start: int,
     count: int,
-    c: wp.vec3,
     p: wp.vec3,
-    kind: int,
     lane: int,
     lanes: int,
 ) -> wp.vec2:
-    """A lane's part of what the listed edges add to the share on the way from c to p (scaled), and the largest error.
-
-    By kind: 0 without their share at c, 1 nothing but that, taken off, 2 both.
-    """
+    """`rim_sum` of the edges listed from a place on."""
     ...
 
 
