@@ -64,7 +64,7 @@ PLAIN = {"cuda": 0, "cpu": 3}
 FEW = 2
 # Where boxes are left to the sum over all boundary edges (`open_rims`): the size in bits of the smallest that are looked
 # at, if a mesh has no more edges than this. A CPU goes on to single voxels.
-SUMMED: dict[str, tuple[tuple[int, float], ...]] = {"cuda": ((3, 64), (2, 3000), (1, math.inf)), "cpu": ()}
+SUMMED: dict[str, tuple[tuple[int, float], ...]] = {"cuda": ((3, 64), (2, 1300), (1, 16000)), "cpu": ()}
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
 FEWEST_ITEMS = 3, 4
 # Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how

@@ -15,6 +15,7 @@ sum over all edges (`open_rims`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -413,8 +414,9 @@ def _open_by_edges(
 # A mesh with no more boundary edges than this is opened by them: others by caps.
 MOST_EDGES = {"cuda": 3000, "cpu": 0}
 # What an edge's polynomial may leave out of the winding number, for a box and for an octant.
-TOLERANCES = {"cuda": (3e-5, 3e-5), "cpu": (3e-5, 3e-5)}
-BITS_OF_OCTANT = 2
+TOLERANCES = {"cuda": (3e-4, 3e-4), "cpu": (3e-4, 3e-4)}
+# Boxes have 8^3 voxels, and octants 4^3, if there are so many of them; else half of that along each edge.
+FEWEST_BOXES = {"cuda": 2048, "cpu": 64}
 
 
 def open_edges(
@@ -435,7 +437,8 @@ def open_edges(
     counts = empty(COUNTS, wp.int32)
     counts.zero_()
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
-    bits, level = BITS_OF_OCTANT, BITS.index(BITS_OF_OCTANT)
+    bits = 2 if meshes * math.prod(-(-n >> 3) for n in shape) >= FEWEST_BOXES[kind] else 1
+    level = BITS.index(bits)
     parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
     left, left_octants = (empty(meshes * cells[0] * cells[1] * cells[2], wp.int32) for _ in range(2))
     at, after = STRIDE * level, STRIDE * (level + 1)

@@ -28,7 +28,7 @@ from sdm.kernels.primitives.lanes import (
     unknown,
     wait_for_lanes,
 )
-from sdm.kernels.winding.boundary_term import Boundary, boundary_part
+from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.ray_crossings import count_crossings
@@ -36,6 +36,9 @@ from sdm.kernels.winding.rim_sums import rim_part
 from sdm.kernels.winding.settled_boxes import is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
+
+# With more edges than this a voxel is an item of work: where float64 has to add them up, others would wait for it.
+MANY = 4000
 
 
 @wp.func
@@ -101,7 +104,7 @@ def _open_by_rims(
     share = int(8)
     if bits == 1:
         share = int(1)
-        while share < 8 and counts[length] * share < fewest:
+        while share < 8 and (counts[length] * share < fewest or edges_of(boundary) > MANY):
             share = 2 * share
     total = counts[length] * share
     # Boxes of 2^3 in an octant, along each edge and in all, or the box itself.

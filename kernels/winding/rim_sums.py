@@ -8,12 +8,12 @@ ends, alpha and beta their parts across x, and s = |a| - a.x, half a strip's sol
 where s is also |alpha|^2 / (|a| + a.x), without cancellation for a.x > 0. The product with the edge b - a, instead of
 b, leaves an error in proportion to the edge's length: so many short edges far away add up to little.
 
-Errors, in units of u = 2^-24: a and b are differences rounded once; |a| is right within 8 and s within 16 of itself,
-s_a s_b within 34, alpha.beta within 5 |alpha||beta|, the product across within 4 of its two terms. With
+Errors, in units of u = 2^-24: a and b are differences rounded once; |a| is right within 4 and s within 13 of itself,
+s_a s_b within 27, alpha.beta within 5 |alpha||beta|, the product across within 4 of its two terms. With
 S = s_a s_b + |alpha.beta| + |alpha x beta|, which is no less than s_a s_b + |alpha||beta|, the real part is right
-within 40 S. The places on the lattice, which are those that count, are 0.09 away: |a| + |b| times 0.27 for the real
+within 28 S. The places on the lattice, which are those that count, are 0.09 away: |a| + |b| times 0.27 for the real
 part, and 0.09 for the other. Divided by the larger of both parts, one factor turns the product by less than
-1.5 + 8 |im| for its rounding. Where the real part is negative, the side of the edge has to be certain, as the argument
+1.1 + 8 |im| for its rounding. Where the real part is negative, the side of the edge has to be certain, as the argument
 jumps by a turn there.
 """
 
@@ -29,8 +29,8 @@ wp.set_module_options({"enable_backward": False})
 UNIT = 2.0**-24
 # Room for S, for the terms of the product across, and for both parts by places on the lattice; of the quotients'
 # second order; and of a product's and the last sum's rounding.
-PARTS, ACROSS, SNAP_ALONG, SNAP_ACROSS = 48.0 * UNIT, 5.0 * UNIT, 0.4 * UNIT, 0.2 * UNIT
-SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.5 * UNIT, 8.0 * UNIT, 16.0 * UNIT
+PARTS, ACROSS, SNAP_ALONG, SNAP_ACROSS = 32.0 * UNIT, 5.0 * UNIT, 0.4 * UNIT, 0.2 * UNIT
+SECOND, TURNED, TURNED_MORE, SUMMED = 1.3, 1.1 * UNIT, 8.0 * UNIT, 16.0 * UNIT
 # Beyond this a reciprocal may be taken for zero, and a product is halved so many times.
 LARGEST, LARGEST_PRODUCT, SHRINK = 1.0e37, 1.0e9, 2.0**-30
 
