@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import torch
@@ -121,18 +122,16 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     None of a closed one. A voxel in a box of 2^3 is counted to it, if it is not looked at by itself.
     """
     counts: list[np.ndarray] = []
-    plain = column_sums.open_caps
 
-    def spy(*inputs: Any) -> Any:
+    def watched(plain: Callable[..., Any]) -> Callable[..., None]:
         # A copy, as the scratch that it is in is given back.
-        counts.append(plain(*inputs).numpy().copy())
-        return None
+        return lambda *inputs: counts.append(plain(*inputs).numpy().copy())
 
-    column_sums.open_caps = spy  # type: ignore[assignment]
-    try:
+    with (
+        mock.patch.object(column_sums, "open_caps", watched(column_sums.open_caps)),
+        mock.patch.object(column_sums, "open_edges", watched(column_sums.open_edges)),
+    ):
         query()
-    finally:
-        column_sums.open_caps = plain
     if not counts:
         return {}
     total = np.sum(counts, 0)
@@ -141,8 +140,11 @@ def _looked_at(query: Callable[[], Any], voxels: int) -> dict[str, Any]:
     # Voxels that are still open before boxes of each size; before the first ones, all.
     first = max(size for size, count in looked.items() if count)
     before = [voxels if size > first else min(voxels, count * size**3) for size, count in looked.items()]
-    alone = len(open_caps.BITS) - 2
-    before += [int(total[open_caps.STRIDE * alone + open_caps.LOOKED]), int(total[open_caps.EXACT]), 0]
+    before += [int(total[open_caps.STRIDE * open_caps.ALONE + open_caps.LOOKED]), int(total[open_caps.EXACT]), 0]
+    # Sizes that are not looked at decide nothing.
+    for n in range(len(before) - 4, 0, -1):
+        if before[n] == 0:
+            before[n] = before[n + 1]
     shares = [max(0, one - other) / voxels for one, other in itertools.pairwise(before)]
     return {
         **{f"{size}^3": count for size, count in looked.items() if count},

@@ -18,12 +18,12 @@ from sdm.kernels.geometry.voxel_grid import Slab, slab_of, start_of_mesh, unrave
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, GPU_LANES, gpu_workers
-from sdm.kernels.winding.add_rims import MOST_SUMS, add_rims
 from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.open_caps import open_caps
-from sdm.kernels.winding.open_edges import MOST_EDGES, open_edges
 from sdm.kernels.winding.ray_crossings import count_crossings
+from sdm.kernels.winding.rims.edge_boxes import MOST_EDGES, MOST_FACES_AN_EDGE, open_edges
+from sdm.kernels.winding.rims.every_voxel import MOST_SUMS, add_rims
 from sdm.kernels.winding.scan_convert import mark_triangle
 from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
 
@@ -211,7 +211,7 @@ def slab_winding(
     fast = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
     kind, edges = "cuda" if device.is_cuda else "cpu", winding.boundary.count
     few = fast and edges * total <= MOST_SUMS[kind]
-    by_edges = fast and not few and edges <= MOST_EDGES[kind]
+    by_edges = fast and not few and edges <= MOST_EDGES[kind] and tree.count <= MOST_FACES_AN_EDGE * edges
     with_caps = fast and not few and not by_edges
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()

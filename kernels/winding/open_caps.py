@@ -17,9 +17,9 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
+from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree
 from sdm.kernels.geometry.voxel_box import box_of_lane, box_of_voxels, is_within, octant_at
-from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
+from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel
 from sdm.kernels.launch import launch, threads
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
@@ -38,7 +38,7 @@ from sdm.kernels.winding.cap_descent import MOST_NEAR, see_caps
 from sdm.kernels.winding.cap_field import Field, field_of_lane, moved_field
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.near_caps import FULL, NEAR_EACH, WIDER, near_list_of
-from sdm.kernels.winding.open_rims import _open_by_rims, open_voxel, place_of_voxel
+from sdm.kernels.winding.rims.doubtful_voxels import open_doubtful, open_voxel, place_of_voxel
 from sdm.kernels.winding.settled_boxes import is_left, is_whole, settle_box
 
 wp.set_module_options({"enable_backward": False})
@@ -62,9 +62,14 @@ TOGETHER = {"cuda": False, "cpu": True}
 PLAIN = {"cuda": 0, "cpu": 3}
 # Caps under a node that are added to eight voxels at once in less time than to a field.
 FEW = 2
-# Where boxes are left to the sum over all boundary edges (`open_rims`): the size in bits of the smallest that are looked
-# at, if a mesh has no more edges than this. A CPU goes on to single voxels.
-SUMMED: dict[str, tuple[tuple[int, float], ...]] = {"cuda": ((3, 64), (2, 1300), (1, 16000)), "cpu": ()}
+# Where boxes are left to the sum over all boundary edges (`rims.doubtful_voxels`): the size in bits of the smallest
+# that are looked at, if a mesh has no more edges, and a map no more voxels, than this: a small map waits for launches
+# rather than for sums. A CPU goes on to single voxels.
+ANY = math.inf
+SUMMED: dict[str, tuple[tuple[int, float, float], ...]] = {
+    "cuda": ((3, 64, ANY), (2, 1300, ANY), (2, 3000, 1 << 21), (1, 16000, ANY)),
+    "cpu": (),
+}
 # Groups of lanes of a GPU that have work, of so many: with fewer, octants do not share what is found for all of them.
 FEWEST_ITEMS = 3, 4
 # Places of the counts: for each level, and for the sums over all edges, which box is next, how many there are, and how
@@ -336,15 +341,17 @@ def open_caps(
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
     kind = "cuda" if device.is_cuda else "cpu"
     boxes = octants = left = left_octants = empty(1, wp.int32)
+    cells = wp.vec3i()
     first = first_level(meshes, shape, MOST_FIRST[kind])
     fewest = FEWEST_ITEMS[0] * workers // FEWEST_ITEMS[1] if device.is_cuda else 0
-    smallest = next((size for size, most in SUMMED[kind] if boundary.count <= most), 0)
+    fits = (size for size, edges, voxels in SUMMED[kind] if boundary.count <= edges and values.size <= voxels)
+    smallest = next(fits, 0)
     for level in range(first, len(BITS)):
         bits = BITS[level]
         if smallest and level > first and bits < smallest:
             at = [STRIDE * level + LENGTH, STRIDE * level + NEXT, STRIDE * ALONE + LOOKED, EXACT]
             inputs = [tree, boundary, caps, 0, slab, BITS[level - 1], cells, fewest, left, left_octants, *at, counts]
-            launch(_open_by_rims, workers * lanes, [*inputs, lanes, values], device, smallest=1)
+            launch(open_doubtful, workers * lanes, [*inputs, lanes, values], device, smallest=1)
             return counts
         parents, cells = (wp.vec3i(*(-(-n >> size) for n in shape)) for size in (bits + 1, bits))
         if bits > 0:

@@ -12,7 +12,8 @@ import sdm
 import sdm.engine.acceleration
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
-from sdm.kernels.winding import add_rims, column_sums, open_caps, open_edges
+from sdm.kernels.winding import column_sums, open_caps
+from sdm.kernels.winding.rims import edge_boxes, every_voxel
 from tests.helpers import strategies
 
 CPU = torch.device("cpu")
@@ -87,17 +88,19 @@ def both(index: sdm.MeshIndex, grid: sdm.Grid) -> list[sdm.SDM]:
 
 @settings(max_examples=80)
 @given(
-    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(), last=st.sampled_from([0, 1, 2, 3, 4, 5, 5, -1]),
-    seed=strategies.seeds,
+    mesh=dirt, shape=st.tuples(*[st.integers(1, 36)] * 3), turned=st.booleans(),
+    last=st.sampled_from([0, 1, 2, 3, 4, 5, 5, -1]), seed=strategies.seeds,
 )  # fmt: skip
 def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, seed):
-    """Also where boxes of some size, or all voxels, are left to the sum over all edges, or boxes look at edges alone."""
+    """Also where boxes of some size, or all voxels, are left to the sum over all edges, or by edges alone."""
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(open_caps.TOGETHER, "cpu", last >= 0)
-        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
-        patch.setitem(add_rims.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
-        patch.setitem(open_edges.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
+        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
+        patch.setitem(every_voxel.MOST_SUMS, "cpu", np.inf if last == 4 else 0)
+        patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 5 else 0)
+        patch.setattr(column_sums, "MOST_FACES_AN_EDGE", np.inf)
+        patch.setitem(edge_boxes.OCTANT_BITS, "cpu", 1 + seed % 2)
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     assert torch.equal(fast.values, slow.values)
     assert fast.ambiguous_voxels == slow.ambiguous_voxels
@@ -113,8 +116,9 @@ def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
         patch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
-        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf),) if last > 0 else ())
-        patch.setitem(open_edges.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
+        patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
+        patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
+        patch.setattr(column_sums, "MOST_FACES_AN_EDGE", np.inf)
         index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
         fast, slow = both(index, grid_about(mesh.vertices, shape, turned, seed))
     sizes = index._structure.sizes
@@ -160,9 +164,10 @@ def test_a_gpu_has_the_same_bits_by_either_way(monkeypatch, share):
         # Large boxes first, as large maps have them, or small ones.
         monkeypatch.setitem(open_caps.MOST_FIRST, "cuda", (16, 8192)[seed % 2])
         # What boxes of these sizes leave in doubt is summed up over all edges.
-        monkeypatch.setitem(open_caps.SUMMED, "cuda", ((1 + seed % 3, np.inf),))
-        monkeypatch.setitem(add_rims.MOST_SUMS, "cuda", np.inf if seed == 3 else 0)
-        monkeypatch.setitem(open_edges.MOST_EDGES, "cuda", np.inf if seed > 3 else 0)
+        monkeypatch.setitem(open_caps.SUMMED, "cuda", ((1 + seed % 3, np.inf, np.inf),))
+        monkeypatch.setitem(every_voxel.MOST_SUMS, "cuda", np.inf if seed == 3 else 0)
+        monkeypatch.setitem(edge_boxes.MOST_EDGES, "cuda", np.inf if seed > 3 else 0)
+        monkeypatch.setattr(column_sums, "MOST_FACES_AN_EDGE", np.inf)
         fast, slow = both(index, grid_about(mesh.vertices, (70, 61, 83), seed in (2, 3, 6), seed))
         assert torch.equal(fast.values, slow.values)
         assert fast.ambiguous_voxels == slow.ambiguous_voxels

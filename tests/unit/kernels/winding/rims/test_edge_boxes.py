@@ -1,4 +1,5 @@
-"""Shares of the winding number by polynomials of boundary edges, and by float32's sum, are right within their errors."""
+"""Shares of the winding number by polynomials of edges, and by float32's sum, are right within their errors."""
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false, reportArgumentType=false
 
 from __future__ import annotations
 
@@ -15,8 +16,9 @@ from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.primitives.shared_stacks import LARGE_STACK_ON_CPU
 from sdm.kernels.winding.boundary_term import Boundary, boundary_winding
 from sdm.kernels.winding.cap_field import Field, doubt, moved_field, share_at
-from sdm.kernels.winding.open_edges import ROOM, ROOM_OF_OCTANT, see_edges, with_share
-from sdm.kernels.winding.rim_sums import listed_sum, rim_part
+from sdm.kernels.winding.rims.edge_boxes import ROOM, ROOM_OF_OCTANT, with_share
+from sdm.kernels.winding.rims.float32_sum import listed_sum, rim_part
+from sdm.kernels.winding.rims.strip_polynomials import see_edges
 
 POINTS = 8
 
@@ -68,7 +70,9 @@ def _look(
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-5])
 @pytest.mark.parametrize(
-    "mesh", [torn(torus(2000), 0.1), half_spheres(6), sheets(12), boxes(12)], ids=["torn", "half spheres", "sheets", "boxes"]
+    "mesh",
+    [torn(torus(2000), 0.1), half_spheres(6), sheets(12), boxes(12)],
+    ids=["torn", "half spheres", "sheets", "boxes"],
 )
 def test_shares_are_right_within_their_errors(mesh, tolerance):
     vertices, faces = mesh

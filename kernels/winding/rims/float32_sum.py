@@ -102,7 +102,7 @@ def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, l
     snippet=f"""
     {_TURN}
     for (int i = lane; i < count; i += lanes) {{
-        const auto* at = ends.data + 2 * list.data[start + i];
+        const auto* at = ends.data + 2 * stack.data[start + i];
         const float ax = at[0].c[0] - p.c[0], ay = at[0].c[1] - p.c[1], az = at[0].c[2] - p.c[2];
         const float bx = at[1].c[0] - p.c[0], by = at[1].c[1] - p.c[1], bz = at[1].c[2] - p.c[2];
         turn(ax, ay, az, bx, by, bz, at[1].c[1] - at[0].c[1], at[1].c[2] - at[0].c[2]);
@@ -112,7 +112,7 @@ def rim_sum(ends: wp.array(dtype=wp.vec3), first: int, count: int, p: wp.vec3, l
 )
 def listed_sum(
     ends: wp.array(dtype=wp.vec3),
-    list: wp.array(dtype=wp.int32),
+    stack: wp.array(dtype=wp.int32),
     start: int,
     count: int,
     p: wp.vec3,

@@ -1,8 +1,8 @@
 """The boundary's share of the winding number at every voxel of a slab, where that is less work than to ask boxes.
 
-What few boundary edges add to the crossings of the surface is summed up in float32 (`rim_sums`), and in float64 where
-that leaves a voxel's side open. Neither caps nor boxes are needed, which on a GPU take longer to begin with than all
-voxels of a small map.
+What few boundary edges add to the crossings of the surface is summed up in float32 (`float32_sum`), and in float64
+where that leaves a voxel's side open. Neither caps nor boxes are needed, which on a GPU take longer to begin with than
+all voxels of a small map.
 """
 
 from __future__ import annotations
@@ -23,21 +23,19 @@ from sdm.kernels.primitives.lanes import (
     sum_of_some,
 )
 from sdm.kernels.winding.boundary_term import Boundary, boundary_part
-from sdm.kernels.winding.open_rims import place_of_voxel
-from sdm.kernels.winding.rim_sums import rim_part
+from sdm.kernels.winding.rims.doubtful_voxels import place_of_voxel
+from sdm.kernels.winding.rims.float32_sum import rim_part
 from sdm.kernels.winding.settled_boxes import is_sure, is_whole, opened
 
 wp.set_module_options({"enable_backward": False})
 
 # Edges times voxels that are added up on a GPU in the time that boxes take; and threads that fill one.
-MOST_SUMS = {"cuda": 5e7, "cpu": 0.0}
+MOST_SUMS = {"cuda": 3e7, "cpu": 0.0}
 THREADS = 1 << 18
 
 
 @wp.kernel
-def _add_rims(
-    begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, values: wp.array(dtype=wp.float32)
-):
+def _add_rims(begin: int, tree: Tree, boundary: Boundary, slab: Slab, lanes: int, values: wp.array(dtype=wp.float32)):
     """Add the boundary's share to the crossings of the surface, where that is sure; `lanes` share the edges."""
     thread = begin + wp.tid()
     lanes = one_on_cpu(lanes)

@@ -2,7 +2,7 @@
 
 The lanes of a group share the edges, and the voxels of a box of 2^3 between them. The winding number of the surface is
 that of surface and caps, less the crossings of the caps by the ray along x, plus the boundary's share: as float64's sum
-has it, and with the same sides, so that where float32's error (`rim_sums`) leaves the side open, that is all that is
+has it, and with the same sides, so that where float32's error (`float32_sum`) leaves the side open, that is all that is
 added up again.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 import warp as wp
 
 from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, tree_of
-from sdm.kernels.geometry.voxel_box import is_within
 from sdm.kernels.geometry.voxel_grid import Slab, slab_of, unravel, voxel
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import (
@@ -32,7 +31,7 @@ from sdm.kernels.winding.boundary_term import Boundary, boundary_part, edges_of
 from sdm.kernels.winding.cap_tree import Caps
 from sdm.kernels.winding.eight_voxels import place_in_box
 from sdm.kernels.winding.ray_crossings import count_crossings
-from sdm.kernels.winding.rim_sums import rim_part
+from sdm.kernels.winding.rims.float32_sum import rim_part
 from sdm.kernels.winding.settled_boxes import is_left, is_sure, opened
 
 wp.set_module_options({"enable_backward": False})
@@ -74,7 +73,7 @@ def place_of_voxel(tree: Tree, slab: Slab, mesh: int, v: wp.vec3i):
 
 
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _open_by_rims(
+def open_doubtful(
     begin: int,
     tree: Tree,
     boundary: Boundary,
