@@ -1,4 +1,8 @@
-"""Faces of no area behind a mesh's own, so that meshes with other numbers of faces look alike to a recorded call."""
+"""A mesh's arrays, taken from wherever they are, and faces of no area behind its own.
+
+So meshes with other numbers of faces, in other places of memory, look alike to a recorded call. What it finds for the
+caller goes to an address, too.
+"""
 
 from __future__ import annotations
 
@@ -10,36 +14,110 @@ wp.set_module_options({"enable_backward": False})
 
 # Entries of the counts: faces and vertices of the mesh.
 FACES, VERTICES, COUNTS = 0, 1, 2
+# Entries of the addresses: of the mesh's vertices and faces, of its map, of how many voxels are ambiguous, and of what
+# its faces say.
+VERTICES_AT, FACES_AT, VALUES_AT, AMBIGUOUS_AT, TOLD_AT, ADDRESSES = 0, 1, 2, 3, 4, 5
+
+
+@wp.func_native(snippet="return reinterpret_cast<const int*>(address)[index];")
+def _int_at(address: wp.int64, index: int) -> int: ...
+
+
+@wp.func_native(snippet="return reinterpret_cast<const wp::vec3*>(address)[index];")
+def _vector_at(address: wp.int64, index: int) -> wp.vec3: ...
+
+
+@wp.func_native(snippet="reinterpret_cast<int*>(address)[index] = value;")
+def _put_int(address: wp.int64, index: int, value: int): ...
 
 
 @wp.kernel
-def _fill_up(
+def _take_in(
     begin: int,
     counts: wp.array(dtype=wp.int32),
-    given: wp.array2d(dtype=wp.int32),
+    addresses: wp.array(dtype=wp.int64),
+    vertices: wp.array(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     wrong: wp.array(dtype=wp.int32),
 ):
-    face = begin + wp.tid()
+    i = begin + wp.tid()
+    if i < counts[VERTICES]:
+        vertices[i] = _vector_at(addresses[VERTICES_AT], i)
+    if i >= faces.shape[0]:
+        return
     last = counts[VERTICES] - 1
     # Each at a vertex of its own, as far as there are enough, so that none has many.
-    filler = face % counts[VERTICES]
+    filler = i % counts[VERTICES]
     for k in range(3):
         index = filler
-        if face < counts[FACES]:
-            index = wp.clamp(given[face, k], 0, last)
-            if index != given[face, k]:
+        if i < counts[FACES]:
+            given = _int_at(addresses[FACES_AT], 3 * i + k)
+            index = wp.clamp(given, 0, last)
+            if index != given:
                 wrong[0] = 1
-        faces[face, k] = index
+        faces[i, k] = index
 
 
-def fill_up(counts: wp.array, given: wp.array, faces: wp.array, wrong: wp.array) -> None:
-    """Copy a mesh's faces, and put faces of no area behind them.
+def take_in(counts: wp.array, addresses: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array) -> None:
+    """Copy a mesh's vertices and faces, and put faces of no area behind these.
 
     Args:
-        counts: (COUNTS) int32, the faces and vertices that there are.
-        given: (F,3) int32, of which the first are the mesh's.
-        faces: (F,3) int32, filled: indices out of range are brought into it.
+        counts: (COUNTS) int32, the faces and vertices that there are, at least one of each.
+        addresses: (ADDRESSES) int64, of which those of vertices (V,3) float32 and faces (F,3) int32 are read.
+        vertices: (room) vec3; the first V are filled.
+        faces: (room,3) int32, filled: indices out of range are brought into it.
         wrong: (1) int32, set to 1 if there were any.
     """
-    launch(_fill_up, faces.shape[0], [counts, given, faces, wrong], faces.device)
+    count = max(vertices.shape[0], faces.shape[0])
+    launch(_take_in, count, [counts, addresses, vertices, faces, wrong], faces.device)
+
+
+@wp.kernel
+def _tell(
+    begin: int,
+    counts: wp.array(dtype=wp.int32),
+    addresses: wp.array(dtype=wp.int64),
+    neighbours: wp.array(dtype=wp.int32),
+    unmatched: wp.array(dtype=wp.int32),
+    boundary: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    own = 4 * counts[FACES]
+    number = int(0)
+    place = i
+    if i < neighbours.shape[0]:
+        if i >= own:
+            return
+        number = neighbours[i]
+    else:
+        behind = i - neighbours.shape[0]
+        place = own + behind
+        if behind < unmatched.shape[0]:
+            number = unmatched[behind]
+        else:
+            number = boundary[behind - unmatched.shape[0]]
+    _put_int(addresses[TOLD_AT], place, number)
+
+
+def tell(counts: wp.array, addresses: wp.array, neighbours: wp.array, unmatched: wp.array, boundary: wp.array) -> None:
+    """Write what a mesh's faces say to the address TOLD_AT: its neighbours, unmatched edges, and boundary, in a row.
+
+    Args:
+        counts: As for `take_in`.
+        addresses: (ADDRESSES) int64.
+        neighbours: (4 * room) int32, of which those of the F own faces are written.
+        unmatched: (U) int32, of any length.
+        boundary: (B) int32, of any length; so 4 F + U + B numbers are written.
+    """
+    count = neighbours.shape[0] + unmatched.shape[0] + boundary.shape[0]
+    launch(_tell, count, [counts, addresses, neighbours, unmatched, boundary], neighbours.device)
+
+
+@wp.kernel
+def _tell_ambiguous(begin: int, addresses: wp.array(dtype=wp.int64), ambiguous: wp.array(dtype=wp.int32)):
+    _put_int(addresses[AMBIGUOUS_AT], 0, ambiguous[0])
+
+
+def tell_ambiguous(addresses: wp.array, ambiguous: wp.array) -> None:
+    """Write the first of `ambiguous` int32 to the address AMBIGUOUS_AT."""
+    launch(_tell_ambiguous, 1, [addresses, ambiguous], ambiguous.device)

@@ -28,7 +28,7 @@ from sdm.engine.acceleration import (
     topology_for,
 )
 from sdm.engine.capacity.classes import class_of
-from sdm.engine.capacity.first_maps import call_to_record, class_map, has_room
+from sdm.engine.capacity.first_maps import class_map, has_room
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
@@ -118,8 +118,8 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
         found = found if topology.boundary.shape[0] else found[:1]
         better, now = guesses.guess(faces, count), guesses.last_numbers(faces, count)
         if kind is not None and now is not None and has_room(now):
-            # All its meshes, of whatever counts, share a recording.
-            return found, call_to_record(kind, vertices, faces, grid, is_open=now != guesses.CLOSED)
+            # All its meshes, of whatever counts, share a recording, which was not made yet.
+            return found, None
         if guesses.is_right(better, faces, count):
             return found, _guessed_call(better, vertices, faces, grid)
         return found, _known_call(vertices[None], faces, grid, topology.boundary)

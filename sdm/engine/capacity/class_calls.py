@@ -8,28 +8,47 @@ which know nothing of boundaries.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 import warp as wp
 from torch import Tensor
 
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
+from sdm.core.grid import Grid
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
-from sdm.engine.capacity.tables import both_slabs, split_table
+from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
 from sdm.kernels.launch import set_array
-from sdm.kernels.topology.filler_faces import fill_up
+from sdm.kernels.topology.filler_faces import VALUES_AT, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
-from sdm.runtime.graphs import Call, Verify
+from sdm.runtime.graphs import TableCall, Verify
 from sdm.runtime.graphs.branches import Join, beside, kernels_beside
-from sdm.runtime.graphs.output_slot import current_slot
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
-Inputs = tuple[Tensor, Tensor, Tensor]
+# The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
+TELLING = 1
+
+
+class ClassMap(NamedTuple):
+    """What a recording of a class gives.
+
+    Args:
+        values: (nx,ny,nz), the map.
+        neighbours: (F,4) int32, those of the mesh's faces.
+        ambiguous: (1,) int32, of an open class: voxels that are.
+        unmatched: (MOST_EDGES,3) int32, of an open class: its unmatched edges come first.
+        boundary: Of an open class, the memory of an `OpenBoundary`.
+    """
+
+    values: Tensor
+    neighbours: Tensor
+    ambiguous: Tensor | None = None
+    unmatched: Tensor | None = None
+    boundary: Tensor | None = None
 
 
 def class_key(kind: CapacityClass, is_open: bool = False) -> tuple[str, CapacityClass]:
@@ -37,91 +56,145 @@ def class_key(kind: CapacityClass, is_open: bool = False) -> tuple[str, Capacity
     return "open class" if is_open else "class", kind
 
 
-def class_call(kind: CapacityClass, inputs: Inputs) -> Call:
-    """The call that makes the map (1,nx,ny,nz) of a mesh, if it is closed, and the faces' neighbours (F,4).
+def class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> TableCall[ClassMap]:
+    """The call that makes the map of a mesh, if it is closed: `vertices` (V,3) and `faces` (F,3) are contiguous.
 
-    `class_inputs` makes its inputs, and `to_record` those of a recording. The flags are of a vertex out of range,
-    twice, and the number of unmatched edges.
+    The flags are of a vertex out of range, twice, and the number of unmatched edges.
     """
-    return Call(class_key(kind), partial(_queue_closed_map, kind), inputs)
+    device = faces.device
+
+    def fill(table: Any) -> ClassMap:
+        values = torch.empty(kind.shape, dtype=torch.float32, device=device)
+        neighbours = torch.empty((faces.shape[0], 4), dtype=torch.int32, device=device)
+        at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), 0, neighbours.data_ptr()
+        write_table(table, kind, faces.shape[0], vertices.shape[0], grid, at)
+        return ClassMap(values, neighbours)
+
+    return TableCall(class_key(kind), partial(_queue_closed_map, kind, device), device, TABLE, fill, (vertices, faces))
 
 
-def open_class_call(kind: CapacityClass, inputs: Inputs) -> Call:
+def open_class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> TableCall[ClassMap]:
     """The same of a mesh that is open by up to MOST_EDGES unmatched and boundary edges, or by none.
 
-    Gives the map, the memory of an `OpenBoundary`, the neighbours and the unmatched edges (MOST_EDGES,3). The flags are
-    those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
+    The flags are those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
     """
-    return Call(class_key(kind, is_open=True), partial(_queue_open_map, kind), inputs)
+    device, count = faces.device, faces.shape[0]
+
+    def fill(table: Any) -> ClassMap:
+        values = torch.empty(kind.shape, dtype=torch.float32, device=device)
+        lengths = [4 * count, 3 * MOST_EDGES, OpenBoundary.length(), 1]
+        told = torch.empty(sum(lengths), dtype=torch.int32, device=device)
+        neighbours, unmatched, boundary, ambiguous = told.split(lengths)
+        at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), ambiguous.data_ptr(), told.data_ptr()
+        write_table(table, kind, count, vertices.shape[0], grid, at)
+        return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(MOST_EDGES, 3), boundary)
+
+    key = class_key(kind, is_open=True)
+    return TableCall(key, partial(_queue_open_map, kind, device), device, TABLE, fill, (vertices, faces))
 
 
-def _queue_closed_map(
-    kind: CapacityClass, verify: Verify, vertices: Tensor, given: Tensor, table: Tensor
-) -> tuple[Tensor, Tensor]:
-    device = vertices.device
-    faces, wrong = torch.empty_like(given), torch.zeros(1, dtype=torch.int32, device=device)
-    _fill_up(table, given, faces, wrong)
+class _Mesh(NamedTuple):
+    """A mesh in a recording's own memory, and the table's parts."""
+
+    vertices: Tensor  # (room,3) float32
+    faces: Tensor  # (room,3) int32
+    rows: Tensor
+    addresses: Tensor
+    counts: Tensor
+    parts: Tensor
+
+
+def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, wrong: Tensor) -> _Mesh:
+    """Queue the copies of the table and of the mesh that it tells of; `wrong` (1,) is set if an index is."""
+    table = host if device.type == "cpu" else _on_device(host, device)
+    rows, addresses, counts, parts = split_table(table)
+    vertices = torch.empty((kind.vertices, 3), dtype=torch.float32, device=device)
+    faces = torch.empty((kind.faces, 3), dtype=torch.int32, device=device)
+    with on_current_stream(table, table):
+        take_in(
+            as_warp(counts, wp.int32),
+            as_warp(addresses, wp.int64),
+            as_warp(vertices, wp.vec3),
+            as_warp(faces, wp.int32),
+            as_warp(wrong, wp.int32),
+        )
+    return _Mesh(vertices, faces, rows, addresses, counts, parts)
+
+
+def _on_device(host: Tensor, device: torch.device) -> Tensor:
+    return torch.empty(host.shape, dtype=host.dtype, device=device).copy_(host, non_blocking=True)
+
+
+def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
+    wrong, ambiguous = torch.zeros(3, dtype=torch.int32, device=device).split([1, 2])
+    mesh = _take_in(kind, device, table, wrong)
     with beside(device) as join:
-        found, _, neighbours = queue_pairing(faces, kind.vertices)
+        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices)
+    with beside(device, TELLING, join) as told:
         verify(torch.cat([wrong, found]))
-    ambiguous = torch.zeros(2, dtype=torch.int32, device=device)
-    return _queue_map(kind, vertices, faces, table, neighbours, join, ambiguous, None), neighbours
+        none = found[:0]
+        _tell(mesh, neighbours, none, none)
+    _queue_map(kind, mesh, neighbours, join, ambiguous, None)
+    told()
 
 
-def _queue_open_map(
-    kind: CapacityClass, verify: Verify, vertices: Tensor, given: Tensor, table: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    device = vertices.device
-    faces, boundary = torch.empty_like(given), OpenBoundary.empty(device)
+def _queue_open_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
+    boundary = OpenBoundary.empty(device)
     # The first flag is that of a vertex out of range.
-    _fill_up(table, given, faces, boundary.numbers[:1])
+    mesh = _take_in(kind, device, table, boundary.numbers[:1])
     with beside(device) as join:
-        found, unmatched, neighbours = queue_pairing(faces, kind.vertices)
-        boundary.queue_joining(unmatched, found, vertices)
+        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices)
+    with beside(device, TELLING, join) as joined:
+        boundary.queue_joining(unmatched, found, mesh.vertices)
+    with beside(device, TELLING) as told:
         verify(boundary.numbers, TOLD)
-    values = _queue_map(kind, vertices, faces, table, neighbours, join, boundary.ambiguous, boundary)
-    return values, boundary.memory, neighbours, unmatched[:MOST_EDGES]
+        _tell(mesh, neighbours, unmatched[:MOST_EDGES], boundary.memory)
+    _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, joined)
+    told()
+    with on_current_stream(mesh.addresses):
+        tell_ambiguous(as_warp(mesh.addresses, wp.int64), as_warp(boundary.ambiguous, wp.int32))
 
 
-def _fill_up(table: Tensor, given: Tensor, faces: Tensor, wrong: Tensor) -> None:
-    _, counts, _ = split_table(table)
-    with on_current_stream(given, given, table):
-        fill_up(*(as_warp(tensor, wp.int32) for tensor in (counts, given, faces, wrong)))
+def _tell(mesh: _Mesh, neighbours: Tensor, unmatched: Tensor, boundary: Tensor) -> None:
+    told = (mesh.counts, neighbours.view(-1), unmatched.view(-1), boundary)
+    counts, *numbers = (as_warp(tensor, wp.int32) for tensor in told)
+    with on_current_stream(neighbours):
+        tell(counts, as_warp(mesh.addresses, wp.int64), *numbers)
 
 
 def _queue_map(
     kind: CapacityClass,
-    vertices: Tensor,
-    faces: Tensor,
-    table: Tensor,
+    mesh: _Mesh,
     neighbours: Tensor,
     join: Join,
     ambiguous: Tensor,
     boundary: OpenBoundary | None,
-) -> Tensor:
-    """The map of a mesh, whose boundary was joined before `join`, or which has none."""
-    device = vertices.device
-    rows, _, parts = split_table(table)
+    joined: Join | None = None,
+) -> None:
+    """The map of a mesh, to the address in the table: its neighbours are there after `join`, its boundary `joined`."""
+    vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
     sizes = kind.sizes if boundary is None else kind.open_sizes
     structure = AccelerationStructure.in_block(cast(Sizes, sizes), device)
     bounds = torch.empty(12, dtype=torch.float32, device=device)
+    # Of winding numbers: the distances go elsewhere.
     values = torch.empty((1, *kind.shape), dtype=torch.float32, device=device)
-    slot = current_slot()
-    address = None if slot is None else as_warp(slot.bind(values), wp.int64)
-    with on_current_stream(vertices, vertices, faces, table, neighbours):
+    address = as_warp(mesh.addresses[VALUES_AT : VALUES_AT + 1], wp.int64)
+    with on_current_stream(vertices, vertices, mesh.faces, mesh.rows, neighbours):
         tree = coarser(structure.view.tree, 0)
-        set_array(tree, "parts", as_warp(parts, wp.int32))
+        set_array(tree, "parts", as_warp(mesh.parts, wp.int32))
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
         box: Any = as_warp(bounds, wp.float32)
-        fill_surface(view, vertices[None], faces, neighbours, box, join)
+        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
-        slab = both_slabs(kind, rows)
+        slab = both_slabs(kind, mesh.rows)
         with kernels_beside(values) as join_winding:
-            winding = view.winding if boundary is None else boundary.queue_caps(view, vertices, box, empty)
+            winding = view.winding
+            if boundary is not None and joined is not None:
+                joined()
+                winding = boundary.queue_caps(view, vertices, box, empty)
             slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns)
         surface = Surface(tree, view.frames, view.features, view.cones)
         out = output_of(target, empty)
         run_stages(surface, slab, out, kind.plan, empty, partial(kernels_beside, values), join_winding)
-    return values

@@ -6,6 +6,7 @@ triangles of one point, which fill the room. So an open mesh that turns out to b
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -29,6 +30,7 @@ _SIZES = {
     "edges": (MOST_EDGES, 2),
     "caps": (MOST_EDGES + 1, 3),
 }
+_LENGTH = sum(math.prod(size) for size in _SIZES.values())
 # Flags of the join that the host reads, and numbers behind them.
 TOLD = NUMBERS - boundary_loops.FLAGS
 
@@ -58,11 +60,15 @@ class OpenBoundary(NamedTuple):
         pieces = memory.split([torch.Size(size).numel() for size in _SIZES.values()])
         return cls(memory, *(piece.view(size) for piece, size in zip(pieces, _SIZES.values(), strict=True)))
 
+    @staticmethod
+    def length() -> int:
+        """Numbers in that memory."""
+        return _LENGTH
+
     @classmethod
     def empty(cls, device: torch.device) -> OpenBoundary:
         """New tensors."""
-        length = sum(torch.Size(size).numel() for size in _SIZES.values())
-        return cls.of_memory(torch.zeros(length, dtype=torch.int32, device=device))
+        return cls.of_memory(torch.zeros(_LENGTH, dtype=torch.int32, device=device))
 
     def queue_joining(self, unmatched: Tensor, found: Tensor, vertices: Tensor) -> None:
         """Queue the kernels that fill numbers, edges and caps from the pairing of the faces of `vertices` (V,3)."""

@@ -1,11 +1,10 @@
-"""The numbers that a recording of a capacity class reads from memory, and inputs that fill its room."""
+"""The numbers that a recording of a capacity class reads from memory: one table on the host for each of its launches."""
 
 from __future__ import annotations
 
 import struct
 from typing import Any
 
-import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -26,39 +25,30 @@ from sdm.kernels.geometry.voxel_grid import (
     Slab,
 )
 from sdm.kernels.launch import set_array
-from sdm.kernels.topology.filler_faces import COUNTS, FACES, VERTICES
-from sdm.runtime.graphs import Call
+from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS, FACES, VERTICES
 from sdm.runtime.torch_warp import as_warp
 
-# The table: both slabs' rows, then the counts and both meshes' parts as whole numbers, two in the room of a row's.
+# The table, in numbers of 8 bytes: both slabs' rows, the addresses, then the counts and both meshes' parts as whole
+# numbers, two in the room of one.
 _ROWS = 2 * SLAB_ROW
 _NUMBERS = COUNTS + 2 * PART_SIZE
-TABLE = _ROWS + -(-_NUMBERS // 2)
-_FORMAT = struct.Struct(f"={_ROWS}d{_NUMBERS}i")
+TABLE = _ROWS + ADDRESSES + -(-_NUMBERS // 2)
+_FORMAT = struct.Struct(f"={_ROWS}d{ADDRESSES}q{_NUMBERS}i")
 
 
-def class_inputs(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor, Tensor]:
-    """Inputs of a call: with as many rows as the mesh, and the table on the host; `to_record` has a recording's."""
-    table = torch.empty(TABLE, dtype=torch.float64, pin_memory=faces.is_cuda)
-    write_table(table.numpy(), kind, faces.shape[0], vertices.shape[0], grid)
-    return vertices, faces, table
+def write_table(
+    table: Any, kind: CapacityClass, faces: int, vertices: int, grid: Grid, addresses: tuple[int, int, int, int]
+) -> None:
+    """Write what kernels read about a mesh and its grid.
 
-
-def to_record(kind: CapacityClass, call: Call) -> Call:
-    """The same call, whose inputs fill the room of its class."""
-    vertices, faces, table = call.inputs
-    inputs = _longer(vertices, kind.vertices), _longer(faces, kind.faces), table.to(faces.device)
-    return Call(call.key, call.work, inputs, is_for_many=True)
-
-
-def _longer(given: Tensor, rows: int) -> Tensor:
-    found = given.new_zeros((rows, given.shape[1]))
-    found[: given.shape[0]] = given
-    return found
-
-
-def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: int, grid: Grid) -> None:
-    """Write the numbers that kernels read about a mesh and its grid: (TABLE,) float64."""
+    Args:
+        table: Memory of TABLE numbers of 8 bytes.
+        kind: The class.
+        faces: Of the mesh.
+        vertices: Of the mesh.
+        grid: Of the map.
+        addresses: Where its arrays are, and where results go, see `sdm.kernels.topology.filler_faces`.
+    """
     # Lists, as NumPy takes longer to write a few numbers than all else here.
     own: list[float] = [0.0] * SLAB_ROW
     own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape
@@ -76,13 +66,14 @@ def write_table(table: np.ndarray, kind: CapacityClass, faces: int, vertices: in
     parts[PART_SIZE + DEPTH], parts[PART_SIZE + ROOT] = depth_for(behind), 2 << depth
     counts = [0] * COUNTS
     counts[FACES], counts[VERTICES] = faces, vertices
-    _FORMAT.pack_into(table.data, 0, *own, *none, *counts, *parts)
+    _FORMAT.pack_into(table, 0, *own, *none, *addresses, *counts, *parts)
 
 
-def split_table(table: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Both slabs' rows, the counts, and both meshes' parts, of a table on the device."""
-    counts, parts = table[_ROWS:].view(torch.int32)[:_NUMBERS].split([COUNTS, 2 * PART_SIZE])
-    return table[:_ROWS], counts, parts
+def split_table(table: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Both slabs' rows, the addresses, the counts, and both meshes' parts, of a table on the device."""
+    rows, addresses, numbers = table.split([_ROWS, ADDRESSES, TABLE - _ROWS - ADDRESSES])
+    counts, parts = numbers.view(torch.int32)[:_NUMBERS].split([COUNTS, 2 * PART_SIZE])
+    return rows, addresses.view(torch.int64), counts, parts
 
 
 def both_slabs(kind: CapacityClass, rows: Tensor) -> Any:

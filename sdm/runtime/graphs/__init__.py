@@ -3,7 +3,8 @@
 A map takes about 60 launches, which take the host longer than a GPU needs to run many of them. So the third call of one
 kind (the same grid, numbers of meshes, vertices, faces and boundary edges, on one device) is recorded as a CUDA graph,
 and those that follow copy their tensors into the recording's, launch it and copy the result out. What one recording
-serves whatever its counts (`sdm.engine.capacity`) is recorded at the second call. The values are the same bits. Calls
+serves whatever its counts (`sdm.engine.capacity`) is recorded at the first call, which it serves too, and takes no
+copies: a table in pinned memory tells it where tensors are. The values are the same bits. Calls
 that want gradients, those inside `torch.compile` or another graph's capture, and results larger than 512 MiB are not
 recorded.
 
@@ -20,7 +21,9 @@ from sdm.runtime.graphs.captured_call import Verify, Work, unverified
 from sdm.runtime.graphs.graph_cache import CALLS
 from sdm.runtime.graphs.replay import (
     Call,
+    TableCall,
     attempt,
+    attempt_by_table,
     clear,
     enable,
     is_recorded,
@@ -34,9 +37,11 @@ from sdm.runtime.graphs.replay import (
 __all__ = [
     "CALLS",
     "Call",
+    "TableCall",
     "Verify",
     "Work",
     "attempt",
+    "attempt_by_table",
     "clear",
     "enable",
     "is_recorded",

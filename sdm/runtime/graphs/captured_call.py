@@ -1,9 +1,10 @@
-"""One recorded call: a CUDA graph with tensors of its own."""
+"""One recorded call: a CUDA graph with memory of its own."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import torch
@@ -19,7 +20,7 @@ from sdm.runtime.torch_warp import on_current_stream
 Verify: TypeAlias = Callable[..., None]
 Tensors: TypeAlias = tuple[Tensor, ...]
 # Takes a `Verify` and tensors, gives tensors.
-Work: TypeAlias = Callable[..., Tensors]
+Work: TypeAlias = Callable[..., Any]
 # Takes a recording's own tensors, gives new ones, or None if they are not what was wanted.
 Finish: TypeAlias = Callable[[Tensors], "Tensors | None"]
 
@@ -31,106 +32,52 @@ def unverified(flags: Tensor, told: int = 0) -> None:
     """The `Verify` of work whose guesses are known to be right, or whose results nobody looks at."""
 
 
-class CapturedCall:
-    """`work(verify, *inputs)`, recorded: for other inputs of the same shapes.
+class Recording:
+    """A call's work as a CUDA graph, and what it tells the host.
 
     Args:
         pool: Where to take memory.
-        work: Queues kernels.
-        inputs: As those to come; the work is done once with them, without a result.
+        device: Of the work.
     """
 
-    def __init__(self, pool: MemoryPool, work: Work, inputs: Tensors) -> None:
+    def __init__(self, pool: MemoryPool, device: torch.device) -> None:
         self.lock = threading.Lock()
-        self._pool = pool
-        self._device = inputs[0].device
+        self._pool, self._device = pool, device
         self._guesses, self._count, self._told = False, 0, 0
-        self._held = InputCache(pool, len(inputs))
         self._verified = torch.cuda.Event(external=True)
-        with (
-            torch.cuda.device(self._device),
-            torch.inference_mode(False),
-            torch.no_grad(),
-            torch.autocast("cuda", enabled=False),
-        ):
-            self._slot = OutputSlot(self._device)
-            self._flags = torch.zeros(MOST_FLAGS, dtype=torch.int32, pin_memory=True)
-            # Loads what is loaded on first use, which a capture does not allow.
-            work(unverified, *inputs)
-            stream, handle = pool.open()
-            side_streams(stream.device_index)
-            before = torch.cuda.memory_reserved()
-            with torch.cuda.stream(stream), on_current_stream(inputs[0]) as device:
-                self._capture(work, inputs, device.stream, handle)
-            pool.nbytes += max(0, torch.cuda.memory_reserved() - before)
-            self._slot_is_made(torch.cuda.current_stream())
+        self._flags = torch.zeros(MOST_FLAGS, dtype=torch.int32, pin_memory=True)
+        # The same memory: the host writes and reads a few numbers.
+        self._said = self._flags.numpy()
 
-    def _slot_is_made(self, stream: torch.cuda.Stream) -> None:
-        """A launch on another stream waits until the slot's memory is this recording's."""
-        last = self._pool.last
-        if last is not None:
-            # And, as every launch, for the one before.
-            stream.wait_event(last)
-            last.record(stream)
-
-    def _capture(self, work: Work, inputs: Tensors, stream: wp.Stream, handle: Any) -> None:
+    def _record(self, queue: Callable[[], None]) -> None:
+        """Make the graph of what `queue` queues, in memory that goes with the graph."""
+        stream, handle = self._pool.open()
+        side_streams(stream.device_index)
+        before = torch.cuda.memory_reserved()
         self._graph = torch.cuda.CUDAGraph()
-        # Other threads go on with what they do, on other streams.
-        self._graph.capture_begin(pool=handle, capture_error_mode="thread_local")
-        try:
-            # Warp is told, so that its memory for sorting becomes the graph's, and its kernels stay loaded.
-            wp.capture_begin(stream=stream, external=True, force_module_load=False)
+        with torch.cuda.stream(stream), on_current_stream(self._place()) as device:
+            # Other threads go on with what they do, on other streams.
+            self._graph.capture_begin(pool=handle, capture_error_mode="thread_local")
             try:
-                self._inputs = tuple(torch.empty_like(given) for given in inputs)
-                with capturing_into(self._slot):
-                    self._results = work(self._verify, *self._inputs)
+                # Warp is told, so that its memory for sorting becomes the graph's, and its kernels stay loaded.
+                wp.capture_begin(stream=device.stream, external=True, force_module_load=False)
+                try:
+                    queue()
+                finally:
+                    self._warp = wp.capture_end(stream=device.stream)
             finally:
-                self._warp = wp.capture_end(stream=stream)
-        finally:
-            self._graph.capture_end()
+                self._graph.capture_end()
+        self._pool.nbytes += max(0, torch.cuda.memory_reserved() - before)
+
+    def _place(self) -> Tensor:
+        """A tensor without content on the device."""
+        return torch.empty(0, device=self._device)
 
     def _verify(self, flags: Tensor, told: int = 0) -> None:
         self._guesses = True
         self._count, self._told = flags.shape[0], told
         self._flags[: self._count].copy_(flags, non_blocking=True)
         self._verified.record()
-
-    def launch(self, inputs: Tensors, finish: Finish | None = None) -> Tensors | None:
-        """Queue the work for these inputs on the current stream of their device: new tensors.
-
-        Or what `finish` makes of the recording's own, which the next launch of any recording may write over.
-        """
-        last = self._pool.last
-        if last is None:
-            raise RuntimeError("a pool without a recording")
-        with torch.cuda.device(self._device), torch.no_grad():
-            # By its number, as torch looks for the current device otherwise.
-            stream = torch.cuda.current_stream(self._device.index)
-            stream.wait_event(last)
-            try:
-                return self._queue(inputs, stream, finish)
-            finally:
-                last.record(stream)
-
-    def _queue(self, inputs: Tensors, stream: torch.cuda.Stream, finish: Finish | None) -> Tensors | None:
-        self._held.begin()
-        for index, given in enumerate(inputs):
-            if given.numel() and not self._held.holds(index, given):
-                own = self._inputs[index]
-                # Of inputs that need not fill their room, the kernels know how many rows there are.
-                (own if own.shape == given.shape else own[: given.shape[0]]).copy_(given, non_blocking=True)
-                if given.is_cuda:
-                    given.record_stream(stream)
-                self._held.copied(index, given)
-        if self._guesses:
-            self._flags[: self._count].fill_(PENDING)
-        # The first result, if it is a map, is written to the slot's new tensor; the others are copied.
-        values = self._slot.new_output()
-        self._graph.replay()
-        if finish is not None:
-            return finish(self._results)
-        first = () if values is None else (values,)
-        return *first, *(result.clone() for result in self._results[len(first) :])
 
     def guessed_right(self) -> tuple[bool, list[int]]:
         """True if the last launch's guess was right, and all numbers handed to `verify`.
@@ -140,9 +87,137 @@ class CapturedCall:
         if not self._guesses:
             return True, []
         self._verified.synchronize()
-        said = self._flags.tolist()
+        said = self._said[: self._count].tolist()
         if PENDING in said and self._pool.last is not None:
             # A driver that does not take launches into account: the results' own event comes last.
             self._pool.last.synchronize()
-            said = self._flags.tolist()
-        return not any(said[: self._count - self._told]), said[: self._count]
+            said = self._said[: self._count].tolist()
+        return not any(said[: self._count - self._told]), said
+
+
+class CapturedCall(Recording):
+    """`work(verify, *inputs)`, recorded: for other inputs of the same shapes.
+
+    Args:
+        pool: Where to take memory.
+        work: Queues kernels, and gives tensors.
+        inputs: As those to come; the work is done once with them, without a result.
+    """
+
+    def __init__(self, pool: MemoryPool, work: Work, inputs: Tensors) -> None:
+        super().__init__(pool, inputs[0].device)
+        self._held = InputCache(pool, len(inputs))
+        with _plain(self._device):
+            self._slot = OutputSlot(self._device)
+            # Loads what is loaded on first use, which a capture does not allow.
+            work(unverified, *inputs)
+
+            def queue() -> None:
+                self._inputs = tuple(torch.empty_like(given) for given in inputs)
+                with capturing_into(self._slot):
+                    self._results = work(self._verify, *self._inputs)
+
+            self._record(queue)
+            # A launch on another stream waits until the slot's memory is this recording's.
+            stream = torch.cuda.current_stream()
+            pool.wait(stream)
+            pool.launched(stream)
+
+    def launch(self, inputs: Tensors, finish: Finish | None = None) -> Tensors | None:
+        """Queue the work for these inputs on the current stream of their device: new tensors.
+
+        Or what `finish` makes of the recording's own, which the next launch of any recording may write over.
+        """
+        with torch.cuda.device(self._device), torch.no_grad():
+            # By its number, as torch looks for the current device otherwise.
+            stream = torch.cuda.current_stream(self._device.index)
+            self._pool.wait(stream)
+            try:
+                return self._queue(inputs, stream, finish)
+            finally:
+                self._pool.launched(stream)
+
+    def _queue(self, inputs: Tensors, stream: torch.cuda.Stream, finish: Finish | None) -> Tensors | None:
+        self._held.begin()
+        for index, given in enumerate(inputs):
+            if given.numel() and not self._held.holds(index, given):
+                self._inputs[index].copy_(given, non_blocking=True)
+                given.record_stream(stream)
+                self._held.copied(index, given)
+        if self._guesses:
+            self._said[: self._count] = PENDING
+        # The first result, if it is a map, is written to the slot's new tensor; the others are copied.
+        values = self._slot.new_output()
+        self._graph.replay()
+        if finish is not None:
+            return finish(self._results)
+        first = () if values is None else (values,)
+        return *first, *(result.clone() for result in self._results[len(first) :])
+
+
+class TableRecording(Recording):
+    """`work(verify, table)`, recorded: a table on the host says where its inputs are, and where results go.
+
+    So a launch is all that the host asks the driver for.
+
+    Args:
+        pool: Where to take memory.
+        work: Queues kernels that read the table from pinned memory, and write results to addresses in it.
+        table: Where it is done once, and its length in numbers of 8 bytes, and what writes it, see `TableCall`.
+    """
+
+    def __init__(self, pool: MemoryPool, work: Work, table: tuple[torch.device, int, Callable[[Any], Any]]) -> None:
+        device, length, fill = table
+        super().__init__(pool, device)
+        with _plain(device):
+            # Loads what is loaded on first use. With a table of its own, which goes once it was read.
+            once = _pinned(length)
+            results = fill(once.numpy())
+            work(unverified, once)
+            del results
+            self._table = _pinned(length)
+            self._room = self._table.numpy()
+            self._record(lambda: work(self._verify, self._table))
+
+    def launch(self, fill: Callable[[Any], Any], reads: Tensors) -> Any:
+        """Queue the work on the current stream: what `fill` gives, new tensors, which the work will fill.
+
+        Args:
+            fill: Writes the table.
+            reads: The tensors whose addresses it writes and which are read.
+        """
+        if self._device.index != torch.cuda.current_device():
+            with torch.cuda.device(self._device):
+                return self.launch(fill, reads)
+        stream = torch.cuda.current_stream(self._device.index)
+        if self._guesses:
+            if self._said[0] == PENDING:
+                # A launch that nobody waited for: it still may have to read the table.
+                self.guessed_right()
+            self._said[: self._count] = PENDING
+        results = fill(self._room)
+        for given in reads:
+            given.record_stream(stream)
+        self._pool.wait(stream)
+        try:
+            self._pool.launches += 1
+            self._graph.replay()
+        finally:
+            self._pool.launched(stream)
+        return results
+
+
+def _pinned(length: int) -> Tensor:
+    return torch.empty(length, dtype=torch.float64, device="cpu", pin_memory=True)
+
+
+@contextmanager
+def _plain(device: torch.device) -> Iterator[None]:
+    """On a device, without what a caller may have turned on."""
+    with (
+        torch.cuda.device(device),
+        torch.inference_mode(False),
+        torch.no_grad(),
+        torch.autocast("cuda", enabled=False),
+    ):
+        yield

@@ -9,14 +9,15 @@ from __future__ import annotations
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from typing import Any
 
-from sdm.runtime.graphs.captured_call import CapturedCall, Tensors, Work
+from sdm.runtime.graphs.captured_call import CapturedCall, Recording, Work
 from sdm.runtime.graphs.memory_pool import MemoryPool
 
 # A call is recorded once it has come this often, as a recording takes as long as some calls.
 CALLS = 3
-# One that serves calls of many kinds is recorded so many calls earlier.
-EARLIER = 1
+# One that serves calls of many kinds is recorded before the first of them, which it serves too.
+CALLS_OF_MANY = 1
 # One that has to make room before it was used so often was not worth it (a recording takes 12 ms and saves up to 1.5 ms
 # a call): from then on calls have to come twice as often, up to a limit, until one is used much more often than that.
 # Otherwise many keys by turns, as of a folder of meshes, would be recorded again and again.
@@ -28,7 +29,7 @@ FEW_RECORDINGS = 4
 # Keys whose calls are counted.
 MOST_KEYS = 64
 _REFUSED = -(1 << 62)
-_NEEDED = {False: CALLS, True: CALLS - EARLIER}
+_NEEDED = {False: CALLS, True: CALLS_OF_MANY}
 
 
 class GraphCache:
@@ -43,13 +44,13 @@ class GraphCache:
     def __init__(
         self,
         most: int,
-        capture: Callable[[MemoryPool, Work, Tensors], CapturedCall] = CapturedCall,
+        capture: Callable[[MemoryPool, Work, Any], Recording] = CapturedCall,
         recordings: int = FEW_RECORDINGS,
     ) -> None:
         self._most, self._recordings = most, recordings
         self._capture = capture
         self._pool = MemoryPool()
-        self._captured: OrderedDict[Hashable, CapturedCall] = OrderedDict()
+        self._captured: OrderedDict[Hashable, Recording] = OrderedDict()
         self._calls: OrderedDict[Hashable, int] = OrderedDict()
         self._used: dict[Hashable, int] = {}
         self._for_many: set[Hashable] = set()
@@ -66,7 +67,7 @@ class GraphCache:
     def __contains__(self, key: Hashable) -> bool:
         return key in self._captured
 
-    def find(self, key: Hashable) -> CapturedCall | None:
+    def find(self, key: Hashable) -> Recording | None:
         """The recording of the calls with a key, if there is one."""
         found = self._captured.get(key)
         if found is not None:
@@ -76,10 +77,17 @@ class GraphCache:
                 self._needed[key in self._for_many] = _NEEDED[key in self._for_many]
         return found
 
-    def count(self, key: Hashable, work: Work, inputs: Tensors, for_many: bool = False) -> None:
-        """Count a call that went without a recording, and record it if it came often enough.
+    def count(
+        self,
+        key: Hashable,
+        work: Work,
+        inputs: Any,
+        for_many: bool = False,
+        capture: Callable[[MemoryPool, Work, Any], Recording] | None = None,
+    ) -> None:
+        """Count a call that has no recording, and record it if it came often enough.
 
-        `for_many`: the recording will serve calls of many kinds.
+        `for_many`: the recording will serve calls of many kinds. `capture`: what makes it, if not the cache's own.
         """
         self._calls[key] = self._calls.pop(key, 0) + 1
         while len(self._calls) > MOST_KEYS:
@@ -92,7 +100,7 @@ class GraphCache:
             self._raise_threshold(for_many, self._used[oldest])
             self.drop(oldest)
         try:
-            made = self._capture(self._pool, work, inputs)
+            made = (capture or self._capture)(self._pool, work, inputs)
         except RuntimeError as error:
             # The call itself has its result.
             self._calls[key] = _REFUSED

@@ -29,7 +29,9 @@ class MemoryPool:
         self.launches = 0
         self._handle: Any = None
         self._stream: torch.cuda.Stream | None = before._stream if before else None
+        # The last launch of all, and if it was on the default stream.
         self.last: torch.cuda.Event | None = before.last if before else None
+        self._by_default = before._by_default if before else False
 
     def open(self) -> tuple[torch.cuda.Stream, Any]:
         """The stream to record on and torch's handle of the pool, of the current device."""
@@ -40,6 +42,20 @@ class MemoryPool:
         if self._handle is None:
             self._handle = torch.cuda.graph_pool_handle()
         return self._stream, self._handle
+
+    def wait(self, stream: torch.cuda.Stream) -> None:
+        """Make a stream wait for the last launch."""
+        # On the default stream all is in order: to say so takes the host as long as a launch. Of others it is not known
+        # whether one that has the handle of another is that one.
+        if self.last is not None and not (self._by_default and stream.cuda_stream == 0):
+            stream.wait_event(self.last)
+
+    def launched(self, stream: torch.cuda.Stream) -> None:
+        """Take note of a launch on a stream."""
+        if self.last is None:
+            raise RuntimeError("a pool without a recording")
+        self.last.record(stream)
+        self._by_default = stream.cuda_stream == 0
 
 
 class InputCache:

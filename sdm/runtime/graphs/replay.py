@@ -9,14 +9,25 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
-from sdm.runtime.graphs.captured_call import Finish, Tensors, Work, unverified
+from sdm.runtime.graphs.captured_call import (
+    CapturedCall,
+    Finish,
+    Recording,
+    TableRecording,
+    Tensors,
+    Work,
+    unverified,
+)
 from sdm.runtime.graphs.graph_cache import GraphCache
 from sdm.runtime.operators import is_eager
 
+# What a call by table gives.
+R = TypeVar("R")
 # The part of a device's memory that recordings may keep.
 SHARE = 16
 # And how many they are: a folder of meshes has a dozen capacity classes and more (`sdm.engine.capacity`).
@@ -65,15 +76,33 @@ class Call:
         finish: Makes new tensors of what a recording's work gave, on the current stream: of results whose lengths the
             host has to read first, which it may do here, while no other recording of the device is launched. None says
             that the work rested on a wrong guess.
-        is_for_many: True if a recording serves calls that differ in more than what their tensors hold: it is made after
-            fewer calls.
     """
 
     key: Hashable
     work: Work
     inputs: Tensors
     finish: Finish | None = None
-    is_for_many: bool = False
+
+
+class TableCall(NamedTuple, Generic[R]):
+    """A call whose recording serves calls that differ in more than what their tensors hold.
+
+    Args:
+        key: Calls with equal keys do the same with tables of the same length.
+        work: `work(verify, table)` queues kernels, as that of a `Call`; `table` is a tensor on the host, pinned for a
+            GPU. Results go where the table says.
+        device: Of the work.
+        length: Of the table, in numbers of 8 bytes.
+        fill: Writes the table, an array of the host, and gives the new tensors whose addresses are in it.
+        reads: The tensors that the work reads by address.
+    """
+
+    key: Hashable
+    work: Work
+    device: torch.device
+    length: int
+    fill: Callable[[Any], R]
+    reads: Tensors
 
 
 def supports(tensor: Tensor) -> bool:
@@ -130,21 +159,44 @@ def replay(call: Call) -> Tensors | None:
 def attempt(call: Call) -> tuple[Tensors | None, list[int]]:
     """As `replay`, and all numbers handed to `verify`; the recording is kept, as the next guess may be right.
 
-    No numbers if there is no recording. Inputs may have fewer rows than the recording's, if its work is told how many
-    they are.
+    No numbers if there is no recording.
     """
-    cache = _caches.get(call.inputs[0].device)
-    if cache is None:
+    captured = _find(call.inputs[0].device, call.key)
+    if not isinstance(captured, CapturedCall):
         return None, []
-    with _lock:
-        captured = cache.find(call.key)
-        if captured is None:
-            return None, []
     with captured.lock:
         with _lock:
             results = captured.launch(call.inputs, call.finish)
         right, said = captured.guessed_right() if results is not None else (False, [])
     return (results if right else None), said
+
+
+def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
+    """The results of a call by its recording, which is made if there is none and it is time, and what it told.
+
+    None and no numbers if there is none; None if the recording's guess was wrong.
+    """
+    captured = _find(call.device, call.key)
+    if captured is None:
+        with _lock:
+            table = call.device, call.length, call.fill
+            _cache_of(call.device).count(call.key, call.work, table, for_many=True, capture=TableRecording)
+        captured = _find(call.device, call.key)
+    if not isinstance(captured, TableRecording):
+        return None, []
+    with captured.lock:
+        with _lock:
+            results: R = captured.launch(call.fill, call.reads)
+        right, said = captured.guessed_right()
+    return (results if right else None), said
+
+
+def _find(device: torch.device, key: Hashable) -> Recording | None:
+    cache = _caches.get(device)
+    if cache is None:
+        return None
+    with _lock:
+        return cache.find(key)
 
 
 def note(call: Call) -> None:
@@ -159,13 +211,16 @@ def is_recorded(device: torch.device, key: Hashable) -> bool:
 
 
 def record(call: Call) -> None:
-    """Count a call that was made without a recording: the third with its key is recorded, or the second of many."""
-    device = call.inputs[0].device
+    """Count a call that was made without a recording: the third with its key is recorded."""
     with _lock:
-        if device not in _caches:
-            if not _caches:
-                # Before torch and CUDA are taken apart.
-                atexit.register(clear)
-            most = torch.cuda.get_device_properties(device).total_memory // SHARE
-            _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
-        _caches[device].count(call.key, call.work, call.inputs, call.is_for_many)
+        _cache_of(call.inputs[0].device).count(call.key, call.work, call.inputs)
+
+
+def _cache_of(device: torch.device) -> GraphCache:
+    if device not in _caches:
+        if not _caches:
+            # Before torch and CUDA are taken apart.
+            atexit.register(clear)
+        most = torch.cuda.get_device_properties(device).total_memory // SHARE
+        _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
+    return _caches[device]

@@ -11,20 +11,20 @@ from sdm.bench.common.meshes import load_case
 from sdm.bench.dense.first import split
 from sdm.engine.capacity.class_calls import class_call
 from sdm.engine.capacity.classes import bounds_of, class_of
-from sdm.engine.capacity.tables import TABLE, class_inputs, to_record, write_table
+from sdm.engine.capacity.tables import TABLE, write_table
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.bvh.tree import COUNT, FIRST, PART_SIZE, ROOT, depth_for
 from sdm.kernels.geometry.voxel_grid import AXES, ORIGIN, REGION, SHAPE, SLAB_ROW, VOXEL
-from sdm.kernels.topology.filler_faces import COUNTS
+from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS
 from sdm.topology.face_pairing import neighbours
+from tests.helpers.by_table import by_table
 
 
 def _class_map(vertices, faces, grid):
     kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    call = to_record(kind, class_call(kind, class_inputs(kind, vertices, faces, grid)))
-    flags = []
-    values, around = call.work(flags.append, *call.inputs)
-    return kind, values[0], around[: faces.shape[0]], flags[0]
+    found, flags, told = by_table(class_call(kind, vertices, faces, grid))
+    assert told == 0
+    return kind, found.values, found.neighbours, flags
 
 
 @pytest.mark.parametrize("name", ["torus-1000", "touching cubes", "needle box", "nested shells", "zero-area faces"])
@@ -37,7 +37,7 @@ def test_the_same_bits(name, turned):
     direction = [[0, 1, 0], [1, 0, 0], [0, 0, 1]] if turned else np.eye(3)
     grid = sdm.Grid(low - 0.07, (high - low).max() / 20 * np.ones(3), (24, 20, 27), direction)
     _, values, around, flags = _class_map(vertices, faces, grid)
-    assert not flags.any()
+    assert not any(flags)
     assert torch.equal(around, neighbours(faces, len(vertices)))
     assert torch.equal(values, sdm.MeshIndex((vertices, faces), "cpu", warn=False).signed_distance_map(grid).values)
 
@@ -57,14 +57,15 @@ def test_the_table_has_every_entry_in_its_place():
     grid = sdm.Grid([1, 2, 3], [0.1, 0.2, 0.3], [10, 11, 12], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
     kind = class_of(1000, 500, grid, None)
     table = np.zeros(TABLE)
-    write_table(table, kind, 1000, 500, grid)
+    write_table(table, kind, 1000, 500, grid, (11, 12, 13, 14, 15))
     own, none = table[: 2 * SLAB_ROW].reshape(2, SLAB_ROW)
     assert tuple(own[ORIGIN : ORIGIN + 3]) == (1, 2, 3)
     assert tuple(own[SHAPE : SHAPE + 3]) == (10, 11, 12)
     assert tuple(own[AXES : AXES + 9]) == (0, 0.2, 0, 0.1, 0, 0, 0, 0, 0.3)
     assert tuple(none[SHAPE : SHAPE + 3]) == (0, 0, 0)
     assert (none[VOXEL], none[REGION]) == (grid.size, kind.plan.total)
-    numbers = table[2 * SLAB_ROW :].view(np.int32)
+    assert table[2 * SLAB_ROW :].view(np.int64)[:ADDRESSES].tolist() == [11, 12, 13, 14, 15]
+    numbers = table[2 * SLAB_ROW + ADDRESSES :].view(np.int32)
     assert numbers[:COUNTS].tolist() == [1000, 500]
     parts = numbers[COUNTS:][: 2 * PART_SIZE].reshape(2, PART_SIZE)
     assert parts[:, FIRST].tolist() == [0, 1000]
@@ -89,7 +90,7 @@ def test_open_meshes_and_wrong_indices_are_told():
     grid = sdm.Grid([-1] * 3, [0.2] * 3, [10] * 3)
     last = len(vertices) - 1
     for wrong in (faces[1:].contiguous(), faces.where(faces != 7, last + 1), faces.where(faces != 7, -1)):
-        assert _class_map(vertices, wrong, grid)[3].any()
+        assert any(_class_map(vertices, wrong, grid)[3])
 
 
 @pytest.mark.parametrize("faces", [1, 1280, 1281, 5120, 5121, 20480, 20481, 81920, 81921, 122880, 122881, 1_000_000])

@@ -17,6 +17,7 @@ from sdm.errors import MeshError
 from sdm.runtime import graphs
 from sdm.topology import guesses
 from sdm.topology.face_pairing import is_known, pairing_of
+from tests.helpers.by_table import by_table
 
 GRID = sdm.Grid([-1.4] * 3, [0.2] * 3, [15] * 3)
 CLOSED, OPEN = "class", "open class"
@@ -30,20 +31,15 @@ def went(monkeypatch):
     monkeypatch.setattr(maps, "USE_CLASSES", True)
 
     def attempt(call):
-        said: list[int] = []
-        told = 0
-
-        def verify(flags, count=0):
-            nonlocal told
-            said.extend(flags.tolist())
-            told = count
-
-        found = call.work(verify, *_room(call.key[1], call.inputs))
         log.append(call.key[0])
-        return (None if any(said[: len(said) - told]) else found), said
+        if not graphs.is_recorded(call.device, call.key):
+            log[-1] += " is not there"
+            return None, []
+        found, numbers, told = by_table(call)
+        return (None if any(numbers[: len(numbers) - told]) else found), numbers
 
-    monkeypatch.setattr(graphs, "attempt", attempt)
-    monkeypatch.setattr(graphs, "note", lambda call: log.append(f"note {call.key[0]}"))
+    monkeypatch.setattr(graphs, "attempt_by_table", attempt)
+    monkeypatch.setattr(graphs, "note", lambda call: None)
     monkeypatch.setattr(graphs, "run", lambda call: call.work(graphs.unverified, *call.inputs))
 
     def speculate(guess, settle):
@@ -52,15 +48,6 @@ def went(monkeypatch):
 
     monkeypatch.setattr(graphs, "speculate", speculate)
     return log
-
-
-def _room(kind, inputs):
-    """The inputs as a recording has them, which fill the room of the class."""
-    vertices, faces, table = inputs
-    rows = torch.zeros(kind.vertices, 3), torch.zeros(kind.faces, 3, dtype=torch.int32)
-    for room, given in zip(rows, (vertices, faces), strict=True):
-        room[: len(given)] = given
-    return *rows, table
 
 
 def _recorded(monkeypatch, *names):
@@ -111,7 +98,13 @@ def test_a_closed_mesh_goes_to_its_class(went, monkeypatch):
 def test_the_open_class_serves_closed_ones_until_theirs_is_there(went, monkeypatch):
     _recorded(monkeypatch, OPEN)
     _map(_closed())
-    assert went == [OPEN, "note class"]
+    assert went == ["class is not there", OPEN]
+
+
+def test_no_open_class_is_made_for_a_closed_mesh_whose_class_is_not_due(went, monkeypatch):
+    _recorded(monkeypatch)
+    _map(_closed())
+    assert went == ["class is not there", "settle"]
 
 
 def test_an_open_mesh_that_looks_closed_goes_on_to_the_open_class(went, monkeypatch):
@@ -126,7 +119,7 @@ def test_an_open_mesh_that_looks_closed_goes_on_to_the_open_class(went, monkeypa
 def test_without_a_class_for_open_meshes(went, monkeypatch):
     _recorded(monkeypatch, CLOSED)
     _map(_open())
-    assert went == [CLOSED, "settle"]
+    assert went == ["open class is not there", "settle"]
 
 
 def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):

@@ -13,11 +13,11 @@ from sdm.bench.dense.launch_counts import as_on_a_gpu
 from sdm.engine.capacity.class_calls import open_class_call
 from sdm.engine.capacity.classes import MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
-from sdm.engine.capacity.tables import class_inputs, to_record
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.topology.boundary_loops import FLAGS, TANGLED, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import neighbours, pairing_of
+from tests.helpers.by_table import by_table
 
 
 def _flipped(seed):
@@ -72,26 +72,24 @@ def _grid(vertices, turned=False):
 
 def _class_map(vertices, faces, grid):
     kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    call = to_record(kind, open_class_call(kind, class_inputs(kind, vertices, faces, grid)))
-    said = []
-    found = call.work(lambda flags, told: said.extend([told, *flags.tolist()]), *call.inputs)
-    told, *numbers = said
+    found, numbers, told = by_table(open_class_call(kind, vertices, faces, grid))
     assert told == len(numbers) - FLAGS
-    return found, OpenBoundary.of_memory(found[1]), numbers
+    return found, OpenBoundary.of_memory(found.boundary), numbers
 
 
 def _same(mesh, grid):
     vertices, faces = (torch.from_numpy(np.ascontiguousarray(array)) for array in mesh)
-    (values, _, around, unmatched), boundary, numbers = _class_map(vertices, faces, grid)
+    found, boundary, numbers = _class_map(vertices, faces, grid)
     expected = sdm.MeshIndex((vertices, faces), "cpu", warn=False).signed_distance_map(grid)
     edges = boundary_edges(vertices, faces)
     assert numbers[:FLAGS] == [0] * FLAGS
     assert numbers[-1] == len(edges)
     assert torch.equal(boundary.edges[: len(edges)], edges)
-    assert torch.equal(around[: len(faces)], neighbours(faces, len(vertices)))
-    assert torch.equal(values[0], expected.values)
-    assert boundary.ambiguous.tolist() == [expected.ambiguous_voxels, 0]
-    assert unmatched.shape == (MOST_EDGES, 3)
+    assert torch.equal(found.neighbours, neighbours(faces, len(vertices)))
+    assert torch.equal(found.values, expected.values)
+    assert found.ambiguous.tolist() == [expected.ambiguous_voxels]
+    rows = numbers[FLAGS]
+    assert sorted(found.unmatched[:rows].tolist()) == sorted(pairing_of(faces, len(vertices)).unmatched.tolist())
     return numbers
 
 

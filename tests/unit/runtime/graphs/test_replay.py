@@ -13,7 +13,7 @@ from sdm.bench.common.meshes import load_case, sphere
 from sdm.engine import maps
 from sdm.runtime import graphs
 from sdm.runtime.graphs import replay
-from sdm.runtime.graphs.graph_cache import EARLIER, MOST_CALLS, MOST_KEYS, WELL_WORTH, WORTH, GraphCache
+from sdm.runtime.graphs.graph_cache import CALLS_OF_MANY, MOST_CALLS, MOST_KEYS, WELL_WORTH, WORTH, GraphCache
 from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.topology import face_pairing, guesses
 from sdm.topology.boundary_edges import boundary_edges
@@ -67,11 +67,12 @@ def test_faces_are_copied_again_once_they_changed_or_another_recording_was_launc
     assert [launched(one, moving, uncounted) for _ in range(2)] == [[False, False]] * 2
 
 
-def test_a_recording_for_many_is_made_one_call_earlier(cache):
-    for call in range(graphs.CALLS - EARLIER):
-        assert cache.find("a") is None, call
-        cache.count("a", 10, INPUTS, for_many=True)
+def test_a_recording_for_many_is_made_at_once(cache):
+    made = []
+    assert cache.find("a") is None
+    cache.count("a", 10, INPUTS, for_many=True, capture=lambda *args: made.append(1) or Stub(*args))
     assert isinstance(cache.find("a"), Stub)
+    assert len(made) == 1
 
 
 def test_recordings_for_many_stay_whatever_comes_for_one_kind(cache):
@@ -79,13 +80,13 @@ def test_recordings_for_many_stay_whatever_comes_for_one_kind(cache):
     for key in range(20):
         _note(cache, key, 1)
         if key == 0:
-            for _ in range(graphs.CALLS - EARLIER):
+            for _ in range(CALLS_OF_MANY):
                 cache.count("class", 1, INPUTS, for_many=True)
     assert cache.find("class") is not None
     # Those used too little have made the others wait, but not the next class.
     assert cache.needed > graphs.CALLS
     for number in range(4):
-        for _ in range(graphs.CALLS - EARLIER):
+        for _ in range(CALLS_OF_MANY):
             cache.count(("class", number), 1, INPUTS, for_many=True)
         assert cache.find(("class", number)) is not None
     # They make room among themselves.
@@ -255,8 +256,10 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
     grid = sdm.Grid.around(mesh, resolution=10)
     index = sdm.MeshIndex(mesh, "cpu")
     expected = index.signed_distance_map(grid)
-    noted = []
+    noted, tried = [], []
     monkeypatch.setattr(replay, "record", noted.append)
+    monkeypatch.setattr(graphs, "attempt_by_table", lambda call: tried.append(call) or (None, []))
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: False)
     monkeypatch.setattr(maps, "is_recordable", lambda vertices, nbytes: True)
     monkeypatch.setattr(maps, "USE_CLASSES", True)
     # New faces first, then known ones.
@@ -269,15 +272,16 @@ def test_what_is_recorded_gives_the_same_bits(monkeypatch, name):
     assert torch.equal(maps.batch_maps(mesh.vertices[None], faces, grid, None)[0], expected.values)
     assert torch.equal(maps.index_map(index._structure, grid)[0], expected.values)
     # The last two have more unmatched edges than are compared with each other.
-    ways = {"torus-500": ("class", "known"), "open hemisphere": ("open class", "unmoved")}
-    first, second = ways.get(name, ("known", "known"))
-    assert [call.key[0] for call in noted] == [first, second, second, "index"]
+    ways = {"torus-500": ("class", [], "known"), "open hemisphere": ("open class", [], "unmoved")}
+    by_class, first, second = ways.get(name, ("open class", ["known"], "known"))
+    assert [call.key[0] for call in tried] == [by_class]
+    assert [call.key[0] for call in noted] == [*first, second, second, "index"]
     for call in noted:
         flags = []
         found = call.work(lambda said, told=0: flags.append(said[: len(said) - told]), *call.inputs)  # noqa: B023
         assert torch.equal(found[0][0], expected.values)
         assert not any(found.any() for found in flags)
-        assert bool(flags) == (call.key[0] in ("class", "open class", "unmoved"))
+        assert bool(flags) == (call.key[0] == "unmoved")
 
 
 def test_a_wrong_guess_is_told():

@@ -1,0 +1,25 @@
+"""Calls by table, made on a CPU without a recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from sdm.runtime.graphs import TableCall
+
+
+def by_table(call: TableCall) -> tuple[Any, list[int], int]:
+    """What a call gives, all numbers that it told, and how many of these are no flags."""
+    table = torch.full((call.length,), torch.nan, dtype=torch.float64)
+    results = call.fill(table.numpy())
+    said: list[int] = []
+    told = 0
+
+    def verify(flags: torch.Tensor, count: int = 0) -> None:
+        nonlocal told
+        said.extend(flags.tolist())
+        told = count
+
+    call.work(verify, table)
+    return results, said, told
