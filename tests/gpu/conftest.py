@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from sdm.runtime.graphs.captured_call import CapturedCall
+from sdm.runtime.graphs.captured_call import CapturedCall, TableRecording
 
 
 @pytest.fixture
 def launches(monkeypatch):
     """Number of launches of recordings."""
     counted = []
-    plain = CapturedCall.launch
-    monkeypatch.setattr(CapturedCall, "launch", lambda *args: counted.append(1) or plain(*args))
+
+    def count(kind):
+        plain = kind.launch
+        monkeypatch.setattr(kind, "launch", lambda *args: counted.append(kind) or plain(*args))
+
+    count(CapturedCall)
+    count(TableRecording)
     return counted
