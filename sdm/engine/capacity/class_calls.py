@@ -14,8 +14,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.core.grid import Grid
+from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table

@@ -1,9 +1,9 @@
 """First maps of meshes by the recordings of their class: one for closed meshes, one for open ones.
 
-Whether a mesh is closed is known once its faces are paired. Which recording is launched first, and made if there is none,
-is a guess, by counts alone: the faces of a closed mesh are even in number, and as it has half as many edges again, its vertices are half as
-many as its faces, and two more for each part, two less for each handle. A hole adds a vertex for each two edges of its
-rim. The recording for open meshes serves closed ones too.
+Whether a mesh is closed is known once its faces are paired. Which recording is launched first, and made if there is
+none, is a guess, by counts alone: the faces of a closed mesh are even in number, and as it has half as many edges
+again, its vertices are half as many as its faces, and two more for each part, two less for each handle. A hole adds a
+vertex for each two edges of its rim. The recording for open meshes serves closed ones too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The numbers that a recording of a capacity class reads from memory: one table on the host for each of its launches."""
+"""The numbers that a recording of a capacity class reads from memory: a table on the host, written for each launch."""
 
 from __future__ import annotations
 

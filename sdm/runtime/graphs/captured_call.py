@@ -88,9 +88,9 @@ class Recording:
             return True, []
         self._verified.synchronize()
         said = self._said[: self._count].tolist()
-        if PENDING in said and self._pool.last is not None:
+        if PENDING in said:
             # A driver that does not take launches into account: the results' own event comes last.
-            self._pool.last.synchronize()
+            self._pool.finish()
             said = self._said[: self._count].tolist()
         return not any(said[: self._count - self._told]), said
 
@@ -120,8 +120,8 @@ class CapturedCall(Recording):
             self._record(queue)
             # A launch on another stream waits until the slot's memory is this recording's.
             stream = torch.cuda.current_stream()
-            pool.wait(stream)
-            pool.launched(stream)
+            pool.begin_launch(stream)
+            pool.end_launch(stream)
 
     def launch(self, inputs: Tensors, finish: Finish | None = None) -> Tensors | None:
         """Queue the work for these inputs on the current stream of their device: new tensors.
@@ -131,11 +131,11 @@ class CapturedCall(Recording):
         with torch.cuda.device(self._device), torch.no_grad():
             # By its number, as torch looks for the current device otherwise.
             stream = torch.cuda.current_stream(self._device.index)
-            self._pool.wait(stream)
+            self._pool.begin_launch(stream)
             try:
                 return self._queue(inputs, stream, finish)
             finally:
-                self._pool.launched(stream)
+                self._pool.end_launch(stream)
 
     def _queue(self, inputs: Tensors, stream: torch.cuda.Stream, finish: Finish | None) -> Tensors | None:
         self._held.begin()
@@ -198,12 +198,12 @@ class TableRecording(Recording):
         results = fill(self._room)
         for given in reads:
             given.record_stream(stream)
-        self._pool.wait(stream)
+        self._pool.begin_launch(stream)
         try:
             self._pool.launches += 1
             self._graph.replay()
         finally:
-            self._pool.launched(stream)
+            self._pool.end_launch(stream)
         return results
 
 

@@ -16,6 +16,15 @@ def _nothing() -> None:
     """As a reference to a tensor that is gone."""
 
 
+class _LastLaunch:
+    """The last launch of all recordings of a device."""
+
+    def __init__(self) -> None:
+        self.event = torch.cuda.Event()
+        # If it was on the default stream.
+        self.by_default = False
+
+
 class MemoryPool:
     """Memory that several recordings of one device share: each launch waits for the one before.
 
@@ -29,33 +38,37 @@ class MemoryPool:
         self.launches = 0
         self._handle: Any = None
         self._stream: torch.cuda.Stream | None = before._stream if before else None
-        # The last launch of all, and if it was on the default stream.
-        self.last: torch.cuda.Event | None = before.last if before else None
-        self._by_default = before._by_default if before else False
+        self._last: _LastLaunch | None = before._last if before else None
 
     def open(self) -> tuple[torch.cuda.Stream, Any]:
         """The stream to record on and torch's handle of the pool, of the current device."""
         if self._stream is None:
             self._stream = torch.cuda.Stream()
-        if self.last is None:
-            self.last = torch.cuda.Event()
+        if self._last is None:
+            self._last = _LastLaunch()
         if self._handle is None:
             self._handle = torch.cuda.graph_pool_handle()
         return self._stream, self._handle
 
-    def wait(self, stream: torch.cuda.Stream) -> None:
-        """Make a stream wait for the last launch."""
-        # On the default stream all is in order: to say so takes the host as long as a launch. Of others it is not known
-        # whether one that has the handle of another is that one.
-        if self.last is not None and not (self._by_default and stream.cuda_stream == 0):
-            stream.wait_event(self.last)
-
-    def launched(self, stream: torch.cuda.Stream) -> None:
-        """Take note of a launch on a stream."""
-        if self.last is None:
+    def begin_launch(self, stream: torch.cuda.Stream) -> None:
+        """Make a stream wait for the launch before."""
+        if self._last is None:
             raise RuntimeError("a pool without a recording")
-        self.last.record(stream)
-        self._by_default = stream.cuda_stream == 0
+        # On the default stream all is in order: to say so takes the host as long as a launch. Of two others with one
+        # handle nobody knows that they are one.
+        if not (self._last.by_default and stream.cuda_stream == 0):
+            stream.wait_event(self._last.event)
+
+    def end_launch(self, stream: torch.cuda.Stream) -> None:
+        """Take note of the launch that was queued on a stream."""
+        if self._last is not None:
+            self._last.event.record(stream)
+            self._last.by_default = stream.cuda_stream == 0
+
+    def finish(self) -> None:
+        """Wait for the last launch."""
+        if self._last is not None:
+            self._last.event.synchronize()
 
 
 class InputCache:
