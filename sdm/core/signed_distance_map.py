@@ -24,6 +24,8 @@ from sdm.errors import GridError, SDMError
 
 # Voxels whose signs are held at a time, a byte each.
 COUNTED_AT_ONCE = 1 << 22
+# What may be made when it is first asked for, and where the function that makes it is kept.
+_LATER = {"values": "_make", "ambiguous_voxels": "_count"}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -35,8 +37,9 @@ class SDM:
             `grid.origin + grid.spacing * (i,j,k)`.
         grid: Where the values live.
         ambiguous_voxels: How many voxels have a winding number within a quarter of 0.5, so that the mesh does
-            not clearly say whether they are inside. 0 for closed meshes; None where nobody counted. `inside_voxels`
-            is the number of negative values.
+            not clearly say whether they are inside. 0 for closed meshes; None where nobody counted. Of an open mesh's
+            map on a GPU it waits for the device when it is first read, as `inside_voxels` does, the number of negative
+            values.
         sign: The method that says what is inside: "winding" (the generalised winding number), "flood" (a flood from
             outside) or "none" (nothing does: all values are distances, of at least 0). None where nobody noted it.
         hole_size: Of "flood", the length of the narrowest gaps that the flood may pass.
@@ -113,13 +116,20 @@ class SDM:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            # Only of what is not there: values that are to be made.
-            make = self.__dict__.get("_make") if name == "values" else None
+            # Only of what is not there: what is to be made.
+            kept = _LATER.get(name, "")
+            make = self.__dict__.get(kept)
             if make is None:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            values = self.__dict__["values"] = make()
-            self.__dict__.pop("_make", None)
-            return values
+            found = self.__dict__[name] = make()
+            self.__dict__.pop(kept, None)
+            return found
+
+    def counted_later(self, count: Callable[[], int]) -> SDM:
+        """This map, whose ambiguous voxels `count` tells when they are first asked for, as that waits for a GPU."""
+        del self.__dict__["ambiguous_voxels"]
+        self.__dict__["_count"] = count
+        return self
 
     def with_values(self, values: Tensor) -> SDM:
         """A map with other values, and all else as it is."""

@@ -21,6 +21,7 @@ from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.points import at_points, search_needs_tree_alone
 from sdm.engine.repeated_faces import may_be_crowded
+from sdm.runtime.host_copy import number_later
 from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
@@ -128,7 +129,10 @@ def signed_distance_map(
         refuse_forward_mode(mesh.vertices)
         with memory_guard(grid.nbytes, mesh.device, described(grid)):
             values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
-        field = SDM(values, grid, 0 if ambiguous is None else int(ambiguous), sign="winding")
+        field = SDM(values, grid, 0, sign="winding")
+        if ambiguous is not None:
+            # Of an open mesh the host does not wait either.
+            field.counted_later(number_later(ambiguous))
     else:
         index = MeshIndex(mesh, where, warn=False)
         field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs)

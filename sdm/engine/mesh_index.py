@@ -35,6 +35,7 @@ from sdm.engine.ops import map_slab, points_distance, points_winding, structure_
 from sdm.engine.points import as_points, at_points
 from sdm.engine.repeated_faces import RepeatedFaces, may_be_crowded, repeated_faces
 from sdm.errors import MeshError
+from sdm.runtime.host_copy import number_later
 from sdm.runtime.operators import is_eager
 from sdm.runtime.torch_warp import refuse_forward_mode
 from sdm.topology.boundary_edges import boundary_edges
@@ -229,7 +230,8 @@ class MeshIndex:
             return SDM(values, grid, 0, sign="winding")
         if is_recordable(self.mesh.vertices, grid.nbytes + self._structure.nbytes):
             values, ambiguous = index_map(self._structure, grid)
-            return SDM(values, grid, 0 if self.closed else int(ambiguous), sign="winding")
+            field = SDM(values, grid, 0, sign="winding")
+            return field if self.closed else field.counted_later(number_later(ambiguous))
         unclear = []
 
         def slabs() -> Iterator[tuple[int, int, Tensor]]:

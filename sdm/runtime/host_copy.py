@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -49,6 +49,18 @@ class HostCopy(Generic[T]):
         if self._done is not None:
             self._done.synchronize()
         return self._make(self._host)
+
+
+def number_later(number: Tensor) -> Callable[[], int]:
+    """A function that reads a tensor of one number, which waits for the work of the stream that is current now."""
+    if number.device.type != "cuda":
+        return partial(int, number)
+    return partial(_number_by, torch.cuda.current_stream(number.device), number)
+
+
+def _number_by(stream: torch.cuda.Stream, number: Tensor) -> int:
+    with torch.cuda.stream(stream):
+        return int(number)
 
 
 class HostRows:

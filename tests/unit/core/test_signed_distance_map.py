@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.errors import GridError, SDMError
 from sdm.io import load
+from sdm.runtime.host_copy import number_later
 
 CENTRE = np.array([0.3, -0.2, 0.1])
 
@@ -158,3 +161,14 @@ def test_a_map_is_kept_by_torch(tmp_path):
         kept = torch.load(tmp_path / "map.pt", weights_only=weights_only)["map"]
         assert torch.equal(kept.values, field.values)
         assert (kept.grid, kept.ambiguous_voxels) == (field.grid, field.ambiguous_voxels)
+
+
+def test_ambiguous_voxels_are_counted_when_they_are_first_asked_for():
+    asked = []
+    grid = Grid([0] * 3, [1] * 3, [2] * 3)
+    field = SDM(torch.zeros(2, 2, 2), grid, 0).counted_later(lambda: asked.append(1) or 7)
+    assert not asked
+    moved = pickle.loads(pickle.dumps(field))
+    assert (field.ambiguous_voxels, moved.ambiguous_voxels, field.truncate(1.0).ambiguous_voxels) == (7, 7, 7)
+    assert len(asked) == 1
+    assert number_later(torch.tensor([5]))() == 5
