@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -37,7 +38,7 @@ _FORMAT = struct.Struct(f"={_ROWS}d{ADDRESSES}q{_NUMBERS}i")
 
 
 def write_table(
-    table: Any, kind: CapacityClass, faces: int, vertices: int, grid: Grid, addresses: tuple[int, int, int, int]
+    table: Any, kind: CapacityClass, faces: int, vertices: int, grid: Grid, addresses: Sequence[int]
 ) -> None:
     """Write what kernels read about a mesh and its grid.
 

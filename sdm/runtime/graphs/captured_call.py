@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeAlias
 
 import torch
@@ -111,17 +112,16 @@ class CapturedCall(Recording):
             self._slot = OutputSlot(self._device)
             # Loads what is loaded on first use, which a capture does not allow.
             work(unverified, *inputs)
-
-            def queue() -> None:
-                self._inputs = tuple(torch.empty_like(given) for given in inputs)
-                with capturing_into(self._slot):
-                    self._results = work(self._verify, *self._inputs)
-
-            self._record(queue)
+            self._record(partial(self._queue_own, work, inputs))
             # A launch on another stream waits until the slot's memory is this recording's.
             stream = torch.cuda.current_stream()
             pool.begin_launch(stream)
             pool.end_launch(stream)
+
+    def _queue_own(self, work: Work, alike: Tensors) -> None:
+        self._inputs = tuple(torch.empty_like(given) for given in alike)
+        with capturing_into(self._slot):
+            self._results = work(self._verify, *self._inputs)
 
     def launch(self, inputs: Tensors, finish: Finish | None = None) -> Tensors | None:
         """Queue the work for these inputs on the current stream of their device: new tensors.
