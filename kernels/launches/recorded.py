@@ -83,15 +83,25 @@ class RecordedLaunch:
                 self._fill(place, value)
             place += 1
         call = self._call
-        # Warp keeps the modules of what it records; and whoever watches launches sees them.
-        if call is None or warp_context.runtime.captures or wp.Launch.launch is not _PLAIN:
+        # Whoever watches launches sees them.
+        if call is None or wp.Launch.launch is not _PLAIN:
             command.launch()
         else:
             of_device, kernel, rest = call
             stream = command.device.stream.cuda_stream
+            if warp_context.runtime.captures:
+                self._keep_module(stream)
             if warp_context.runtime.core.wp_cuda_launch_kernel(of_device, kernel, count, *rest, stream, None):
                 # Once more, for the error.
                 command.launch()
+
+    def _keep_module(self, stream: int) -> None:
+        """As Warp does: the module of what is being recorded on a stream stays as long as the recording."""
+        runtime = warp_context.runtime
+        if runtime.core.wp_cuda_stream_is_capturing(stream):
+            graph = runtime.captures.get(runtime.core.wp_cuda_stream_get_capture_id(stream))
+            if graph is not None:
+                graph._retain_module_exec(self._command.module_exec)
 
     def _set_count(self, count: int) -> None:
         bounds = self._command.bounds

@@ -70,7 +70,8 @@ def class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid)
         write_table(table, kind, faces.shape[0], vertices.shape[0], grid, at)
         return ClassMap(values, neighbours)
 
-    return TableCall(class_key(kind), partial(_queue_closed_map, kind, device), device, TABLE, fill, (vertices, faces))
+    key, work = class_key(kind), partial(_queue_closed_map, kind, device)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0])
 
 
 def open_class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> TableCall[ClassMap]:
@@ -89,8 +90,8 @@ def open_class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: 
         write_table(table, kind, count, vertices.shape[0], grid, at)
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(MOST_EDGES, 3), boundary)
 
-    key = class_key(kind, is_open=True)
-    return TableCall(key, partial(_queue_open_map, kind, device), device, TABLE, fill, (vertices, faces))
+    key, work = class_key(kind, is_open=True), partial(_queue_open_map, kind, device)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0])
 
 
 class _Mesh(NamedTuple):

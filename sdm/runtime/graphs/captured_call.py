@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import torch
 import warp as wp
@@ -155,6 +155,26 @@ class CapturedCall(Recording):
         return *first, *(result.clone() for result in self._results[len(first) :])
 
 
+class Table(NamedTuple):
+    """The table of a `TableRecording`.
+
+    Args:
+        device: Of the work.
+        length: In numbers of 8 bytes.
+        fill: Writes it, and gives the new tensors whose addresses are in it.
+        family: Works of one family launch the same kernels, or nearly.
+    """
+
+    device: torch.device
+    length: int
+    fill: Callable[[Any], Any]
+    family: str
+
+
+# Families whose work was done on a device.
+_loaded: set[tuple[torch.device, str]] = set()
+
+
 class TableRecording(Recording):
     """`work(verify, table)`, recorded: a table on the host says where its inputs are, and where results go.
 
@@ -163,21 +183,30 @@ class TableRecording(Recording):
     Args:
         pool: Where to take memory.
         work: Queues kernels that read the table from pinned memory, and write results to addresses in it.
-        table: Where it is done once, and its length in numbers of 8 bytes, and what writes it, see `TableCall`.
+        table: What is known of that.
     """
 
-    def __init__(self, pool: MemoryPool, work: Work, table: tuple[torch.device, int, Callable[[Any], Any]]) -> None:
-        device, length, fill = table
-        super().__init__(pool, device)
-        with _plain(device):
-            # Loads what is loaded on first use. With a table of its own, which goes once it was read.
-            once = _pinned(length)
-            results = fill(once.numpy())
-            work(unverified, once)
-            del results
-            self._table = _pinned(length)
+    def __init__(self, pool: MemoryPool, work: Work, table: Table) -> None:
+        super().__init__(pool, table.device)
+        with _plain(table.device):
+            self._table = _pinned(table.length)
             self._room = self._table.numpy()
-            self._record(lambda: work(self._verify, self._table))
+            queue = partial(self._queue_own, work)
+            if (table.device, table.family) not in _loaded:
+                _do_once(work, table)
+                _loaded.add((table.device, table.family))
+                self._record(queue)
+                return
+            try:
+                # The work need not be done before, which would take as long again: what other sizes have of their own
+                # is loaded while it is recorded.
+                self._record(queue)
+            except RuntimeError:
+                _do_once(work, table)
+                self._record(queue)
+
+    def _queue_own(self, work: Work) -> None:
+        work(self._verify, self._table)
 
     def launch(self, fill: Callable[[Any], Any], reads: Tensors) -> Any:
         """Queue the work on the current stream: what `fill` gives, new tensors, which the work will fill.
@@ -205,6 +234,14 @@ class TableRecording(Recording):
         finally:
             self._pool.end_launch(stream)
         return results
+
+
+def _do_once(work: Work, table: Table) -> None:
+    """Load what is loaded on first use, by the work with a table that goes once it was read."""
+    once = _pinned(table.length)
+    results = table.fill(once.numpy())
+    work(unverified, once)
+    del results
 
 
 def _pinned(length: int) -> Tensor:

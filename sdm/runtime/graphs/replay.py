@@ -18,6 +18,7 @@ from sdm.runtime.graphs.captured_call import (
     CapturedCall,
     Finish,
     Recording,
+    Table,
     TableRecording,
     Tensors,
     Work,
@@ -95,6 +96,7 @@ class TableCall(NamedTuple, Generic[R]):
         length: Of the table, in numbers of 8 bytes.
         fill: Writes the table, an array of the host, and gives the new tensors whose addresses are in it.
         reads: The tensors that the work reads by address.
+        family: Works of one family launch the same kernels, or nearly.
     """
 
     key: Hashable
@@ -103,6 +105,7 @@ class TableCall(NamedTuple, Generic[R]):
     length: int
     fill: Callable[[Any], R]
     reads: Tensors
+    family: str
 
 
 def supports(tensor: Tensor) -> bool:
@@ -179,7 +182,7 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
     captured = _find(call.device, call.key)
     if captured is None:
         with _lock:
-            table = call.device, call.length, call.fill
+            table = Table(call.device, call.length, call.fill, call.family)
             _cache_of(call.device).count(call.key, call.work, table, for_many=True, capture=TableRecording)
         captured = _find(call.device, call.key)
     if not isinstance(captured, TableRecording):
