@@ -118,13 +118,21 @@ def shares_of(triangles: int, shape: Sequence[int], cell: int) -> tuple[int, int
     return of_region, min(of_cell, of_region)
 
 
+def leaves_are_long(triangles: int, shape: Sequence[int]) -> bool:
+    """True if lists are expected to be so long that some levels of the tree may be left out."""
+    return expected_list(triangles, shape, int(BLOCK)) >= LONG_FOR_LEAVES
+
+
 def levels_left_out(triangles: int, depth: int, shape: Sequence[int]) -> int:
     """Levels of a tree with 2^depth leaves that lists do without (see `tree.coarser`).
 
     From the slab's cross-section alone, as `expected_list`.
     """
-    if expected_list(triangles, shape, int(BLOCK)) < LONG_FOR_LEAVES:
-        return 0
+    return levels_of_large_leaves(triangles, depth) if leaves_are_long(triangles, shape) else 0
+
+
+def levels_of_large_leaves(triangles: int, depth: int) -> int:
+    """The same where lists are long."""
     levels = 0
     while levels < depth and triangles <= LARGEST_LEAF << (depth - levels - 1):
         levels += 1

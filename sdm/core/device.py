@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -41,17 +41,19 @@ def choose_device(wanted: str | torch.device | None, *tensors: Tensor | None) ->
         raise DeviceError(f"there is no device called {wanted!r}; use cpu, cuda or cuda:N") from None
     if device.type not in ("cpu", "cuda"):
         raise DeviceError(f"the device {wanted} is not supported; use cpu, cuda or cuda:N")
+    if device.type == "cpu":
+        return device
     # Where a tensor is, there is a device. To look for it takes as long as a few kernels.
-    there = any(t is not None and t.is_cuda and device.index in (None, t.device.index) for t in tensors)
-    if device.type == "cuda" and not there:
+    there = False
+    for tensor in tensors:
+        there = there or (tensor is not None and tensor.is_cuda and device.index in (None, tensor.device.index))
+    if not there:
         count = torch.cuda.device_count() if torch.cuda.is_available() else 0
         if count == 0:
             raise DeviceError(f"the device {wanted} was requested, but no CUDA device is there; use cpu")
         if device.index is not None and device.index >= count:
             raise DeviceError(f"the device {wanted} was requested, but there are only cuda:0 to cuda:{count - 1}")
-    if device.type == "cuda" and device.index is None:
-        device = torch.device("cuda", torch.cuda.current_device())
-    return device
+    return torch.device("cuda", torch.cuda.current_device()) if device.index is None else device
 
 
 def free_memory(device: torch.device) -> int:
@@ -90,24 +92,36 @@ def total_memory(device: torch.device) -> int:
     return torch.cuda.get_device_properties(device).total_memory
 
 
-@contextmanager
-def memory_guard(needed: int, device: torch.device, what: str) -> Iterator[None]:
+def memory_guard(needed: int, device: torch.device, what: str | Callable[[], str]) -> AbstractContextManager[None]:
     """Refuse what cannot fit, as `require_memory`, but of a GPU's memory only what is large is asked about beforehand.
 
-    To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence.
+    To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence. `what`: what
+    it is that needs so many bytes, or a function that says so.
     """
-    if device.type != "cuda" or torch.compiler.is_compiling():
-        if needed >= SMALL:
-            require_memory(needed, device, what)
-        yield
-        return
-    if needed > total_memory(device) // SHARE_UNASKED:
-        require_memory(needed, device, what)
-    try:
-        yield
-    except torch.OutOfMemoryError:
-        _refuse_beyond(free_memory(device), needed, device, what)
-        raise
+    return _MemoryGuard(needed, device, what)
+
+
+class _MemoryGuard(AbstractContextManager[None]):
+    # Not by `contextmanager`, which takes the host longer than the rest of it.
+    __slots__ = ("_device", "_needed", "_what")
+
+    def __init__(self, needed: int, device: torch.device, what: str | Callable[[], str]) -> None:
+        self._needed, self._device, self._what = needed, device, what
+
+    def _name(self) -> str:
+        return self._what if isinstance(self._what, str) else self._what()
+
+    def __enter__(self) -> None:
+        needed, device = self._needed, self._device
+        if device.type != "cuda" or torch.compiler.is_compiling():
+            if needed >= SMALL:
+                require_memory(needed, device, self._name())
+        elif needed > total_memory(device) // SHARE_UNASKED:
+            require_memory(needed, device, self._name())
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
+        if kind is not None and issubclass(kind, torch.OutOfMemoryError) and self._device.type == "cuda":
+            _refuse_beyond(free_memory(self._device), self._needed, self._device, self._name())
 
 
 @contextmanager

@@ -86,7 +86,7 @@ class TriangleMesh:
 
     def to(self, device: torch.device | str) -> TriangleMesh:
         """The same mesh on another device: itself where it is there already."""
-        if self.vertices.device == torch.device(device):
+        if self.vertices.device == (device if isinstance(device, torch.device) else torch.device(device)):
             return self
         return TriangleMesh(self.vertices.to(device), self.faces.to(device), self.name, check=False)
 

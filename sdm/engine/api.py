@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal, Unpack, overload
 
 import torch
@@ -14,7 +15,17 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.acceleration import build
-from sdm.engine.arguments import UNSIGNED, MapOptions, Orient, PointOptions, Sign, SignMethod, described, oriented
+from sdm.engine.arguments import (
+    UNSIGNED,
+    WINDING,
+    MapOptions,
+    Orient,
+    PointOptions,
+    Sign,
+    SignMethod,
+    described,
+    oriented,
+)
 from sdm.engine.closest_points import Closest
 from sdm.engine.map_check import MapCheck, checked, look_at_points
 from sdm.engine.maps import is_recordable, mesh_map, unsigned_mesh_map
@@ -112,8 +123,10 @@ def signed_distance_map(
     if not isinstance(grid, Grid) or resolution is not None or margin is not None:
         grid = as_grid(grid, mesh, resolution, margin)
     where = choose_device(device, mesh.vertices)
-    method = SignMethod(sign, hole_size, compare_signs)
-    measured = oriented(mesh, orient, where)
+    # On a GPU the host's way to the first launch is much of a small map's time.
+    plain = sign == "winding" and hole_size is None and not compare_signs
+    method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)
+    measured = mesh if orient == "keep" else oriented(mesh, orient, where)
     mesh = measured.to(where)
     if return_closest:
         index = MeshIndex(mesh, where, warn=False)
@@ -121,23 +134,23 @@ def signed_distance_map(
             grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs, return_closest=True
         )
         return checked(MapCheck(), field, measured if index._repeated is None else index._measured), hit
-    if method == UNSIGNED and is_recordable(mesh.vertices, grid.nbytes):
-        refuse_forward_mode(mesh.vertices)
-        with memory_guard(grid.nbytes, mesh.device, described(grid)):
-            field = SDM(unsigned_mesh_map(mesh.vertices, mesh.faces, grid), grid, sign="none")
-    elif method.is_default and is_recordable(mesh.vertices, grid.nbytes):
-        refuse_forward_mode(mesh.vertices)
-        with memory_guard(grid.nbytes, mesh.device, described(grid)):
-            values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
-        field = SDM(values, grid, 0, sign="winding")
-        if ambiguous is not None:
-            # Of an open mesh the host does not wait either.
-            field.counted_later(number_later(ambiguous))
-    else:
+    nbytes = grid.nbytes
+    if not (method.is_default or method == UNSIGNED) or not is_recordable(mesh.vertices, nbytes):
         index = MeshIndex(mesh, where, warn=False)
         field = index.signed_distance_map(grid, sign=sign, hole_size=hole_size, compare_signs=compare_signs)
         # Copies of a triangle are looked at once.
-        measured = measured if index._repeated is None else index._measured
+        return checked(MapCheck(), field, measured if index._repeated is None else index._measured)
+    refuse_forward_mode(mesh.vertices)
+    with memory_guard(nbytes, where, partial(described, grid)):
+        if method.is_default:
+            values, ambiguous = mesh_map(mesh.vertices, mesh.faces, grid)
+            field = SDM(values, grid, 0, sign="winding")
+        else:
+            ambiguous = None
+            field = SDM(unsigned_mesh_map(mesh.vertices, mesh.faces, grid), grid, sign="none")
+    if ambiguous is not None:
+        # Of an open mesh the host does not wait either.
+        field.counted_later(number_later(ambiguous))
     return checked(MapCheck(), field, measured)
 
 

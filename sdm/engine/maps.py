@@ -96,14 +96,14 @@ def is_recordable(vertices: Tensor, nbytes: int) -> bool:
 
 def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None]:
     """The map (nx,ny,nz) of a recordable mesh, and how many voxels are ambiguous (1,), None for a closed mesh."""
-    vertices, count = vertices.detach(), vertices.shape[0]
+    vertices, count = vertices.detach() if vertices.requires_grad else vertices, vertices.shape[0]
     if is_known(faces, count):
         return _unpacked(_known_maps(vertices[None], faces, grid))
     last, kind = guesses.last_numbers(faces, count), None
     if USE_CLASSES and last is not None and has_room(last):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None:
-        replayed = class_map(kind, vertices, faces, grid)
+        replayed = class_map(*kind, vertices, faces, grid)
         if replayed is not None:
             return replayed
     guessed = guesses.guess(faces, count)

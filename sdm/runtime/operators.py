@@ -62,17 +62,20 @@ def is_eager(*tensors: Tensor) -> bool:
         return False
     if maybe_current_level() is not None:
         return False
-    return all(_none_watch(tensors))
+    gradients = torch.is_grad_enabled()
+    # A generator takes as long as all before.
+    for tensor in tensors:  # noqa: SIM110
+        # Subclasses only look like tensors.
+        if type(tensor) not in _PLAIN or (gradients and tensor.requires_grad):
+            return False
+    return True
 
 
 def are_eager(tensors: Sequence[Tensor]) -> list[bool]:
     """`is_eager` of each of many tensors."""
-    return _none_watch(tensors) if is_eager() else [False] * len(tensors)
-
-
-def _none_watch(tensors: Sequence[Tensor]) -> list[bool]:
+    if not is_eager():
+        return [False] * len(tensors)
     gradients = torch.is_grad_enabled()
-    # Subclasses only look like tensors.
     return [type(tensor) in _PLAIN and not (gradients and tensor.requires_grad) for tensor in tensors]
 
 

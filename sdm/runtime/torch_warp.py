@@ -45,6 +45,13 @@ def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
             yield device
 
 
+def raw_stream(index: int) -> int:
+    """The handle of a GPU's current stream, 0 of its default one."""
+    # Torch's own compiler asks so; an object takes as long as a launch.
+    ask = getattr(torch._C, "_cuda_getCurrentRawStream", None)
+    return torch.cuda.current_stream(index).cuda_stream if ask is None else ask(index)
+
+
 def warp_stream(device: torch.device, stream: torch.cuda.Stream) -> wp.Stream:
     """A stream of torch's for Warp."""
     return _warp_stream(wp.device_from_torch(device).alias, stream.cuda_stream)
@@ -112,6 +119,8 @@ def has_forward_mode() -> bool:
 
 def refuse_forward_mode(tensor: Tensor) -> None:
     """Refuse a tensor with a forward-mode derivative, which torch would take for zero after Warp's kernels."""
+    if not has_forward_mode():
+        return
     if not torch.compiler.is_compiling() and forward_ad.unpack_dual(tensor).tangent is not None:
         raise NotImplementedError(
             "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"

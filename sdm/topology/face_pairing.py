@@ -17,6 +17,9 @@ from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
 # Of faces seen before, with the state in which they were seen: a stream asks about the same ones for every batch.
 _known: WeakIdKeyDictionary = WeakIdKeyDictionary()
+# Objects that may be among them, by their number, so that of most others it is known at once.
+_numbers: set[int] = set()
+IDLE_NUMBERS = 1 << 12
 
 
 @dataclass
@@ -69,7 +72,7 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
         found = known[1]
     else:
         found = _pair_up(faces, count)
-        _known[faces] = now, found
+        _remember(faces, now, found)
     ready = found.ready
     if ready is not None:
         with torch.cuda.device(found.neighbours.device):
@@ -83,6 +86,8 @@ def pairing_of(faces: Tensor, count: int) -> Pairing:
 
 def is_known(faces: Tensor, count: int) -> bool:
     """True if these faces were paired before, so that nothing has to wait for their pairing."""
+    if id(faces) not in _numbers:
+        return False
     now, known = state_of(faces, count), _known.get(faces)
     return known is not None and now is not None and known[0] == now
 
@@ -101,7 +106,16 @@ def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
 
 def remember(faces: Tensor, count: int, pairing: Pairing) -> None:
     """Remember the pairing of faces and so many vertices, for `pairing_of`."""
-    _known[faces] = state_of(faces, count), pairing
+    _remember(faces, state_of(faces, count), pairing)
+
+
+def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing) -> None:
+    global _numbers  # noqa: PLW0603
+    _known[faces] = state, pairing
+    _numbers.add(id(faces))
+    if len(_numbers) > 2 * len(_known) + IDLE_NUMBERS:
+        # Most of them are gone.
+        _numbers = {id(other) for other in list(_known)}
 
 
 def queue_pairing(faces: Tensor, count: int, within: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:

@@ -20,6 +20,7 @@ from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
+from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import VALUES_AT, take_in, tell, tell_ambiguous
@@ -56,7 +57,9 @@ def class_key(kind: CapacityClass, is_open: bool = False) -> tuple[str, Capacity
     return "open class" if is_open else "class", kind
 
 
-def class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> TableCall[ClassMap]:
+def class_call(
+    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
+) -> TableCall[ClassMap]:
     """The call that makes the map of a mesh, if it is closed: `vertices` (V,3) and `faces` (F,3) are contiguous.
 
     The flags are of a vertex out of range, twice, and the number of unmatched edges.
@@ -67,14 +70,16 @@ def class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid)
         values = torch.empty(kind.shape, dtype=torch.float32, device=device)
         neighbours = torch.empty((faces.shape[0], 4), dtype=torch.int32, device=device)
         at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), 0, neighbours.data_ptr()
-        write_table(table, kind, faces.shape[0], vertices.shape[0], grid, at)
+        write_table(table, kind, decisions, faces.shape[0], vertices.shape[0], grid, at)
         return ClassMap(values, neighbours)
 
     key, work = class_key(kind), partial(_queue_closed_map, kind, device)
     return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0])
 
 
-def open_class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> TableCall[ClassMap]:
+def open_class_call(
+    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
+) -> TableCall[ClassMap]:
     """The same of a mesh that is open by up to MOST_EDGES unmatched and boundary edges, or by none.
 
     The flags are those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
@@ -87,7 +92,7 @@ def open_class_call(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: 
         told = torch.empty(sum(lengths), dtype=torch.int32, device=device)
         neighbours, unmatched, boundary, ambiguous = told.split(lengths)
         at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), ambiguous.data_ptr(), told.data_ptr()
-        write_table(table, kind, count, vertices.shape[0], grid, at)
+        write_table(table, kind, decisions, count, vertices.shape[0], grid, at)
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(MOST_EDGES, 3), boundary)
 
     key, work = class_key(kind, is_open=True), partial(_queue_open_map, kind, device)

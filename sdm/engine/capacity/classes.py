@@ -1,7 +1,8 @@
 """Capacity classes: meshes and grids that one recording serves, whatever the mesh's counts and the grid's place.
 
-A class has room for so many faces and vertices. Its meshes have trees of the same depth, and plans that agree in all
-that decides about the bits of a value; how many faces a mesh has, and where its grid is, the kernels read from memory.
+A class has room for so many faces and vertices, for grids of one shape, and cells of one size. How many faces a mesh
+has, where its grid is, and what else decides about the bits of a value, the kernels read from memory: its tree's depth,
+and of its plan the shares of lists and the levels that these leave out.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from sdm.core.grid import IDENTITY, Grid
 from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.engine.plan_override import OPTIONS
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
-from sdm.kernels.dense.cost_model import UNEVEN, uneven_room
-from sdm.kernels.dense.plan import Plan, Workload, decide, joint_plan, make_plan
+from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_large_leaves, shares_of, uneven_room
+from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding.cap_tree import depth_of_caps
 
@@ -103,25 +104,52 @@ def bounds_of(faces: int) -> tuple[int, int]:
     return (middle + 1, most) if faces > middle else (most // 2 + 1, middle)
 
 
-def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> CapacityClass | None:
-    """The class of a mesh and a grid on a device with so much memory (see `make_plan`); None if there is none.
+def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple[CapacityClass, Decisions] | None:
+    """The class of a mesh and a grid on a device with so much memory (see `make_plan`), and what is decided about it.
 
-    The same object for all its meshes.
+    None if there is none; the same object for all its meshes.
     """
     if not 0 < faces <= LARGEST:
         return None
-    options, turned = OPTIONS.get(), grid.direction != IDENTITY
+    options, turned = OPTIONS.get(), grid.direction is not IDENTITY and grid.direction != IDENTITY
+    uneven = uneven_room(grid.spacing, turned) > 1
     least, most = bounds_of(faces)
+    decisions = _of_all(least, most, grid.shape, memory is not None, options)
+    if decisions is None:
+        # All that decides about bits, and no more: a plan takes the host as long as some launches.
+        decisions = _decided(faces, grid.shape, memory is not None, options)
     room = int(SHARED * most)
     if vertices > room:
         room = int(LOOSE * most)
-    # All that decides about bits, and no more: a plan takes the host as long as some launches.
-    work = Workload(faces, depth_for(faces), 1, grid.shape, grid.spacing, turned)
-    method, *alike = decide(work, memory is not None, options)
-    if vertices > room or method != "cells":
+    if vertices > room or decisions.method != "cells":
         return None
-    uneven = uneven_room(grid.spacing, turned) > 1
-    return _class(least, most, room, grid.shape, turned, uneven, tuple(alike), memory, options)
+    found = _class(least, most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
+    return None if found is None else (found, decisions)
+
+
+def _decided(faces: int, shape: tuple[int, int, int], gpu: bool, options: PlanOptions) -> Decisions:
+    # Of the grid nothing but its shape matters.
+    return decide(Workload(faces, depth_for(faces), 1, shape, (1.0, 1.0, 1.0), turned=False), gpu, options)
+
+
+def _ends(least: int, most: int) -> list[int]:
+    """The smallest and the largest mesh of each depth of trees, of those with so many faces."""
+    found = []
+    for depth in range(depth_for(least), depth_for(most) + 1):
+        begin = (TRIANGLES_PER_LEAF << (depth - 1)) + 1 if depth else 1
+        found += [max(least, begin), min(most, TRIANGLES_PER_LEAF << depth)]
+    return found
+
+
+@lru_cache(maxsize=256)
+def _of_all(least: int, most: int, shape: tuple[int, int, int], gpu: bool, options: PlanOptions) -> Decisions | None:
+    """The decisions about all meshes with `least` to `most` faces, if they are the same for all.
+
+    Of trees of one depth each decision but the last one only grows with faces, or only falls; and that one does where
+    lists are long, and where they are short. So the ends of such stretches tell.
+    """
+    found = {(_decided(faces, shape, gpu, options), leaves_are_long(faces, shape)) for faces in _ends(least, most)}
+    return next(iter(found))[0] if len(found) == 1 else None
 
 
 @lru_cache(maxsize=256)
@@ -132,20 +160,26 @@ def _class(
     shape: tuple[int, int, int],
     turned: bool,
     uneven: bool,
-    alike: tuple[int, ...],
+    cell: int,
     memory: int | None,
     options: PlanOptions,
 ) -> CapacityClass | None:
+    gpu = memory is not None
     work = Workload(most, depth_for(most), 1, shape, (1.0, 1.0, UNEVEN if uneven else 1.0), turned)
-    cell, region_shares, cell_shares, left_out = alike
-    own = make_plan(work, memory, options)
+    # Room for the shares of each mesh, of which the largest has most, and whether there are levels to leave out, most
+    # of them by the smallest of a depth. What a mesh has of both is in its table.
+    region_shares, cell_shares = options.shares or (shares_of(most, shape, cell) if gpu else (1, 1))
+    left_out = options.levels_left_out
+    if left_out is None:
+        ends = _ends(least, most) if leaves_are_long(most, shape) else []
+        left_out = max((levels_of_large_leaves(faces, depth_for(faces)) for faces in ends), default=0)
     own = replace(
-        own,
+        make_plan(work, memory, options),
         cell=cell,
         total=math.prod(-(-n // (2 * cell)) for n in shape),
         region_shares=region_shares,
         cell_shares=cell_shares,
-        levels_left_out=left_out,
+        levels_left_out=_decided(most, shape, gpu, options).levels_left_out,
     )
-    plan = joint_plan([work], [own], memory, options)
+    plan = replace(joint_plan([work], [own], memory, options), levels_left_out=left_out)
     return CapacityClass(most, least, room, shape, turned, plan) if plan.passes == 1 else None

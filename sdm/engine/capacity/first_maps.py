@@ -15,6 +15,7 @@ from sdm.core.grid import Grid
 from sdm.engine.capacity.class_calls import ClassMap, class_call, class_key, open_class_call
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import OpenBoundary
+from sdm.kernels.dense.plan import Decisions
 from sdm.runtime import graphs
 from sdm.topology import guesses
 from sdm.topology.cap_triangles import remember_joined
@@ -35,7 +36,9 @@ def has_room(numbers: guesses.Guess) -> bool:
     return max(numbers) <= MOST_EDGES
 
 
-def class_map(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tensor | None] | None:
+def class_map(
+    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
+) -> tuple[Tensor, Tensor | None] | None:
     """The map (nx,ny,nz) of a mesh of a class, and if it is open how many voxels are ambiguous (1,).
 
     None if there is no recording for it, or if it is none that these serve. Else its topology is remembered.
@@ -43,7 +46,7 @@ def class_map(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) 
     # What recordings read by address.
     vertices, given = vertices.contiguous(), faces.contiguous()
     if looks_closed(faces.shape[0], vertices.shape[0]):
-        found, said = graphs.attempt_by_table(class_call(kind, vertices, given, grid))
+        found, said = graphs.attempt_by_table(class_call(kind, decisions, vertices, given, grid))
         if found is not None:
             remember_closed(faces, vertices.shape[0], found.neighbours)
             return found.values, None
@@ -53,7 +56,7 @@ def class_map(kind: CapacityClass, vertices: Tensor, faces: Tensor, grid: Grid) 
         if not said and not graphs.is_recorded(faces.device, class_key(kind, is_open=True)):
             # Neither is made for one that is not due.
             return None
-    found, said = graphs.attempt_by_table(open_class_call(kind, vertices, given, grid))
+    found, said = graphs.attempt_by_table(open_class_call(kind, decisions, vertices, given, grid))
     if found is None:
         return None
     return found.values, _remember(vertices.shape[0], faces, found, *said[-2:])

@@ -13,6 +13,7 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.engine.capacity.classes import CapacityClass
 from sdm.kernels.bvh.tree import COUNT, DEPTH, FIRST, LEFT_OUT, PART_SIZE, ROOT, depth_for
+from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.geometry.voxel_grid import (
     AXES,
     CELL_SHARES,
@@ -38,13 +39,20 @@ _FORMAT = struct.Struct(f"={_ROWS}d{ADDRESSES}q{_NUMBERS}i")
 
 
 def write_table(
-    table: Any, kind: CapacityClass, faces: int, vertices: int, grid: Grid, addresses: Sequence[int]
+    table: Any,
+    kind: CapacityClass,
+    decisions: Decisions,
+    faces: int,
+    vertices: int,
+    grid: Grid,
+    addresses: Sequence[int],
 ) -> None:
     """Write what kernels read about a mesh and its grid.
 
     Args:
         table: Memory of TABLE numbers of 8 bytes.
         kind: The class.
+        decisions: About the mesh's map.
         faces: Of the mesh.
         vertices: Of the mesh.
         grid: Of the map.
@@ -53,7 +61,7 @@ def write_table(
     # Lists, as NumPy takes longer to write a few numbers than all else here.
     own: list[float] = [0.0] * SLAB_ROW
     own[ORIGIN : ORIGIN + 3], own[SPACING : SPACING + 3], own[SHAPE : SHAPE + 3] = grid.origin, grid.spacing, grid.shape
-    own[REGION_SHARES], own[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
+    own[REGION_SHARES], own[CELL_SHARES] = decisions.region_shares, decisions.cell_shares
     if kind.turned:
         own[AXES : AXES + 9] = [d * s for line in grid.direction for d, s in zip(line, grid.spacing, strict=True)]
     # A grid without voxels, behind the other.
@@ -62,7 +70,7 @@ def write_table(
     none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
     depth, behind = depth_for(faces), kind.faces - faces
     parts = [0] * (2 * PART_SIZE)
-    parts[COUNT], parts[DEPTH], parts[LEFT_OUT] = faces, depth, kind.plan.levels_left_out
+    parts[COUNT], parts[DEPTH], parts[LEFT_OUT] = faces, depth, decisions.levels_left_out
     parts[PART_SIZE + FIRST], parts[PART_SIZE + COUNT] = faces, behind
     parts[PART_SIZE + DEPTH], parts[PART_SIZE + ROOT] = depth_for(behind), 2 << depth
     counts = [0] * COUNTS

@@ -15,7 +15,7 @@ from torch import Tensor
 from sdm.runtime.graphs.branches import side_streams
 from sdm.runtime.graphs.memory_pool import InputCache, MemoryPool
 from sdm.runtime.graphs.output_slot import OutputSlot, capturing_into
-from sdm.runtime.torch_warp import on_current_stream
+from sdm.runtime.torch_warp import on_current_stream, raw_stream
 
 # Takes flags, zeros if a guess is right, and behind them as many other numbers as it is told, for the host to know.
 Verify: TypeAlias = Callable[..., None]
@@ -215,23 +215,28 @@ class TableRecording(Recording):
             fill: Writes the table.
             reads: The tensors whose addresses it writes and which are read.
         """
-        if self._device.index != torch.cuda.current_device():
+        index = self._device.index
+        if index != torch.cuda.current_device():
             with torch.cuda.device(self._device):
                 return self.launch(fill, reads)
-        stream = torch.cuda.current_stream(self._device.index)
         if self._guesses:
             if self._said[0] == PENDING:
                 # A launch that nobody waited for: it still may have to read the table.
                 self.guessed_right()
             self._said[: self._count] = PENDING
         results = fill(self._room)
-        for given in reads:
-            given.record_stream(stream)
-        self._pool.begin_launch(stream)
+        # What need not come before the launch comes after it.
+        stream = None
+        if not (self._pool.is_in_order and raw_stream(index) == 0):
+            stream = torch.cuda.current_stream(index)
+            self._pool.begin_launch(stream)
         try:
             self._pool.launches += 1
             self._graph.replay()
         finally:
+            stream = stream or torch.cuda.current_stream(index)
+            for given in reads:
+                given.record_stream(stream)
             self._pool.end_launch(stream)
         return results
 

@@ -50,13 +50,19 @@ class MemoryPool:
             self._handle = torch.cuda.graph_pool_handle()
         return self._stream, self._handle
 
+    @property
+    def is_in_order(self) -> bool:
+        """True if a launch on the default stream need not wait for the one before, as that was there too.
+
+        Of two other streams with one handle nobody knows that they are one.
+        """
+        return self._last is not None and self._last.by_default
+
     def begin_launch(self, stream: torch.cuda.Stream) -> None:
         """Make a stream wait for the launch before."""
         if self._last is None:
             raise RuntimeError("a pool without a recording")
-        # On the default stream all is in order: to say so takes the host as long as a launch. Of two others with one
-        # handle nobody knows that they are one.
-        if not (self._last.by_default and stream.cuda_stream == 0):
+        if not (self.is_in_order and stream.cuda_stream == 0):
             stream.wait_event(self._last.event)
 
     def end_launch(self, stream: torch.cuda.Stream) -> None:

@@ -110,7 +110,7 @@ class TableCall(NamedTuple, Generic[R]):
 
 def supports(tensor: Tensor) -> bool:
     """True if a call with this tensor may be recorded and replayed."""
-    if not (is_eager(tensor) and tensor.is_cuda and _switch.on and not _switch.pauses):
+    if not (tensor.is_cuda and _switch.on and not _switch.pauses and is_eager(tensor)):
         return False
     if tensor.device.index == torch.cuda.current_device():
         return not torch.cuda.is_current_stream_capturing()
@@ -179,12 +179,13 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
 
     None and no numbers if there is none; None if the recording's guess was wrong.
     """
-    captured = _find(call.device, call.key)
-    if captured is None:
-        with _lock:
+    with _lock:
+        cache = _cache_of(call.device)
+        captured = cache.find(call.key)
+        if captured is None:
             table = Table(call.device, call.length, call.fill, call.family)
-            _cache_of(call.device).count(call.key, call.work, table, for_many=True, capture=TableRecording)
-        captured = _find(call.device, call.key)
+            cache.count(call.key, call.work, table, for_many=True, capture=TableRecording)
+            captured = cache.find(call.key)
     if not isinstance(captured, TableRecording):
         return None, []
     with captured.lock:
@@ -220,10 +221,11 @@ def record(call: Call) -> None:
 
 
 def _cache_of(device: torch.device) -> GraphCache:
-    if device not in _caches:
+    found = _caches.get(device)
+    if found is None:
         if not _caches:
             # Before torch and CUDA are taken apart.
             atexit.register(clear)
         most = torch.cuda.get_device_properties(device).total_memory // SHARE
-        _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
-    return _caches[device]
+        found = _caches[device] = GraphCache(most, recordings=MOST_RECORDINGS)
+    return found

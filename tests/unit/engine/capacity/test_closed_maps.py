@@ -13,16 +13,18 @@ from sdm.engine.capacity.class_calls import class_call
 from sdm.engine.capacity.classes import bounds_of, class_of
 from sdm.engine.capacity.tables import TABLE, write_table
 from sdm.engine.plan_override import plan_override
-from sdm.kernels.bvh.tree import COUNT, FIRST, PART_SIZE, ROOT, depth_for
-from sdm.kernels.geometry.voxel_grid import AXES, ORIGIN, REGION, SHAPE, SLAB_ROW, VOXEL
+from sdm.kernels.bvh.tree import COUNT, FIRST, LEFT_OUT, PART_SIZE, ROOT, depth_for
+from sdm.kernels.dense.plan import Workload, decide
+from sdm.kernels.geometry.voxel_grid import AXES, CELL_SHARES, ORIGIN, REGION, REGION_SHARES, SHAPE, SLAB_ROW, VOXEL
+from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.topology.filler_faces import ADDRESSES, COUNTS
 from sdm.topology.face_pairing import neighbours
 from tests.helpers.by_table import by_table
 
 
 def _class_map(vertices, faces, grid):
-    kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, flags, told = by_table(class_call(kind, vertices, faces, grid))
+    kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
+    found, flags, told = by_table(class_call(kind, decisions, vertices, faces, grid))
     assert told == 0
     return kind, found.values, found.neighbours, flags
 
@@ -55,9 +57,10 @@ def test_lists_in_shares():
 
 def test_the_table_has_every_entry_in_its_place():
     grid = sdm.Grid([1, 2, 3], [0.1, 0.2, 0.3], [10, 11, 12], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
-    kind = class_of(1000, 500, grid, None)
+    kind, decisions = class_of(1000, 500, grid, None)
+    decisions = decisions._replace(region_shares=4, cell_shares=2, levels_left_out=3)
     table = np.zeros(TABLE)
-    write_table(table, kind, 1000, 500, grid, (11, 12, 13, 14, 15))
+    write_table(table, kind, decisions, 1000, 500, grid, (11, 12, 13, 14, 15))
     own, none = table[: 2 * SLAB_ROW].reshape(2, SLAB_ROW)
     assert tuple(own[ORIGIN : ORIGIN + 3]) == (1, 2, 3)
     assert tuple(own[SHAPE : SHAPE + 3]) == (10, 11, 12)
@@ -71,6 +74,8 @@ def test_the_table_has_every_entry_in_its_place():
     assert parts[:, FIRST].tolist() == [0, 1000]
     assert parts[:, COUNT].tolist() == [1000, kind.faces - 1000]
     assert parts[:, ROOT].tolist() == [0, 2 << depth_for(1000)]
+    assert parts[:, LEFT_OUT].tolist() == [3, 0]
+    assert (own[REGION_SHARES], own[CELL_SHARES]) == (4, 2)
 
 
 def test_meshes_of_a_class_have_one_recording():
@@ -80,7 +85,7 @@ def test_meshes_of_a_class_have_one_recording():
         other = split(case, number)
         low, _ = other.box
         grid = sdm.Grid(low - 0.01 * number, [0.1 + 0.001 * number] * 3, (20, 20, 20))
-        kinds.add(class_of(len(other), len(other.vertices), grid, None))
+        kinds.add(class_of(len(other), len(other.vertices), grid, None)[0])
     assert len(kinds) == 1
 
 
@@ -106,3 +111,28 @@ def test_bounds(faces):
 def test_no_class_for_what_is_searched_voxel_by_voxel():
     grid = sdm.Grid([0] * 3, [1] * 3, [4] * 3)
     assert class_of(1 << 20, 1 << 19, grid, None) is None
+
+
+@pytest.mark.parametrize("gpu", [False, True])
+@pytest.mark.parametrize("shape", [(15, 15, 15), (64, 64, 64), (96, 96, 96), (256, 256, 256), (40, 33, 90)])
+def test_a_class_has_room_for_what_is_decided_about_each_of_its_meshes(gpu, shape):
+    memory, grid = 1 << 36 if gpu else None, sdm.Grid([0] * 3, [1] * 3, shape)
+    faces = 1
+    while faces <= 500_000:
+        least, most = bounds_of(faces)
+        for count in {*range(least, most, max(1, (most - least) // 150)), most}:
+            found = class_of(count, count // 2, grid, memory)
+            expected = decide(
+                Workload(count, depth_for(count), 1, shape, grid.spacing, turned=False), gpu, PlanOptions()
+            )
+            if found is None:
+                # A CPU has less room.
+                assert expected.method == "search" or not gpu
+                continue
+            kind, decisions = found
+            assert decisions == expected
+            assert kind.plan.cell == expected.cell
+            assert kind.plan.region_shares >= expected.region_shares
+            assert kind.plan.cell_shares >= expected.cell_shares
+            assert kind.plan.levels_left_out >= expected.levels_left_out
+        faces = most + 1

@@ -56,7 +56,7 @@ def _recorded(monkeypatch, *names):
 
 
 def _classes():
-    return [class_of(200, 100, GRID, None), class_of(200, 600, GRID, None)]
+    return [class_of(200, 100, GRID, None)[0], class_of(200, 600, GRID, None)[0]]
 
 
 def _open():
@@ -128,7 +128,7 @@ def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
     soup = torch.from_numpy(vertices[faces].reshape(-1, 3) * np.float32(1.0))
     soup[::7] += 0.01
     loose = torch.arange(len(soup), dtype=torch.int32).reshape(-1, 3)
-    kind = class_of(len(loose), len(soup), GRID, None)
+    kind, _ = class_of(len(loose), len(soup), GRID, None)
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, is_open=True))
     _map((soup, loose))
     assert went == [OPEN, "settle"]

@@ -71,8 +71,8 @@ def _grid(vertices, turned=False):
 
 
 def _class_map(vertices, faces, grid):
-    kind = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, numbers, told = by_table(open_class_call(kind, vertices, faces, grid))
+    kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
+    found, numbers, told = by_table(open_class_call(kind, decisions, vertices, faces, grid))
     assert told == len(numbers) - FLAGS
     return found, OpenBoundary.of_memory(found.boundary), numbers
 
