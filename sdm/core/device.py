@@ -92,32 +92,28 @@ def total_memory(device: torch.device) -> int:
     return torch.cuda.get_device_properties(device).total_memory
 
 
-def memory_guard(needed: int, device: torch.device, what: str | Callable[[], str]) -> AbstractContextManager[None]:
+class memory_guard(AbstractContextManager[None]):  # noqa: N801
     """Refuse what cannot fit, as `require_memory`, but of a GPU's memory only what is large is asked about beforehand.
 
-    To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence. `what`: what
-    it is that needs so many bytes, or a function that says so.
+    To ask a GPU takes as long as many a map. What turns out not to fit is refused with the same sentence.
+
+    Args:
+        needed: Bytes.
+        device: Of the memory.
+        what: What needs them, or a function that says so.
     """
-    return _MemoryGuard(needed, device, what)
 
-
-class _MemoryGuard(AbstractContextManager[None]):
     # Not by `contextmanager`, which takes the host longer than the rest of it.
     __slots__ = ("_device", "_needed", "_what")
 
     def __init__(self, needed: int, device: torch.device, what: str | Callable[[], str]) -> None:
         self._needed, self._device, self._what = needed, device, what
+        unasked = SMALL if device.type != "cuda" else total_memory(device) // SHARE_UNASKED + 1
+        if needed >= unasked and not torch.compiler.is_compiling():
+            require_memory(needed, device, self._name())
 
     def _name(self) -> str:
         return self._what if isinstance(self._what, str) else self._what()
-
-    def __enter__(self) -> None:
-        needed, device = self._needed, self._device
-        if device.type != "cuda" or torch.compiler.is_compiling():
-            if needed >= SMALL:
-                require_memory(needed, device, self._name())
-        elif needed > total_memory(device) // SHARE_UNASKED:
-            require_memory(needed, device, self._name())
 
     def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> None:
         if kind is not None and issubclass(kind, torch.OutOfMemoryError) and self._device.type == "cuda":

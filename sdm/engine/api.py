@@ -126,7 +126,7 @@ def signed_distance_map(
     # On a GPU the host's way to the first launch is much of a small map's time.
     plain = sign == "winding" and hole_size is None and not compare_signs
     method = WINDING if plain else SignMethod(sign, hole_size, compare_signs)
-    measured = mesh if orient == "keep" else oriented(mesh, orient, where)
+    measured = oriented(mesh, orient, where)
     mesh = measured.to(where)
     if return_closest:
         index = MeshIndex(mesh, where, warn=False)

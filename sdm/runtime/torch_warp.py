@@ -119,9 +119,10 @@ def has_forward_mode() -> bool:
 
 def refuse_forward_mode(tensor: Tensor) -> None:
     """Refuse a tensor with a forward-mode derivative, which torch would take for zero after Warp's kernels."""
-    if not has_forward_mode():
+    # Nearly always there is no level of it.
+    if getattr(forward_ad, "_current_level", 0) < 0 or torch.compiler.is_compiling():
         return
-    if not torch.compiler.is_compiling() and forward_ad.unpack_dual(tensor).tangent is not None:
+    if forward_ad.unpack_dual(tensor).tangent is not None:
         raise NotImplementedError(
             "signed distances have derivatives in reverse mode alone: use backward() in place of jvp"
         )
