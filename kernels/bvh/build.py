@@ -34,6 +34,7 @@ from sdm.kernels.bvh.tree import (
 from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import LIGHT_SHARE, launch
+from sdm.kernels.launches.arrays import SHORT_BITS, array_at
 from sdm.kernels.primitives.atomics import lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
 from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
@@ -121,18 +122,17 @@ def _make_frames(begin: int, bounds: wp.array(dtype=wp.float32), frame: wp.array
     frame[base + LATTICE] = wp.where(extent > wp.float64(0.0), LATTICE_STEPS / extent, wp.float64(0.0))
 
 
-@wp.kernel
-def _make_keys(
-    begin: int,
+@wp.func
+def sorting_key(
     tree: Tree,
     vertices: wp.array2d(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     bounds: wp.array(dtype=wp.float32),
     bits: int,
-    keys: wp.array(dtype=wp.int64),
-    slots: wp.array(dtype=wp.int32),
+    numbered: int,
+    i: int,
 ):
-    i = begin + wp.tid()
+    """The key of a slot's face, and its number in its mesh."""
     mesh = mesh_of_slot(tree, i)
     one = tree_of(tree, mesh)
     f = i - slots_of(one, mesh)
@@ -145,8 +145,48 @@ def _make_keys(
     high = scale * wp.vec3(bounds[6 * mesh + 3], bounds[6 * mesh + 4], bounds[6 * mesh + 5])
     # The middle of the triangle's box: for long triangles better than the mean of the corners.
     middle = 0.5 * (wp.min(a, wp.min(b, c)) + wp.max(a, wp.max(b, c)))
-    code = curve_code(middle, low, high, curve_bits(one.count))
-    keys[i] = (wp.int64(mesh) << wp.int64(3 * bits)) | code
+    key = curve_code(middle, low, high, curve_bits(one.count))
+    if numbered != 0:
+        key = (wp.int64(mesh) << wp.int64(3 * bits)) | key
+    elif mesh > 0:
+        # No key is above this one, and the first mesh's are before those that are equal.
+        key = (wp.int64(1) << wp.int64(3 * bits)) - wp.int64(1)
+    return key, f
+
+
+@wp.kernel
+def _make_keys(
+    begin: int,
+    tree: Tree,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
+    bits: int,
+    numbered: int,
+    keys: wp.array(dtype=wp.int64),
+    slots: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    key, f = sorting_key(tree, vertices, faces, bounds, bits, numbered, i)
+    keys[i] = key
+    slots[i] = f
+
+
+@wp.kernel
+def _make_short_keys(
+    begin: int,
+    tree: Tree,
+    vertices: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
+    bits: int,
+    numbered: int,
+    keys: wp.array(dtype=wp.int32),
+    slots: wp.array(dtype=wp.int32),
+):
+    i = begin + wp.tid()
+    key, f = sorting_key(tree, vertices, faces, bounds, bits, numbered, i)
+    keys[i] = wp.int32(key)
     slots[i] = f
 
 
@@ -254,6 +294,8 @@ def build_tree(
     slots: wp.array,
     normals: wp.array,
     gathered: Callable[[], None] | None = None,
+    *,
+    fillers: bool = False,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
 
@@ -266,13 +308,14 @@ def build_tree(
         slots: (2 * slots) int32, workspace.
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
         gathered: Called once all is queued but the nodes' boxes.
+        fillers: All meshes but the first only fill room, so that the order of their triangles does not matter.
     """
     meshes = vertices.shape[0]
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
     launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
     reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
-    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered)
+    build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers)
 
 
 def build_in_frame(
@@ -284,15 +327,22 @@ def build_in_frame(
     slots: wp.array,
     normals: wp.array,
     gathered: Callable[[], None] | None = None,
+    *,
+    fillers: bool = False,
 ) -> None:
     """`build_tree` of which the frame, and the bounds of what lies within it, are there already."""
     device = vertices.device
     meshes, total = vertices.shape[0], tree.face.shape[0]
     lanes = GPU_LANES if device.is_cuda else 1
     bits = COARSE_BITS if tree.count <= FEW else FINE_BITS
-    launch(_make_keys, total, [tree, vertices, faces, bounds, bits, keys, slots], device, smallest=LIGHT_SHARE)
     # The meshes' numbers are above the curve's codes.
-    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=3 * bits + (meshes - 1).bit_length())
+    all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
+    kernel: Any = _make_keys
+    if all_bits <= SHORT_BITS:
+        kernel, keys = _make_short_keys, array_at(keys.ptr, (2 * total,), wp.int32, device.alias)
+    inputs = [tree, vertices, faces, bounds, bits, int(not fillers), keys, slots]
+    launch(kernel, total, inputs, device, smallest=LIGHT_SHARE)
+    wp.utils.radix_sort_pairs(keys, slots, total, end_bit=all_bits)
     launch(_gather_triangles, total, [vertices, faces, slots, tree, normals], device, smallest=LIGHT_SHARE)
     if gathered is not None:
         gathered()

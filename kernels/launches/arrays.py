@@ -69,3 +69,7 @@ def _kept(strides: tuple[int, ...], shape: tuple[int, ...]) -> tuple[int, ...]:
     if any(stride > LARGEST_STRIDE and length > 1 for stride, length in zip(strides, shape, strict=True)):
         raise ValueError(f"an array of shape {shape} has strides of more than {LARGEST_STRIDE:,} bytes: split it")
     return tuple(min(stride, LARGEST_STRIDE) for stride in strides)
+
+
+# Keys of no more bits are sorted as int32, where they stay positive: a GPU sorts twice as many of these in one block.
+SHORT_BITS = 31

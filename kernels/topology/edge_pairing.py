@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.launch import LIGHT_SHARE, launch
+from sdm.kernels.launches.arrays import SHORT_BITS, array_at
 from sdm.kernels.primitives.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
@@ -22,6 +23,32 @@ OUT_OF_RANGE, UNMATCHED, FLAGS = 0, 1, 2
 def bits_for(vertices: int) -> int:
     """Bits of a vertex index in a key: the key of an edge is the lower of its ends, then the higher."""
     return max(1, (vertices - 1).bit_length())
+
+
+@wp.func
+def edge_key(
+    faces: wp.array2d(dtype=wp.int32),
+    vertices: int,
+    bits: int,
+    first: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+    clamp: int,
+    within: wp.array2d(dtype=wp.int32),
+    edge: int,
+):
+    """The key of an edge; what else is found on the way is written down."""
+    face = edge / 3
+    start = faces[face, edge % 3]
+    if clamp != 0:
+        within[face, edge % 3] = wp.clamp(start, 0, vertices - 1)
+    end = faces[face, (edge + 1) % 3]
+    key = wp.int64(0)
+    if start < 0 or start >= vertices:
+        flags[OUT_OF_RANGE] = 1
+    else:
+        keep_least(first, start, face - faces.shape[0])
+        key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
+    return key
 
 
 @wp.kernel
@@ -38,18 +65,25 @@ def _make_keys(
     within: wp.array2d(dtype=wp.int32),
 ):
     edge = begin + wp.tid()
-    face = edge / 3
-    start = faces[face, edge % 3]
-    if clamp != 0:
-        within[face, edge % 3] = wp.clamp(start, 0, vertices - 1)
-    end = faces[face, (edge + 1) % 3]
-    key = wp.int64(0)
-    if start < 0 or start >= vertices:
-        flags[OUT_OF_RANGE] = 1
-    else:
-        keep_least(first, start, face - faces.shape[0])
-        key = (wp.int64(wp.min(start, end)) << wp.int64(bits)) | wp.int64(wp.max(start, end))
-    keys[edge] = key
+    keys[edge] = edge_key(faces, vertices, bits, first, flags, clamp, within, edge)
+    edges[edge] = edge
+
+
+@wp.kernel
+def _make_short_keys(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    vertices: int,
+    bits: int,
+    keys: wp.array(dtype=wp.int32),
+    edges: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+    clamp: int,
+    within: wp.array2d(dtype=wp.int32),
+):
+    edge = begin + wp.tid()
+    keys[edge] = wp.int32(edge_key(faces, vertices, bits, first, flags, clamp, within, edge))
     edges[edge] = edge
 
 
@@ -61,19 +95,18 @@ def direction(faces: wp.array2d(dtype=wp.int32), edge: int):
     return wp.where(start < end, 1, wp.where(end < start, -1, 0))
 
 
-@wp.kernel
-def _pair(
-    begin: int,
+@wp.func
+def pair_group(
+    i: int,
     faces: wp.array2d(dtype=wp.int32),
-    keys: wp.array(dtype=wp.int64),
+    keys: wp.array(dtype=Any),
     edges: wp.array(dtype=wp.int32),
     unmatched: wp.array2d(dtype=wp.int32),
     owned: wp.array(dtype=wp.int32),
     neighbours: wp.array2d(dtype=wp.int32),
     flags: wp.array(dtype=wp.int32),
 ):
-    """One thread for each group of edges with the same ends."""
-    i = begin + wp.tid()
+    """Pair the edges with the same ends whose first is the i-th in order; nothing if that is none."""
     total = 3 * faces.shape[0]
     key = keys[i]
     if i > 0:
@@ -105,6 +138,35 @@ def _pair(
         unmatched[row, 0] = wp.min(start, end)
         unmatched[row, 1] = wp.max(start, end)
         unmatched[row, 2] = balance
+
+
+@wp.kernel
+def _pair(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    keys: wp.array(dtype=wp.int64),
+    edges: wp.array(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+):
+    """One thread for each group of edges with the same ends."""
+    pair_group(begin + wp.tid(), faces, keys, edges, unmatched, owned, neighbours, flags)
+
+
+@wp.kernel
+def _pair_short(
+    begin: int,
+    faces: wp.array2d(dtype=wp.int32),
+    keys: wp.array(dtype=wp.int32),
+    edges: wp.array(dtype=wp.int32),
+    unmatched: wp.array2d(dtype=wp.int32),
+    owned: wp.array(dtype=wp.int32),
+    neighbours: wp.array2d(dtype=wp.int32),
+    flags: wp.array(dtype=wp.int32),
+):
+    pair_group(begin + wp.tid(), faces, keys, edges, unmatched, owned, neighbours, flags)
 
 
 @wp.kernel
@@ -153,11 +215,14 @@ def pair_edges(
     total, bits = 3 * count, bits_for(vertices)
     keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
     clamped = [0, faces] if within is None else [1, within]
-    launch(
-        _make_keys, total, [faces, vertices, bits, keys, edges, first, flags, *clamped], device, smallest=LIGHT_SHARE
-    )
+    make, pair = _make_keys, _pair
+    if 2 * bits <= SHORT_BITS:
+        make, pair = _make_short_keys, _pair_short
+        keys = array_at(keys.ptr, (2 * total,), wp.int32, device.alias)
+    inputs = [faces, vertices, bits, keys, edges, first, flags, *clamped]
+    launch(make, total, inputs, device, smallest=LIGHT_SHARE)
     wp.utils.radix_sort_pairs(keys, edges, total, 0, 2 * bits)
-    launch(_pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device, smallest=LIGHT_SHARE)
+    launch(pair, total, [faces, keys, edges, unmatched, owned, neighbours, flags], device, smallest=LIGHT_SHARE)
     launch(_own, count, [faces, owned, first, flags, neighbours], device, smallest=LIGHT_SHARE)
 
 

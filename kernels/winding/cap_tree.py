@@ -312,7 +312,14 @@ def _join_levels(begin: int, lanes: int, caps: Caps, lowest: int, width: int, mo
 
 
 def build_caps(
-    caps: Caps, vertices: wp.array, triangles: wp.array, bounds: wp.array, keys: wp.array, slots: wp.array
+    caps: Caps,
+    vertices: wp.array,
+    triangles: wp.array,
+    bounds: wp.array,
+    keys: wp.array,
+    slots: wp.array,
+    *,
+    fillers: bool = False,
 ) -> None:
     """Fill `caps`, whose tree has the meshes' frame.
 
@@ -323,10 +330,11 @@ def build_caps(
         bounds: (6 * meshes) float32, each mesh's lowest and highest coordinates.
         keys: (2 * meshes * E) int64, workspace.
         slots: (2 * meshes * E) int32, workspace.
+        fillers: See `build_tree`.
     """
     tree, device = caps.tree, vertices.device
     # The caps' own normals have no use: they go where the moments come afterwards.
-    build_in_frame(tree, vertices, triangles, bounds, keys, slots, caps.moments)
+    build_in_frame(tree, vertices, triangles, bounds, keys, slots, caps.moments, fillers=fillers)
     launch(_leaf_moments, vertices.shape[0] << tree.depth, [caps], device)
     lanes = GPU_LANES if device.is_cuda else 1
     level = tree.depth

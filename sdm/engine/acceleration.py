@@ -350,8 +350,9 @@ def fill_surface(
     tree_alone: bool = False,
     gathered: Join | None = None,
     unjoined: list[Join] | None = None,
+    fillers: bool = False,
 ) -> None:
-    """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with `gathered`.
+    """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
 
     To `unjoined` is added what has to be called before features and cones are read, if it is to be called later.
     """
@@ -362,7 +363,7 @@ def fill_surface(
         corners = repeated_row(corners, view.tree.meshes)
     normals = empty(4 * count, wp.float32)
     keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)
-    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, gathered)
+    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, gathered, fillers=fillers)
     if join is not None:
         join()
     if tree_alone:

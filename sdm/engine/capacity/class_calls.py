@@ -192,7 +192,7 @@ def _queue_map(
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
         box: Any = as_warp(bounds, wp.float32)
-        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join)
+        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, fillers=True)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab = both_slabs(kind, mesh.rows)
         with kernels_beside(values) as join_winding:

@@ -101,5 +101,6 @@ class OpenBoundary(NamedTuple):
         gather_boundary(winding.boundary, view.tree, corners, as_warp(self.edges, wp.int32))
         room = 2 * self.caps.shape[0]
         keys, slots = empty(room, wp.int64), empty(room, wp.int32)
-        build_caps(winding.caps, repeated_row(corners, 2), as_warp(self.caps, wp.int32), bounds, keys, slots)
+        caps = as_warp(self.caps, wp.int32)
+        build_caps(winding.caps, repeated_row(corners, 2), caps, bounds, keys, slots, fillers=True)
         return winding
