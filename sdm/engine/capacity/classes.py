@@ -22,8 +22,9 @@ from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding.cap_tree import depth_of_caps
 
 # Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
-# of more, kernels take longer than the host.
-SMALL, LARGEST = (1280, 5120, 20480, 81920), 1 << 20
+# of more, kernels take longer than the host. One block sorts 4,864 short keys: the edges of the first class, the faces
+# of the second, and the one that is more.
+SMALL, LARGEST = (1620, 4863, 20480, 81920), 1 << 20
 # Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
 # Vertices for each face of the room: of closed surfaces, or of triangles that share none.
