@@ -63,9 +63,8 @@ def edges_of(boundary: Boundary):
 
 @wp.func
 def write_parts(parts: wp.array(dtype=wp.int32), count: int, room: int):
-    """Write the parts of a tree of so many caps, and of one of those behind them, up to a room: there is always one.
-
-    Both trees have a leaf for each, and the second one the nodes behind the room of the first.
+    """Write the parts of a tree of so many caps, which has a leaf for each, and of one of those behind them, up to a
+    room: there is always one, and its tree is of that alone, as nobody looks for any.
     """
     depth = int(0)
     while (1 << depth) < count:
@@ -76,8 +75,8 @@ def write_parts(parts: wp.array(dtype=wp.int32), count: int, room: int):
     while (1 << most) < room:
         most = most + 1
     parts[PART_SIZE + FIRST] = count
-    parts[PART_SIZE + COUNT] = room - count
-    parts[PART_SIZE + DEPTH] = most
+    parts[PART_SIZE + COUNT] = 1
+    parts[PART_SIZE + DEPTH] = 0
     parts[PART_SIZE + ROOT] = 2 << most
 
 

@@ -37,7 +37,6 @@ class CapacityClass:
 
     Args:
         most: Faces of the largest mesh.
-        least: Faces of the smallest.
         vertices: Room for vertices.
         shape: Voxels of the grid.
         turned: True if its axes are not x, y and z.
@@ -45,7 +44,6 @@ class CapacityClass:
     """
 
     most: int
-    least: int
     vertices: int
     shape: tuple[int, int, int]
     turned: bool
@@ -59,7 +57,7 @@ class CapacityClass:
     @property
     def sizes(self) -> PairSizes:
         """Sizes of the structure of both, if the mesh is closed."""
-        return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + (2 << depth_for(self.faces - self.least)))
+        return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + 2)
 
     @property
     def open_sizes(self) -> PairSizes:
@@ -124,7 +122,7 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
         room = int(LOOSE * most)
     if vertices > room or decisions.method != "cells":
         return None
-    found = _class(least, most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
+    found = _class(most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
     return None if found is None else (found, decisions)
 
 
@@ -155,7 +153,6 @@ def _of_all(least: int, most: int, shape: tuple[int, int, int], gpu: bool, optio
 
 @lru_cache(maxsize=256)
 def _class(
-    least: int,
     most: int,
     room: int,
     shape: tuple[int, int, int],
@@ -172,7 +169,7 @@ def _class(
     region_shares, cell_shares = options.shares or (shares_of(most, shape, cell) if gpu else (1, 1))
     left_out = options.levels_left_out
     if left_out is None:
-        ends = _ends(least, most) if leaves_are_long(most, shape) else []
+        ends = _ends(*bounds_of(most)) if leaves_are_long(most, shape) else []
         left_out = max((levels_of_large_leaves(faces, depth_for(faces)) for faces in ends), default=0)
     own = replace(
         make_plan(work, memory, options),
@@ -183,4 +180,4 @@ def _class(
         levels_left_out=_decided(most, shape, gpu, options).levels_left_out,
     )
     plan = replace(joint_plan([work], [own], memory, options), levels_left_out=left_out)
-    return CapacityClass(most, least, room, shape, turned, plan) if plan.passes == 1 else None
+    return CapacityClass(most, room, shape, turned, plan) if plan.passes == 1 else None

@@ -68,11 +68,11 @@ def write_table(
     none: list[float] = [0.0] * SLAB_ROW
     none[SPACING : SPACING + 3], none[VOXEL], none[REGION] = (1.0, 1.0, 1.0), grid.size, kind.plan.total
     none[REGION_SHARES], none[CELL_SHARES] = kind.plan.region_shares, kind.plan.cell_shares
-    depth, behind = depth_for(faces), kind.faces - faces
+    depth = depth_for(faces)
     parts = [0] * (2 * PART_SIZE)
     parts[COUNT], parts[DEPTH], parts[LEFT_OUT] = faces, depth, decisions.levels_left_out
-    parts[PART_SIZE + FIRST], parts[PART_SIZE + COUNT] = faces, behind
-    parts[PART_SIZE + DEPTH], parts[PART_SIZE + ROOT] = depth_for(behind), 2 << depth
+    # Of the faces behind there is a tree of the first alone, as nobody looks for any.
+    parts[PART_SIZE + FIRST], parts[PART_SIZE + COUNT], parts[PART_SIZE + ROOT] = faces, 1, 2 << depth
     counts = [0] * COUNTS
     counts[FACES], counts[VERTICES] = faces, vertices
     _FORMAT.pack_into(table, 0, *own, *none, *addresses, *counts, *parts)

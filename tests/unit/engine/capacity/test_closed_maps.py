@@ -72,7 +72,7 @@ def test_the_table_has_every_entry_in_its_place():
     assert numbers[:COUNTS].tolist() == [1000, 500]
     parts = numbers[COUNTS:][: 2 * PART_SIZE].reshape(2, PART_SIZE)
     assert parts[:, FIRST].tolist() == [0, 1000]
-    assert parts[:, COUNT].tolist() == [1000, kind.faces - 1000]
+    assert parts[:, COUNT].tolist() == [1000, 1]
     assert parts[:, ROOT].tolist() == [0, 2 << depth_for(1000)]
     assert parts[:, LEFT_OUT].tolist() == [3, 0]
     assert (own[REGION_SHARES], own[CELL_SHARES]) == (4, 2)
