@@ -358,8 +358,7 @@ def fill_surface(
     """
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
-    if view.tree.meshes:
-        # Meshes that differ: all vertices in one row, which is that of every mesh.
+    if view.tree.meshes:  # that differ: all vertices in one row, which is that of every mesh
         corners = repeated_row(corners, view.tree.meshes)
     normals = empty(4 * count, wp.float32)
     keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)

@@ -10,7 +10,7 @@ from sdm.runtime.graphs import TableCall
 
 
 def by_table(call: TableCall) -> tuple[Any, list[int], int]:
-    """What a call gives, all numbers that it told, and how many of these are no flags."""
+    """Results of a call, all numbers that it told, and how many of these are no flags."""
     table = torch.full((call.length,), torch.nan, dtype=torch.float64)
     results = call.fill(table.numpy())
     said: list[int] = []

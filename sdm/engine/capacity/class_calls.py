@@ -35,7 +35,7 @@ TELLING = 1
 
 
 class ClassMap(NamedTuple):
-    """What a recording of a class gives.
+    """Results of a recording of a class.
 
     Args:
         values: (nx,ny,nz), the map.
