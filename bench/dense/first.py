@@ -4,9 +4,9 @@
 
 Each mesh is made `--variants` times with other counts, by new vertices in the middle of some of its faces. A first call
 is the first with such counts, the device idle before it, kernels loaded, vertices and faces on the device; a repeated
-one has other vertices and faces in memory of their own, of counts seen often. Three meshes of other counts come before
-those that are timed: their median is `cold_ms`, calls that no recording serves yet. A row tells milliseconds of both by
-CUDA events around the call, structure and topology counted, and microseconds until the call returns to the host. Two
+one has other vertices and faces in memory of their own, of counts seen often. A mesh of other counts comes before those
+that are timed: `cold_ms`, a call for which its capacity class is recorded. A row tells milliseconds of both by CUDA
+events around the call, structure and topology counted, and microseconds until the call returns to the host. Two
 maps of each mesh, from a first and from a repeated call, have to be equal bit for bit.
 """
 
@@ -79,7 +79,7 @@ def row(case: Case, device: str, resolution: int, variants: int, runs: int) -> d
     graphs.clear()
     firsts, last = [], case
     values = torch.empty(0)
-    for number in range(graphs.CALLS + variants):
+    for number in range(1 + variants):
         last = split(case, FEWEST_SPLIT + number)
         mesh = fresh(last, device)
         ms, us, field = timed(lambda mesh=mesh: sdm.signed_distance_map(mesh, grid, device=device), device)
@@ -92,15 +92,15 @@ def row(case: Case, device: str, resolution: int, variants: int, runs: int) -> d
         mesh = fresh(last, device)
         ms, us, field = timed(lambda mesh=mesh: sdm.signed_distance_map(mesh, grid, device=device), device)
         repeated.append((ms, us))
-    # Until a recording serves meshes of about this size, on a GPU, and after.
-    cold, first, again = _medians(firsts[: graphs.CALLS]), _medians(firsts[graphs.CALLS :]), _medians(repeated)
+    # On a GPU with the recording that serves meshes of about this size, and after.
+    cold, first, again = _medians(firsts[:1]), _medians(firsts[1:]), _medians(repeated)
     return {
         "mesh": case.name,
         "triangles": len(case),
         "resolution": resolution,
         "first_ms": first[0],
         "first_host_us": first[1],
-        "first_slowest_ms": max(ms for ms, _ in firsts[graphs.CALLS :]),
+        "first_slowest_ms": max(ms for ms, _ in firsts[1:]),
         "cold_ms": cold[0],
         "repeated_ms": again[0],
         "repeated_host_us": again[1],
