@@ -23,6 +23,10 @@ VERTICES_AT, FACES_AT, VALUES_AT, AMBIGUOUS_AT, TOLD_AT, ADDRESSES = 0, 1, 2, 3,
 def _int_at(address: wp.int64, index: int) -> int: ...
 
 
+@wp.func_native(snippet="return reinterpret_cast<const wp::int64*>(address)[index];")
+def _long_at(address: wp.int64, index: int) -> wp.int64: ...
+
+
 @wp.func_native(snippet="return reinterpret_cast<const wp::vec3*>(address)[index];")
 def _vector_at(address: wp.int64, index: int) -> wp.vec3: ...
 
@@ -34,42 +38,55 @@ def _put_int(address: wp.int64, index: int, value: int): ...
 @wp.kernel
 def _take_in(
     begin: int,
-    counts: wp.array(dtype=wp.int32),
-    addresses: wp.array(dtype=wp.int64),
+    host: wp.int64,
+    addresses_at: int,
+    counts_at: int,
+    table: wp.array(dtype=wp.int64),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     wrong: wp.array(dtype=wp.int32),
 ):
     i = begin + wp.tid()
-    if i < counts[VERTICES]:
-        vertices[i] = _vector_at(addresses[VERTICES_AT], i)
+    if i < table.shape[0]:
+        table[i] = _long_at(host, i)
+    # From the host itself, as the other threads' copies need not be there yet.
+    counts = host + wp.int64(8 * counts_at)
+    count = _int_at(counts, FACES)
+    points = _int_at(counts, VERTICES)
+    if i < points:
+        vertices[i] = _vector_at(_long_at(host, addresses_at + VERTICES_AT), i)
     if i >= faces.shape[0]:
         return
-    last = counts[VERTICES] - 1
     # Each at a vertex of its own, as far as there are enough, so that none has many.
-    filler = i % counts[VERTICES]
+    filler = i % points
+    given_at = _long_at(host, addresses_at + FACES_AT)
     for k in range(3):
         index = filler
-        if i < counts[FACES]:
-            given = _int_at(addresses[FACES_AT], 3 * i + k)
-            index = wp.clamp(given, 0, last)
+        if i < count:
+            given = _int_at(given_at, 3 * i + k)
+            index = wp.clamp(given, 0, points - 1)
             if index != given:
                 wrong[0] = 1
         faces[i, k] = index
 
 
-def take_in(counts: wp.array, addresses: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array) -> None:
-    """Copy a mesh's vertices and faces, and put faces of no area behind these.
+def take_in(
+    host: int, addresses_at: int, counts_at: int, table: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array
+) -> None:
+    """Copy a table, and the vertices and faces of the mesh that it tells of, and put faces of no area behind these.
 
     Args:
-        counts: (COUNTS) int32, the faces and vertices that there are, at least one of each.
-        addresses: (ADDRESSES) int64, of which those of vertices (V,3) float32 and faces (F,3) int32 are read.
+        host: Where the table is, in memory that the device reads: pinned, for a GPU.
+        addresses_at: Where in it, in numbers of 8 bytes, the addresses are: (ADDRESSES) int64, of which those of vertices
+            (V,3) float32 and faces (F,3) int32 are read.
+        counts_at: Where the counts are: (COUNTS) int32, V and F, at least one each.
+        table: (T) int64, filled.
         vertices: (room) vec3; the first V are filled.
         faces: (room,3) int32, filled: indices out of range are brought into it.
         wrong: (1) int32, set to 1 if there were any.
     """
-    count = max(vertices.shape[0], faces.shape[0])
-    launch(_take_in, count, [counts, addresses, vertices, faces, wrong], faces.device)
+    count = max(vertices.shape[0], faces.shape[0], table.shape[0])
+    launch(_take_in, count, [host, addresses_at, counts_at, table, vertices, faces, wrong], faces.device)
 
 
 @wp.kernel
@@ -103,7 +120,7 @@ def tell(counts: wp.array, addresses: wp.array, neighbours: wp.array, unmatched:
     """Write what a mesh's faces say to the address TOLD_AT: its neighbours, unmatched edges, and boundary, in a row.
 
     Args:
-        counts: As for `take_in`.
+        counts: (COUNTS) int32, as for `take_in`.
         addresses: (ADDRESSES) int64.
         neighbours: (4 * room) int32, of which those of the F own faces are written.
         unmatched: (U) int32, of any length.

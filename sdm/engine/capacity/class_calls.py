@@ -18,7 +18,7 @@ from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
-from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
+from sdm.engine.capacity.tables import ADDRESSES_AT, COUNTS_AT, TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
@@ -112,23 +112,21 @@ class _Mesh(NamedTuple):
 
 def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, wrong: Tensor) -> _Mesh:
     """Queue the copies of the table and of the mesh that it tells of; `wrong` (1,) is set if an index is."""
-    table = host if device.type == "cpu" else _on_device(host, device)
+    table = torch.empty(host.shape, dtype=host.dtype, device=device)
     rows, addresses, counts, parts = split_table(table)
     vertices = torch.empty((kind.vertices, 3), dtype=torch.float32, device=device)
     faces = torch.empty((kind.faces, 3), dtype=torch.int32, device=device)
     with on_current_stream(table, table):
         take_in(
-            as_warp(counts, wp.int32),
-            as_warp(addresses, wp.int64),
+            host.data_ptr(),
+            ADDRESSES_AT,
+            COUNTS_AT,
+            as_warp(table.view(torch.int64), wp.int64),
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.int32),
             as_warp(wrong, wp.int32),
         )
     return _Mesh(vertices, faces, rows, addresses, counts, parts)
-
-
-def _on_device(host: Tensor, device: torch.device) -> Tensor:
-    return torch.empty(host.shape, dtype=host.dtype, device=device).copy_(host, non_blocking=True)
 
 
 def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:

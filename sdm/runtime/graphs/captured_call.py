@@ -242,11 +242,13 @@ class TableRecording(Recording):
 
 
 def _do_once(work: Work, table: Table) -> None:
-    """Load what is loaded on first use, by the work with a table that goes once it was read."""
+    """Load what is loaded on first use, by the work with a table of its own."""
     once = _pinned(table.length)
     results = table.fill(once.numpy())
     work(unverified, once)
-    del results
+    # Nobody else knows that the device reads it.
+    torch.cuda.current_stream().synchronize()
+    del results, once
 
 
 def _pinned(length: int) -> Tensor:
