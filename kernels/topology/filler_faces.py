@@ -77,7 +77,7 @@ def take_in(
 
     Args:
         host: Where the table is, in memory that the device reads: pinned, for a GPU.
-        addresses_at: Where in it, in numbers of 8 bytes, the addresses are: (ADDRESSES) int64, of which those of vertices
+        addresses_at: Where in it, in numbers of 8 bytes, the addresses are: (ADDRESSES) int64; those of vertices
             (V,3) float32 and faces (F,3) int32 are read.
         counts_at: Where the counts are: (COUNTS) int32, V and F, at least one each.
         table: (T) int64, filled.
