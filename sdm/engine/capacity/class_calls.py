@@ -32,6 +32,8 @@ from sdm.topology.face_pairing import queue_pairing
 
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
+# Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
+LARGE = 1 << 27
 
 
 class ClassMap(NamedTuple):
@@ -74,7 +76,7 @@ def class_call(
         return ClassMap(values, neighbours)
 
     key, work = class_key(kind), partial(_queue_closed_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0])
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid))
 
 
 def open_class_call(
@@ -96,7 +98,11 @@ def open_class_call(
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(MOST_EDGES, 3), boundary)
 
     key, work = class_key(kind, is_open=True), partial(_queue_open_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0])
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid))
+
+
+def _later(grid: Grid) -> int:
+    return int(grid.nbytes > LARGE)
 
 
 class _Mesh(NamedTuple):

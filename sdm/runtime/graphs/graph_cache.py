@@ -84,15 +84,17 @@ class GraphCache:
         inputs: Any,
         for_many: bool = False,
         capture: Callable[[MemoryPool, Work, Any], Recording] | None = None,
+        later: int = 0,
     ) -> None:
         """Count a call that has no recording, and record it if it came often enough.
 
-        `for_many`: the recording will serve calls of many kinds. `capture`: what makes it, if not the cache's own.
+        `for_many`: the recording will serve calls of many kinds. `capture`: what makes it, if not the cache's own. `later`: by
+        how many calls it has to come more often.
         """
         self._calls[key] = self._calls.pop(key, 0) + 1
         while len(self._calls) > MOST_KEYS:
             self._calls.popitem(last=False)
-        if self._calls[key] < self._needed[for_many] or key in self._captured:
+        if self._calls[key] < self._needed[for_many] + later or key in self._captured:
             return
         self._calls[key] = 0
         alike = [other for other in self._captured if (other in self._for_many) == for_many]

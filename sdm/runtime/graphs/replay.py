@@ -97,6 +97,7 @@ class TableCall(NamedTuple, Generic[R]):
         fill: Writes the table, an array of the host, and gives the new tensors whose addresses are in it.
         reads: The tensors that the work reads by address.
         family: Works of one family launch the same kernels, or nearly.
+        later: By how many calls a recording is made later than before the first.
     """
 
     key: Hashable
@@ -106,6 +107,7 @@ class TableCall(NamedTuple, Generic[R]):
     fill: Callable[[Any], R]
     reads: Tensors
     family: str
+    later: int = 0
 
 
 def supports(tensor: Tensor) -> bool:
@@ -184,7 +186,7 @@ def attempt_by_table(call: TableCall[R]) -> tuple[R | None, list[int]]:
         captured = cache.find(call.key)
         if captured is None:
             table = Table(call.device, call.length, call.fill, call.family)
-            cache.count(call.key, call.work, table, for_many=True, capture=TableRecording)
+            cache.count(call.key, call.work, table, for_many=True, capture=TableRecording, later=call.later)
             captured = cache.find(call.key)
     if not isinstance(captured, TableRecording):
         return None, []

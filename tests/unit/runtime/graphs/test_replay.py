@@ -75,6 +75,13 @@ def test_a_recording_for_many_is_made_at_once(cache):
     assert len(made) == 1
 
 
+def test_a_recording_for_many_that_is_large_waits_for_another_call(cache):
+    cache.count("a", 10, INPUTS, for_many=True, later=1)
+    assert cache.find("a") is None
+    cache.count("a", 10, INPUTS, for_many=True, later=1)
+    assert isinstance(cache.find("a"), Stub)
+
+
 def test_recordings_for_many_stay_whatever_comes_for_one_kind(cache):
     """As of a folder of meshes, each asked about often enough: the next mesh's first call needs its class."""
     for key in range(20):
