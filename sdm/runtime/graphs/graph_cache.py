@@ -88,8 +88,13 @@ class GraphCache:
     ) -> None:
         """Count a call that has no recording, and record it if it came often enough.
 
-        `for_many`: the recording will serve calls of many kinds. `capture`: what makes it, if not the cache's own. `later`: by
-        how many calls it has to come more often.
+        Args:
+            key: Of the call.
+            work: Of the call.
+            inputs: What a recording is made with.
+            for_many: The recording will serve calls of many kinds.
+            capture: What makes it, if not the cache's own.
+            later: By how many calls it has to come more often.
         """
         self._calls[key] = self._calls.pop(key, 0) + 1
         while len(self._calls) > MOST_KEYS:
