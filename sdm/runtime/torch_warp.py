@@ -37,7 +37,8 @@ def on_current_stream(tensor: Tensor, *reads: Tensor) -> Iterator[wp.Device]:
         yield device
         return
     with torch.cuda.device(tensor.device):
-        stream = torch.cuda.current_stream()
+        # By its number, as torch looks for the current device otherwise.
+        stream = torch.cuda.current_stream(tensor.device.index)
         for read in reads:
             if read.numel():
                 read.record_stream(stream)

@@ -48,13 +48,13 @@ def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> 
     if not is_recording(device):
         yield _nothing
         return
-    main = torch.cuda.current_stream()
+    main = torch.cuda.current_stream(device.index)
     side = side_streams(main.device_index)[branch]
     side.wait_stream(main)
     done = torch.cuda.Event()
 
     def join() -> None:
-        torch.cuda.current_stream().wait_event(done)
+        torch.cuda.current_stream(main.device_index).wait_event(done)
 
     with torch.cuda.stream(side):
         if after is not None:
