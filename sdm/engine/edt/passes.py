@@ -118,20 +118,22 @@ def _fill_kinds(
     kinds = out.shape[0]
     counts = kinds * nx * ny, 2 * kinds * nx, 2 * kinds
     row_has, row_ends, slice_ends = torch.zeros(sum(counts), dtype=torch.int32, device=device).split(counts)
+
+    def ends_from(kind: int) -> tuple[wp.array, wp.array, wp.array]:
+        # Of the classes from this one on.
+        rows, slices = row_has[kind * nx * ny :], row_ends[2 * kind * nx :]
+        return as_warp(rows, wp.int32), as_warp(slices, wp.int32), as_warp(slice_ends[2 * kind :], wp.int32)
+
     with on_current_stream(labels, labels):
         source, inside = as_warp(labels.view(-1), wp.uint8), as_warp(own, wp.float32)
         if signed:
             room = as_warp(row_has, wp.int32), as_warp(between[:voxels], wp.float32)
             class_transform.own_distances(source, value, kinds, (nx, ny, nz), sizes, half, missing, *room, inside)
         # Kernels count the voxels of their results in 32 bits.
-        for begin, end in _parts(kinds, min(MOST_KINDS, MOST_VOXELS // voxels)):
-            ends = (row_has[begin * nx * ny :], row_ends[2 * begin * nx :], slice_ends[2 * begin :])
-            some, room = out[begin:end], [as_warp(each, wp.int32) for each in ends]
-            found = as_warp(some.view(-1), wp.float32)
-            class_transform.find_rows(source, value + begin, (end - begin, nx, ny, nz), sizes, half, *room, found)
+        for begin, end in _parts(kinds, max(1, min(MOST_KINDS, MOST_VOXELS // voxels))):
+            shape, found = (end - begin, nx, ny, nz), as_warp(out[begin:end].view(-1), wp.float32)
+            class_transform.find_rows(source, value + begin, shape, sizes, half, *ends_from(begin), found)
         for begin, end in _parts(kinds, chunk):
-            ends = (row_has[begin * nx * ny :], row_ends[2 * begin * nx :], slice_ends[2 * begin :])
-            some, room = out[begin:end], [as_warp(each, wp.int32) for each in ends]
             class_transform.transform_classes(
                 (end - begin, nx, ny, nz),
                 sizes,
@@ -139,9 +141,9 @@ def _fill_kinds(
                 signed,
                 missing,
                 inside,
-                *room,
+                *ends_from(begin),
                 as_warp(between, wp.float32),
-                as_warp(some.view(-1), wp.float32),
+                as_warp(out[begin:end].view(-1), wp.float32),
             )
 
 
