@@ -90,13 +90,11 @@ def _surfaces(source: Path) -> list[list[TriangleMesh]]:
         return [list(pool.map(_mesh, *zip(*group, strict=True), chunksize=1)) for group in labels]
 
 
-def labels_of(source: Path, names: list[str]) -> dict[str, torch.Tensor]:
-    """Masks (x,y,z) of atria by name, voxels of `SPACING_MM` with the first at the surfaces' origin."""
+def left_out_labels(source: Path, count: int | None = None) -> dict[str, torch.Tensor]:
+    """Masks (x,y,z) of the test atria by name, voxels of `SPACING_MM` with the first at the surfaces' origin."""
     with np.load(source) if source.is_file() else _Folder(source) as file:
-        keys = {
-            n.removesuffix("/bits").split("/")[1]: n.removesuffix("/bits") for n in file.files if n.endswith("/bits")
-        }
-        return {name: _mask(file[f"{keys[name]}/bits"], file[f"{keys[name]}/shape"]) for name in names}
+        paths = sorted(n.removesuffix("/bits") for n in file.files if n.endswith("/bits") and n.split("/")[0] in TEST)
+        return {p.split("/")[1]: _mask(file[f"{p}/bits"], file[f"{p}/shape"]) for p in paths[:count]}
 
 
 def _mask(bits: np.ndarray, shape: np.ndarray) -> torch.Tensor:

@@ -4,9 +4,9 @@
 
 For each atrium of the validation set a model is made of all others but itself, its double and its near twins (the same
 atrium at another time); its modes and a pose are fitted to the image (`fit_family`), and then the vertices go on freely
-(`free_form`). Distances are means over both ways from the smooth surface of the atrium's label. Beside them: the best
-that the modes could do, laid onto the true surface itself, and the level set of the image halfway between the
-intensities, as it is and after a Gaussian of one voxel.
+(`free_form`). Distances are means over both ways from the smooth surface of the atrium's label. Beside them: the projection
+of the true surface on the modes, by the vertices of the template laid onto it, and the level set of the image halfway
+between the intensities, as it is and after a Gaussian of one voxel.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from torch import Tensor
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import describe
-from sdm.bench.deepsdf.shapes import SPACING_MM, atria, labels_of
+from sdm.bench.deepsdf.shapes import SPACING_MM, atria, left_out_labels
 from sdm.bench.deepsdf.study.atria_split import duplicates_of, read_record, twins_of
 from sdm.core.device import choose_device
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.random import generator
 from sdm.core.signed_distance_map import SDM
-from sdm.deepsdf.samples.label_surface import largest_component
+from sdm.deepsdf.samples.label_surface import label_surface, largest_component
 from sdm.engine.mesh_index import MeshIndex
 from sdm.fit.model.scaled_family import factor_of
 from sdm.fit.solve.fit_family import fit_family, usual_options
@@ -56,35 +56,37 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--blur", type=float, default=1.0, help="standard deviation [voxels]")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--cache", type=Path, default=None, help="keeps the surfaces for the next time")
+    parser.add_argument("--laid", type=Path, default=None, help="as sdm.bench.shapes.atria --laid left it: all of them")
     parser.add_argument("--budget-s", type=float, default=float("inf"), help="begin no fit after this long")
     options = parser.parse_args(words)
     begin, device = time.perf_counter(), choose_device(options.device)
-    found = atria(options.data, options.training, options.count, cache=options.cache)
     record = read_record()
     doubles = set(duplicates_of(record))
-    others = [mesh for mesh in found.training if mesh.name not in doubles]
-    meshes = [*others, *found.test]
-    start = time.perf_counter()
-    points, faces = _laid(others, meshes, options.triangles, device)
-    laid_s = time.perf_counter() - start
-    print(f"{len(meshes)} atria: surfaces {start - begin:.0f} s, template laid in {laid_s:.0f} s", flush=True)
-    masks = labels_of(options.data, [mesh.name for mesh in found.test])
+    masks = left_out_labels(options.data, options.count)
+    if options.laid is None:
+        names, points, faces = _laid(options, doubles, device)
+    else:
+        known = torch.load(options.laid, weights_only=True)
+        names, faces = list(known["points"]), known["faces"]
+        points = torch.stack([known["points"][name] for name in names]).double()
+    print(f"{len(names)} atria, a template laid on each: {time.perf_counter() - begin:.0f} s", flush=True)
     rows: list[dict[str, Any]] = []
-    for number, mesh in enumerate(found.test):
+    for number, (name, mask) in enumerate(masks.items()):
         if time.perf_counter() - begin > options.budget_s:
             break
-        away = twins_of(record, [mesh.name]) | {mesh.name} | doubles
-        kept = [i for i, other in enumerate(meshes) if other.name not in away]
+        mesh = label_surface(mask, SPACING_MM)
+        away = twins_of(record, [name]) | {name} | doubles
+        kept = [i for i, other in enumerate(names) if other not in away]
         modes = min(options.modes, len(kept) - 1)
         model = model_of(points[kept], faces, scale=False, modes=modes, limit=3.0, facts={})
-        image, grid = image_of(masks[mesh.name], options.blur, options.noise, number)
-        row = {"name": mesh.name, "of": len(kept), **_fitted(model, mesh, image, grid, options, device)}
-        rows.append(row | {"best_of_modes_mm": best_of_modes(model, points[len(others) + number], mesh, device)})
+        image, grid = image_of(mask, options.blur, options.noise, number)
+        row = {"name": name, "of": len(kept), **_fitted(model, mesh, image, grid, options, device)}
+        rows.append(row | {"projection_mm": projection(model, points[names.index(name)], mesh, device)})
         print(rows[-1], flush=True)
         write(options.out, {
             "machine": describe(str(device)), "voxel_mm": SPACING_MM, "blur_voxels": options.blur,
             "noise_of_contrast": options.noise, "modes": options.modes, "triangles": len(faces),
-            "seconds_laying": round(laid_s, 1), "mean": _means(rows), "atria": rows,
+            "mean": _means(rows), "atria": rows,
         })  # fmt: skip
     print(_means(rows))
 
@@ -93,12 +95,16 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
     return {key: round(float(np.mean([r[key] for r in rows])), 4) for key in rows[0] if key.endswith(("_mm", "_s"))}
 
 
-def _laid(others: list[TriangleMesh], meshes: list[TriangleMesh], triangles: int, device: Any) -> tuple[Tensor, Tensor]:
-    """A template of the others' middle volume on all meshes: vertices (N,V,3) and faces."""
+def _laid(options: Any, doubles: set[str], device: Any) -> tuple[list[str], Tensor, Tensor]:
+    """A template of the training atria's middle volume on all: names, vertices (N,V,3) and faces."""
+    found = atria(options.data, options.training, options.count, cache=options.cache)
+    others = [mesh for mesh in found.training if mesh.name not in doubles]
     volumes = [_volume(mesh) for mesh in others]
     middle = sorted(range(len(others)), key=volumes.__getitem__)[len(others) // 2]
-    layer = TemplateLayer(even_template(others[middle], triangles, device), device)
-    return torch.stack([layer.lay(mesh).vertices.cpu() for mesh in meshes]).double(), layer.faces.cpu()
+    layer = TemplateLayer(even_template(others[middle], options.triangles, device), device)
+    meshes = [*others, *found.test]
+    points = torch.stack([layer.lay(mesh).vertices.cpu() for mesh in meshes]).double()
+    return [mesh.name for mesh in meshes], points, layer.faces.cpu()
 
 
 def image_of(mask: Tensor, blur: float, noise: float, number: int) -> tuple[Tensor, Grid]:
@@ -146,8 +152,8 @@ def _level_set(image: Tensor, grid: Grid, smoothing: float) -> TriangleMesh:
     return largest_component(SDM(torch.from_numpy((INSIDE + OUTSIDE) / 2 - values).float(), grid).to_mesh())
 
 
-def best_of_modes(model: Any, points: Tensor, mesh: TriangleMesh, device: Any) -> float:
-    """Distance of the model's shape that is nearest to the template laid onto the atrium itself."""
+def projection(model: Any, points: Tensor, mesh: TriangleMesh, device: Any) -> float:
+    """Distance of the model's shape whose vertices are nearest to those of the template on the atrium itself."""
     from sdm.shapes.models.procrustes import rotations
 
     own, mean = points - points.mean(0), model.mean.double() - model.mean.double().mean(0)
