@@ -4,9 +4,9 @@
 
 For each atrium of the validation set a model is made of all others but itself, its double and its near twins (the same
 atrium at another time); its modes and a pose are fitted to the image (`fit_family`), and then the vertices go on freely
-(`free_form`). Distances are means over both ways from the smooth surface of the atrium's label. Beside them: the projection
-of the true surface on the modes, by the vertices of the template laid onto it, and the level set of the image halfway
-between the intensities, as it is and after a Gaussian of one voxel.
+(`free_form`). Distances are means over both ways from the smooth surface of the atrium's label. Beside them: the
+projection of the true surface on the modes, by the vertices of the template laid onto it, and the level set of the
+image halfway between the intensities, as it is and after a Gaussian of one voxel.
 """
 
 from __future__ import annotations
