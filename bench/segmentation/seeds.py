@@ -127,11 +127,13 @@ def _told(found: tuple[Spread, Spread], left: tuple[Spread, Spread], short: str,
 
 
 def repeats(folders: Mapping[str, Logs]) -> list[list[tuple[str, dict[str, Any]]]]:
-    """Trainings with the same settings and seed, each with the name of its logs."""
+    """Trainings with the same settings, cases and seed, each with the name of its logs."""
     found: dict[str, list[tuple[str, dict[str, Any]]]] = {}
     for name, logs in folders.items():
         for log in logs:
-            found.setdefault(json.dumps(settings_of(log), sort_keys=True), []).append((name, log))
+            # Logs of before there was a choice have the twins among the training cases.
+            same = [settings_of(log), log["job"].get("twins", "kept")]
+            found.setdefault(json.dumps(same, sort_keys=True), []).append((name, log))
     return [same for same in found.values() if len(same) > 1]
 
 

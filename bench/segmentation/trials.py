@@ -44,7 +44,10 @@ def differs(log: Mapping[str, Any], main: Mapping[str, Any]) -> str:
     """In what the protocol of a log is not that of the table."""
     own, usual = protocol_of(log), protocol_of(main)
     changed = {key: value for key, value in own.items() if value != usual[key]}
-    return ", ".join(words(key, value) for key, value in changed.items()) or "as in the table"
+    told = [words(key, value) for key, value in changed.items()]
+    if log["job"].get("twins") == "apart":
+        told.append("near twins left out")
+    return ", ".join(told) or "as in the table"
 
 
 def words(key: str, value: Any) -> str:

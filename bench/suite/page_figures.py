@@ -377,6 +377,30 @@ FIGURES = (
         "cochlea_fit",
         lambda r: [r["fit"]["mean_symmetric_surface_distance_mm"], r["fit"]["hausdorff_mm"]],
     ),
+    Figure(
+        SHAPES,
+        "is {:.3f} mm from an atrium on average, and {:.2f} from",
+        "shape-model-atria",
+        lambda r: [r["mean_mm"], r["worst_mm"]],
+    ),
+    Figure(
+        SURROGATE,
+        "among {:,} shapes, is {:.3f}",
+        "surrogate-worst",
+        lambda r: [r["shapes"], r["worst"][0]["dice"]],
+    ),
+    Figure(
+        SURROGATE,
+        "the worst Dice by search is {:.3f}",
+        "surrogate-worst-ends",
+        lambda r: [r["worst"][0]["dice"]],
+    ),
+    Figure(
+        SURROGATE,
+        "mean error {:.2f} mm at voxels of {:.1f} mm, {:.2f} mm near the surface, mean Dice {:.3f}",
+        "surrogate-atria-cuda",
+        lambda r: [r["mean"], r["voxel"], r["near"], r["dice"]],
+    ),
 )
 
 

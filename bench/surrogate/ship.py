@@ -81,7 +81,8 @@ the exact engine (`sdm predict --exact`), which the surrogate imitates.
 On the fixed validation set `{facts["validation"]}` (984 uniform shapes that no training has, and
 the 16 corners of the box, which the training saw: 3 of its samples in 100), against exact maps; lengths in mm, "near"
 is within 0.5 mm of the surface. Means over shapes; "max" and "worst" over all. Between these shapes errors may be
-larger: of the network of commit b24e530, whose worst Dice here was 0.9705, a search of the box found 0.961.
+larger: of the network of commit b24e530, whose worst Dice here was 0.9705, a search of the box found 0.958
+(`python -m sdm.bench.surrogate.worst`).
 The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{source}`).
 
 | measure | value |

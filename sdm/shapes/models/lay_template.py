@@ -38,7 +38,7 @@ HALVES = 4
 # Steps keep the cosine between a face's normal and that of its turned rest above this; below 0 it is turned over.
 MARGIN = 0.05
 # Turns of smoothing where faces are turned over at the end.
-SMOOTHINGS = 64
+SMOOTHINGS = 256
 
 
 @dataclass(frozen=True, eq=False)
