@@ -16,10 +16,11 @@ from typing import Any
 
 from sdm.bench.common.checkout import checkout, results_folder
 from sdm.bench.suite.page_tables import TABLES
+from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
-DEEPSDF, SHAPES, LARGE = "sdm/deepsdf/README.md", "sdm/shapes/README.md", "docs/howto/large.md"
+DEEPSDF, LARGE = "sdm/deepsdf/README.md", "docs/howto/large.md"
 SCIPY = "docs/from/scipy.md"
 
 Numbers = Callable[[Any], Sequence[Any]]
@@ -371,36 +372,7 @@ FIGURES = (
     Figure(PAPERS, "{:.1f} s (published network), {:.2f} s (local)", "deepsdf", _searches),
     Figure(PAPERS, "| {:.0f} s on three label maps", "deepsdf", _label_fits),
     Figure(PAPERS, "{:.2f} mm off on the seen half, {:.1f} mm on the other", "deepsdf", lambda r: _half(r)[:2]),
-    Figure(
-        SHAPES,
-        "within {:.3f} mm on average and {:.2f} mm at most",
-        "cochlea_fit",
-        lambda r: [r["fit"]["mean_symmetric_surface_distance_mm"], r["fit"]["hausdorff_mm"]],
-    ),
-    Figure(
-        SHAPES,
-        "is {:.3f} mm from an atrium on average, and {:.2f} from",
-        "shape-model-atria",
-        lambda r: [r["mean_mm"], r["worst_mm"]],
-    ),
-    Figure(
-        SURROGATE,
-        "among {:,} shapes, is {:.3f}",
-        "surrogate-worst",
-        lambda r: [r["shapes"], r["worst"][0]["dice"]],
-    ),
-    Figure(
-        SURROGATE,
-        "the worst Dice by search is {:.3f}",
-        "surrogate-worst-ends",
-        lambda r: [r["worst"][0]["dice"]],
-    ),
-    Figure(
-        SURROGATE,
-        "mean error {:.2f} mm at voxels of {:.1f} mm, {:.2f} mm near the surface, mean Dice {:.3f}",
-        "surrogate-atria-cuda",
-        lambda r: [r["mean"], r["voxel"], r["near"], r["dice"]],
-    ),
+    *(Figure(*row) for row in SHAPE_FIGURES),
 )
 
 
