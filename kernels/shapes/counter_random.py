@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.launch import launch_grid
+from sdm.kernels.launch import launch, launch_grid
 
 wp.set_module_options({"enable_backward": False})
 
@@ -79,8 +79,13 @@ def philox_kernel(
 
 
 @wp.kernel
-def uniform_kernel(low: wp.uint32, high: wp.uint32, index: wp.array(dtype=wp.int64), values: wp.array2d(dtype=float)):
-    b, block = wp.tid()
+def uniform_kernel(
+    begin: int, low: wp.uint32, high: wp.uint32, index: wp.array(dtype=wp.int64), values: wp.array2d(dtype=float)
+):
+    blocks = (values.shape[1] + 3) / 4
+    place = begin + wp.tid()
+    b = place / blocks
+    block = place % blocks
     word = philox(counter_of(index[b], block, 0), low, high)
     for lane in range(4):
         d = 4 * block + lane
@@ -113,8 +118,10 @@ def sobol_kernel(
 def fill_uniform(seed: int, index: Any, values: Any, device: Any) -> None:
     """Fill `values` (B,D) float32 with independent numbers in [0,1) for `index` (B,) int64."""
     blocks = -(-values.shape[1] // LANES)
-    inputs = [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index]
-    launch_grid(uniform_kernel, dim=(values.shape[0], blocks), inputs=inputs, outputs=[values], device=device)
+    # Streams wait for this: one axis of threads, as such launches are recorded.
+    launch(
+        uniform_kernel, values.shape[0] * blocks, [seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF, index, values], device
+    )
 
 
 def fill_sobol(seed: int, index: Any, directions: Any, values: Any, device: Any) -> None:
