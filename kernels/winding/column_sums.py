@@ -22,7 +22,7 @@ from sdm.kernels.winding.boundary_term import boundary_winding
 from sdm.kernels.winding.dipole_tree import soup_winding
 from sdm.kernels.winding.open_caps import open_caps
 from sdm.kernels.winding.ray_crossings import count_crossings
-from sdm.kernels.winding.rims.edge_boxes import MOST_EDGES, MOST_FACES_AN_EDGE, open_edges
+from sdm.kernels.winding.rims.edge_boxes import FACES_AN_EDGE, MOST_EDGES, open_edges
 from sdm.kernels.winding.rims.every_voxel import MOST_SUMS, add_rims
 from sdm.kernels.winding.scan_convert import mark_triangle
 from sdm.kernels.winding.winding_number import CLOSED, SOUP, Winding
@@ -211,7 +211,8 @@ def slab_winding(
     fast = winding.kind not in (CLOSED, SOUP) and OPEN_METHOD == "caps"
     kind, edges = "cuda" if device.is_cuda else "cpu", winding.boundary.count
     few = fast and edges * total <= MOST_SUMS[kind]
-    by_edges = fast and not few and edges <= MOST_EDGES[kind] and tree.count <= MOST_FACES_AN_EDGE * edges
+    loose = FACES_AN_EDGE[0] * edges <= tree.count <= FACES_AN_EDGE[1] * edges
+    by_edges = fast and not few and loose and edges <= MOST_EDGES[kind]
     with_caps = fast and not few and not by_edges
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()

@@ -215,10 +215,10 @@ def _open_by_edges(
         item = fetch_add_once(counts, next_item, 1, lane)
 
 
-# A mesh with no more boundary edges than this, and for each no more faces than that, is opened by them: loose sheets
-# and open boxes, whose caps are as large as they are, and so near for most boxes. Others are opened by caps.
+# A mesh with no more boundary edges than this, and for each from one to that many faces, is opened by them: loose
+# sheets and open boxes, whose caps are as large as they are, and so near for most boxes. Others are opened by caps.
 MOST_EDGES = {"cuda": 1300, "cpu": 0}
-MOST_FACES_AN_EDGE = 5
+FACES_AN_EDGE = 1, 5
 # What an edge's polynomial may leave out of the winding number, for a box and for an octant.
 TOLERANCES = {"cuda": (1e-3, 1e-3), "cpu": (1e-4, 1e-4)}
 # Bits of the size of octants: of boxes of 8^3 voxels.
