@@ -15,13 +15,14 @@ from math import exp, log
 from typing import Any
 
 from sdm.bench.common.checkout import checkout, results_folder
+from sdm.bench.suite import disk_figures
 from sdm.bench.suite.page_tables import TABLES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
 STREAM, SURROGATE, FIT = "sdm/stream/README.md", "sdm/surrogate/README.md", "sdm/fit/README.md"
 DEEPSDF, LARGE = "sdm/deepsdf/README.md", "docs/howto/large.md"
-SCIPY = "docs/from/scipy.md"
+SCIPY, DISK = "docs/from/scipy.md", "docs/from-disk-to-disk.md"
 
 Numbers = Callable[[Any], Sequence[Any]]
 
@@ -295,6 +296,28 @@ FIGURES = (
     Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
     Figure(LARGE, "a GPU {:.0f} to {:.0f} MiB for meshes of up to 100,000 triangles", "dense-cuda", _scratch),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
+    Figure(
+        DISK,
+        "says {:.0f} maps a second as `.npz`, where {:.0f} were measured, and {:.2f} hours",
+        "disk-cuda",
+        lambda r: disk_figures.simulated(r)[:3],
+    ),
+    Figure(
+        DISK,
+        "{:.0f} a second, where {:.0f} were measured, and {:.2f} hours as `.nii.gz`",
+        "disk-cuda",
+        lambda r: disk_figures.simulated(r)[3:],
+    ),
+    Figure(DISK, "wrote {:.0f} maps of 128^3 a second as `.npz` and {:.0f} as", "disk-cuda", disk_figures.rates),
+    Figure(DISK, "took {:.0f} s, and {:.0f} s in the simulation", "disk-many-cpu", disk_figures.many_files),
+    Figure(DISK, "of the readers, {:.0f} MB/s (STL) to {:.0f} (PLY)", "disk-readers-cpu", disk_figures.readers),
+    Figure(DISK, "500,000 samples of {:.0f} meshes a second", "disk-sample-cuda", disk_figures.rates),
+    Figure(
+        DISK,
+        "at least {:.2f} of the engine's speed, {:.2f} by processor time",
+        "disk-pairs-cpu",
+        disk_figures.shares_in_pairs,
+    ),
     Figure(GUIDE, "maps at {:.1f} % of the speed of training", "stream", lambda r: _speeds(r)[:1]),
     Figure(GUIDE, "a small decoder at {:.1f} %", "stream", lambda r: _speeds(r)[1:]),
     Figure(GUIDE, "{:.3f} mm off on average; on two CPU cores {:.0f} ms", "surrogate-cpu", lambda r: _surrogate(r)[:2]),
