@@ -37,6 +37,7 @@ def watertight(
     skip_bad: bool = False,
     resume: bool = False,
     device: Device = "auto",
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: no cluster)")] = None,
 ) -> int | None:
     """Make one closed surface of each mesh: of sheets, holes, soup, parts that cross, faces that face all ways.
 
@@ -56,10 +57,13 @@ def watertight(
         report: JSON file to write about all meshes.
         skip_bad: Meshes that cannot be used are listed in a table at the end, and are no failure.
         resume: Skip meshes whose surface is in the folder already: made from the same mesh, with the same options.
-        device: auto, cpu, cuda or cuda:N; auto is a GPU if there is one.
+        device: auto, cpu, cuda or cuda:N; auto is every GPU of this machine, or the CPU if there is none. Of few meshes
+            one GPU makes all.
+        ray: Share the meshes among the GPUs of this Ray cluster; "auto" is the one this machine belongs to.
     """
     from sdm.cli.surfaces.closing import run, targets_of
     from sdm.cli.surfaces.closing_stages import Closing
+    from sdm.runtime.sharing.devices import devices_for
 
     options = Closing(
         resolution=resolution, offset=offset, hole_size=hole_size, hidden=hidden, method=method, device=device
@@ -67,4 +71,5 @@ def watertight(
     jobs, folder = targets_of(meshes, out, format)
     if report is None and folder:
         report = out / "report.json"
-    return run(jobs, options, report=report, skip_bad=skip_bad, folder=out if folder else None, resume=resume)
+    where = {"folder": out if folder else None, "devices": devices_for(device), "ray": ray}
+    return run(jobs, options, report=report, skip_bad=skip_bad, resume=resume, **where)

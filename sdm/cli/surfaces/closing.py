@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sdm.cli.common.error_sentence import sentence_of
-from sdm.cli.common.full_disk import is_full_disk
 from sdm.cli.common.inputs import refuse_inputs
 from sdm.cli.common.output_files import inputs_of, places_in
 from sdm.cli.common.progress import FileProgress
 from sdm.cli.maps.mesh_report import MeshEntry, write_report
 from sdm.cli.maps.run import sum_up
-from sdm.cli.surfaces.closing_stages import Closed, Closing, ClosingStages
+from sdm.cli.surfaces.closing_job import ClosingJob, SurfaceTold, surfaces_told
+from sdm.cli.surfaces.closing_stages import Closing
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
 from sdm.errors import FormatError, MeshError
-from sdm.io.files.stand_in import shown
+from sdm.io.files.stand_in import known, shown
 from sdm.io.meshes.write import WRITERS, ending_to_write
 from sdm.remeshing import WatertightReport
-from sdm.runtime.pipeline.outcome import Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
-from sdm.runtime.pipeline.stages import in_threads, numbered, one_by_one
-from sdm.runtime.pipeline.thread_count import threads_beside
+from sdm.runtime.sharing.share_out import processes_for, share_out
 
 DEFAULT_ENDING = "ply"
+# Meshes of a shard, each of which takes long. About what one takes of a GPU and its host.
+SHARD, SECONDS_AT_512 = 4, 0.5
 
 
 def targets_of(meshes: list[Path], out: Path, ending: str | None) -> tuple[list[tuple[Path, Path]], bool]:
@@ -68,6 +68,8 @@ def run(
     skip_bad: bool = False,
     folder: Path | None = None,
     resume: bool = False,
+    devices: list[str] | None = None,
+    ray: str | None = None,
 ) -> int | None:
     """Close each mesh into its file; 2 if some failed and are not to be skipped. One alone raises its error.
 
@@ -78,72 +80,76 @@ def run(
         skip_bad: Meshes that cannot be used are no failure of the whole.
         folder: Where surfaces go, if they go to a folder: what is finished is kept there until the report is written.
         resume: Leave surfaces that are there already, made from the same mesh in the same way.
+        devices: Those of this machine that share the meshes if there are many; by default the options' one alone.
+        ray: Address of a Ray cluster whose devices share them.
     """
-    device = choose_device(options.device)
     if report is not None:
         refuse_inputs([report], (source for source, _ in jobs))
     journal, times = Journal(folder, report, resume=resume), StageTimes()
-    stages, threads = ClosingStages(options, journal), min(threads_beside(device), len(jobs))
     entries: list[MeshEntry] = []
     found: dict[str, dict[str, Any]] = {}
-    alone = len(jobs) == 1 and not skip_bad
+    processes = processes_of(len(jobs), options, devices)
     with FileProgress(len(jobs), times) as progress:
-        read = in_threads(numbered(jobs), "read", stages.read, workers=threads, times=times, single=len(jobs) == 1)
-        closed = one_by_one(read, str(device), stages.close, times=times)
-        written = in_threads(
-            closed,
-            "write",
-            stages.write,
-            workers=threads,
-            times=times,
-            nbytes=lambda one: one.nbytes,
-            prompt=True,
-            single=len(jobs) == 1,
-        )
         progress.begin(jobs[0][0].name)
-        for outcome in written:
-            source, target = jobs[outcome.number]
-            if isinstance(outcome, Failed):
-                entries.append(_failed(outcome.error, source, alone=alone))
-            else:
-                found[shown(source)] = _told(outcome.value, target, journal, progress)
-                entries.append(_entry(source, target, outcome.value, found[shown(source)]))
-            progress.end()
-            if outcome.number + 1 < len(jobs):
-                progress.begin(jobs[outcome.number + 1][0].name)
+
+        def hear(several: Iterable[SurfaceTold]) -> None:
+            for told in several:
+                source, target = jobs[told.number]
+                if told.reason is not None:
+                    entries.append(MeshEntry(mesh=shown(source), state="failed", reason=told.reason))
+                else:
+                    found[shown(source)] = _kept(told, target, journal, progress)
+                    entries.append(_entry(source, target, told, found[shown(source)]))
+                progress.end()
+                if len(entries) < len(jobs):
+                    progress.begin(jobs[len(entries)][0].name)
+
+        if ray is not None or len(processes) > 1:
+            job = ClosingJob(
+                wanted=list(range(len(jobs))),
+                each=SHARD,
+                jobs=jobs,
+                options=options,
+                folder=folder,
+                report=report,
+                resume=resume,
+                stand_ins=known(),
+            )
+            share_out(job, job.shards, processes, ray, hear, times)
+        else:
+            more = {"single": len(jobs) == 1, "alone": len(jobs) == 1 and not skip_bad}
+            hear(surfaces_told(enumerate(jobs), len(jobs), options, journal, times, **more))
     if report is not None:
         write_report(entries, report, surfaces=found, seconds_of_stages=times.seconds)
         journal.close()
     return sum_up(entries, skip_bad)
 
 
-def _failed(error: Exception, source: Path, *, alone: bool) -> MeshEntry:
-    sentence = sentence_of(error)
-    if sentence is None or alone:
-        raise error
-    if is_full_disk(error):
-        raise FormatError(f"{sentence}; --resume goes on from there") from error
-    return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
+def processes_of(meshes: int, options: Closing, devices: list[str] | None) -> list[str]:
+    """The device of each process: one on each GPU where the work takes long."""
+    if devices is None or meshes < 2:
+        return [str(choose_device(options.device))]
+    return processes_for(devices, meshes * SECONDS_AT_512 * (options.resolution / 512) ** 2, several=False)
 
 
-def _told(made: Closed, target: Path, journal: Journal, progress: FileProgress) -> dict[str, Any]:
+def _kept(told: SurfaceTold, target: Path, journal: Journal, progress: FileProgress) -> dict[str, Any]:
     """The report's part about a surface, which is kept and printed."""
-    if made.report is None:
-        progress.print(f"{made.read.mesh.name}: {shown(target)} is there already")
-        return made.read.known or {}
-    progress.print(_line(made.report, made.seconds, target))
-    return journal.add(target, made.read.digest, made.report.as_dict())
+    if told.report is None:
+        progress.print(f"{told.name}: {shown(target)} is there already")
+        return told.known or {}
+    progress.print(_line(told.report, told.seconds, target))
+    return journal.add(target, told.digest, told.report.as_dict())
 
 
-def _entry(source: Path, target: Path, made: Closed, told: dict[str, Any]) -> MeshEntry:
+def _entry(source: Path, target: Path, told: SurfaceTold, kept: dict[str, Any]) -> MeshEntry:
     return MeshEntry(
         mesh=shown(source),
-        state="there already" if made.report is None else "done",
+        state="there already" if told.report is None else "done",
         output=shown(target),
-        triangles=len(made.read.mesh),
-        closed=told.get("closed"),
-        sign=told.get("sign"),
-        seconds=None if made.report is None else round(made.seconds, 4),
+        triangles=told.triangles,
+        closed=kept.get("closed"),
+        sign=kept.get("sign"),
+        seconds=None if told.report is None else round(told.seconds, 4),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import sdm
 from sdm.cli import main
-from sdm.cli.surfaces import closing, closing_stages, journal
+from sdm.cli.surfaces import closing, closing_job, closing_stages, journal
 from sdm.core.mesh import TriangleMesh
 from tests.helpers.closed_surface import assert_edges_cancel
 from tests.helpers.killed_command import killed_after
@@ -65,7 +65,7 @@ def test_a_run_that_was_interrupted_goes_on(roof, tmp_path, capsys, monkeypatch)
         made.append(mesh.name)
         return close(mesh, *args, **options)
 
-    monkeypatch.setattr(closing, "threads_beside", lambda _: 1)
+    monkeypatch.setattr(closing_job, "threads_beside", lambda _: 1)
     monkeypatch.setattr(closing_stages, "watertight", interrupted)
     assert main(words) == 130
     monkeypatch.setattr(closing_stages, "watertight", close)
@@ -92,6 +92,41 @@ def test_a_run_that_was_interrupted_goes_on(roof, tmp_path, capsys, monkeypatch)
     assert first.read_bytes() == whole
     assert main([*words, "--resume", "--hidden", "keep"]) == 0
     assert "is there already" not in capsys.readouterr().out
+
+
+def test_workers_share_the_meshes(roof, tmp_path, capsys, monkeypatch):
+    """The same surfaces, lines and report as by one, and a restart that leaves what is there."""
+    for number in range(9):
+        (roof.parent / f"roof{number}.obj").write_bytes(roof.read_bytes())
+    (roof.parent / "bad.stl").write_text("nothing")
+    words = ["watertight", str(roof.parent), "--resolution", "16", "--device", "cpu", "--skip-bad", "-o"]
+    assert main([*words, str(tmp_path / "one")]) == 0
+    alone, shared = capsys.readouterr().out, []
+
+    def by_turns(job, shards, devices, done):
+        shared.append(len(shards))
+        makers = [job.maker(device) for device in devices]
+        # As processes would that end in another order.
+        for place in (1, 0):
+            job.run(shards[place::2], makers[place], done)
+
+    monkeypatch.setattr(closing, "processes_for", lambda devices, *_, **__: devices * 2)
+    monkeypatch.setattr("sdm.runtime.sharing.share_out.run_here", by_turns)
+    assert main([*words, str(tmp_path / "two")]) == 0
+    told = capsys.readouterr().out
+    lines = [[line.partition(" voxels")[0] for line in text.splitlines()] for text in (alone, told)]
+    assert lines[0] == lines[1]
+    assert shared == [3]
+    found = [{file.name: file.read_bytes() for file in (tmp_path / name).glob("*.ply")} for name in ("one", "two")]
+    assert found[0] == found[1]
+    assert len(found[0]) == 10
+    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("one", "two")]
+    assert reports[0]["surfaces"].keys() == reports[1]["surfaces"].keys()
+    assert [entry["state"] for entry in reports[1]["meshes"]].count("done") == 10
+    (tmp_path / "two" / "roof3.ply").unlink()
+    assert main([*words, str(tmp_path / "two"), "--resume"]) == 0
+    assert capsys.readouterr().out.count("is there already") == 9
+    assert (tmp_path / "two" / "roof3.ply").exists()
 
 
 def test_what_cannot_be_is_refused_in_a_sentence(roof, tmp_path, capsys):

@@ -23,6 +23,8 @@ from sdm.cli.maps import run as map_run
 from sdm.cli.maps import sample_run
 from sdm.cli.maps.map_job import MapJob
 from sdm.cli.maps.sample_job import SampleJob
+from sdm.cli.surfaces import closing
+from sdm.cli.surfaces.closing_job import ClosingJob
 from sdm.dataset import SDMDataset, generate
 from sdm.dataset.shard_job import Job
 from sdm.errors import SDMError
@@ -170,7 +172,7 @@ def test_a_lost_node_changes_nothing(tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_folders_by_a_cluster_that_loses_a_worker(tmp_path, monkeypatch):
-    """`sdm compute` and `sdm sample`: a worker that is killed costs one shard, and changes no byte."""
+    """`sdm compute`, `sample` and `watertight`: a worker that is killed costs one shard, and changes no byte."""
     ray = pytest.importorskip("ray", reason="needs Ray, an extra")
     monkeypatch.setattr(cluster, "LOOK", 0.1)
     (tmp_path / "in").mkdir()
@@ -192,15 +194,17 @@ def test_folders_by_a_cluster_that_loses_a_worker(tmp_path, monkeypatch):
 
             def run_some(self, shard, maker):
                 # A shard of half of the items, which are then there.
-                half = replace(self, wanted=self.numbers(shard)[:4])
+                half = replace(self, wanted=self.numbers(shard)[:2])
                 job.run(half, [0], maker, lambda _: os.kill(os.getpid(), signal.SIGKILL))
 
         return Dies
 
     monkeypatch.setattr(map_run, "MapJob", dying(MapJob))
     monkeypatch.setattr(sample_run, "SampleJob", dying(SampleJob))
+    monkeypatch.setattr(closing, "ClosingJob", dying(ClosingJob))
     ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     more = {"compute": ["--format", "npz", "--resolution", "8"], "sample": ["--count", "100", "--dataset", "d"]}
+    more["watertight"] = ["--resolution", "12"]
     try:
         for command, options in more.items():
             words = [command, str(tmp_path / "in"), "--device", "cpu", *options, "-o"]
@@ -213,6 +217,8 @@ def test_folders_by_a_cluster_that_loses_a_worker(tmp_path, monkeypatch):
     finally:
         ray.shutdown()
     made = log.read_text().split("\n")
-    for job in ("MapJob", "SampleJob"):
-        # Three shards, one of them twice.
-        assert sorted(line for line in made if job in line) == [f"{job} {n}" for n in (0, 1, 1, 2)]
+    for job, shards in (("MapJob", 3), ("SampleJob", 3), ("ClosingJob", 6)):
+        # One of them twice.
+        assert sorted(line for line in made if job in line) == sorted(
+            [f"{job} 1", *(f"{job} {n}" for n in range(shards))]
+        )
