@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from sdm.bench.disk.simulate import OBJAVERSE, from_record
@@ -34,7 +35,41 @@ def readers(record: dict[str, Any]) -> list[float]:
     return [min(own), max(own)]
 
 
+def shares_of_a_disk(record: dict[str, Any]) -> list[float]:
+    """Shares of the speed of a plain writer, file after file, and of the best one, of each work."""
+    rows = record["pipelines"]
+    return [row[key] for key in ("of_one_after_the_other", "of_smaller") for row in rows]
+
+
 def shares_in_pairs(record: dict[str, Any]) -> list[float]:
     """Shares of the engine's speed: the least median by the clock, and by processor time."""
     rows = record["pipelines"]
     return [min(row["of_engine"] for row in rows), min(row["of_engine_cpu"] for row in rows)]
+
+
+# Words of the page with places for numbers, the record, and what takes them from it.
+PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
+    (
+        "says {:.0f} maps a second as `.npz`, where {:.0f} were measured, and {:.2f} hours",
+        "disk-cuda",
+        lambda r: simulated(r)[:3],
+    ),
+    (
+        "{:.0f} a second, where {:.0f} were measured, and {:.2f} hours as `.nii.gz`",
+        "disk-cuda",
+        lambda r: simulated(r)[3:],
+    ),
+    ("wrote {:.0f} maps of 128^3 a second as `.npz` and {:.0f} as", "disk-cuda", rates),
+    (
+        (
+            "{:.2f} (float16) and {:.2f} (zstd) of the speed of one plain writer, {:.2f} and {:.2f} by `sdm compute` as "
+            "`.npz` and `.nii.gz`; {:.2f}, {:.2f}, {:.2f} and {:.2f} of the best"
+        ),
+        "disk-real-cuda",
+        shares_of_a_disk,
+    ),
+    ("took {:.0f} s, and {:.0f} s in the simulation", "disk-many-cpu", many_files),
+    ("of the readers, {:.0f} MB/s (STL) to {:.0f} (PLY)", "disk-readers-cpu", readers),
+    ("500,000 samples of {:.0f} meshes a second", "disk-sample-cuda", rates),
+    ("at least {:.2f} of the engine's speed, {:.2f} by processor time", "disk-pairs-cpu", shares_in_pairs),
+)
