@@ -63,6 +63,25 @@ def _number_by(stream: torch.cuda.Stream, number: Tensor) -> int:
         return int(number)
 
 
+def numbers_of(values: Tensor) -> Callable[[], list[int]]:
+    """Numbers of a tensor, once they are there: they are copied now, on the current stream.
+
+    What is queued after this is not waited for.
+    """
+    if values.device.type != "cuda":
+        return values.tolist
+    host = torch.empty(values.shape, dtype=values.dtype, device="cpu", pin_memory=True)
+    host.copy_(values, non_blocking=True)
+    done = torch.cuda.Event()
+    done.record(torch.cuda.current_stream(values.device))
+
+    def wait() -> list[int]:
+        done.synchronize()
+        return host.tolist()
+
+    return wait
+
+
 class HostRows:
     """Rows on the host that are filled by copies from a device, which nobody waits for until they are read.
 

@@ -24,6 +24,7 @@ from sdm.kernels.dense.plan import memory_of
 from sdm.kernels.dense.query import Surface
 from sdm.kernels.launch import set_array
 from sdm.runtime.graphs.branches import Join, kernels_beside
+from sdm.runtime.host_copy import numbers_of
 from sdm.runtime.torch_warp import as_warp, warp_name, workspace
 
 # Branch of a graph on which blocks are listed, and winding numbers found at their voxels.
@@ -232,8 +233,9 @@ def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:
     if len(listed.blocks):
         measured = queue_measure(band, listed, gaps=gaps)
         layers, counts = Layers(band.shape, band.layers[0], band.width), listed.counts[:COUNTS]
+        wait = numbers_of(counts)
         early = gather_early(layers, listed.blocks, measured, counts)
-        found = taken(layers, listed.blocks, measured, counts, counts.tolist(), early)
+        found = taken(layers, listed.blocks, measured, counts, wait(), early)
     else:
         values = torch.empty((0, BLOCK, BLOCK, BLOCK), dtype=torch.float32, device=band.structure.device)
         found = BandBlocks(listed.blocks, values, 0, listed.blocks.new_empty((0, 4)))

@@ -42,6 +42,7 @@ from sdm.kernels.topology.edge_pairing import FLAGS
 from sdm.runtime import graphs
 from sdm.runtime.graphs import Call, Verify
 from sdm.runtime.graphs.branches import Join, beside, kernels_beside
+from sdm.runtime.host_copy import numbers_of
 from sdm.runtime.torch_warp import as_warp, on_current_stream, warp_name
 from sdm.topology.face_pairing import queue_pairing
 
@@ -128,10 +129,10 @@ def queue_band(
     grid: Grid, width: float, room: Room, verify: Verify, vertices: Tensor, faces: Tensor
 ) -> tuple[Tensor, ...]:
     """Numbers, the blocks that may be near, and what was measured of them, all with room: see `finish_band`."""
-    with beside(faces.device) as join:
-        flags, _, neighbours = queue_pairing(faces, vertices.shape[0])
     # The kernels after this trust the faces, which only later turn out to be out of range.
     within = faces.clamp(0, vertices.shape[0] - 1)
+    with beside(faces.device) as join:
+        flags, _, neighbours = queue_pairing(faces, vertices.shape[0])
     structure = AccelerationStructure.in_block(_sizes(faces.shape[0]), vertices.device)
     band = BandSlab(structure, grid, width, (0, grid.shape[0]), signed=True)
     bounds = torch.empty(6, dtype=torch.float32, device=vertices.device)
@@ -173,10 +174,11 @@ def finish_band(grid: Grid, width: float, room: Room, made: tuple[Tensor, ...]) 
     numbers, blocks, *rest = made
     measured, layers, numbered = Measured(*rest), Layers(grid.shape, 0, width), numbers[FLAGS:]
     with on_current_stream(blocks):
-        early = gather_early(layers, blocks, measured, numbered)
-        said = numbers.tolist()
+        wait = numbers_of(numbers)
+        early, boxes = gather_early(layers, blocks, measured, numbered), rooms_of(grid.shape, blocks.device)
+        said = wait()
         counts = said[FLAGS:]
-        if any(said[:FLAGS]) or not fits(counts, room, rooms_of(grid.shape, blocks.device)):
+        if any(said[:FLAGS]) or not fits(counts, room, boxes):
             return None
         if is_beyond(counts, grid, minus=False):
             return None
