@@ -18,7 +18,7 @@ from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign, SignMethod, SignOptions
 from sdm.engine.band import joint_bands, repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
-from sdm.engine.band.block_distances import BandBlocks
+from sdm.engine.band.block_distances import BandBlocks, can_list_gaps
 from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs
 from sdm.engine.mesh_index import MeshIndex
@@ -153,7 +153,7 @@ def _band(there: TriangleMesh, chosen: Grid, half_width: float, orient: Orient, 
     width = band_width(chosen, half_width)
     found = repeated_bands.replayed(there, chosen, width)
     if found is not None and found.runs is not None:
-        return SparseSDM(found.blocks, found.values, found.runs, chosen, width, 0, sign)
+        return SparseSDM(found.blocks, found.values, found.runs, chosen, width, found.ambiguous, sign)
     return band_of(MeshIndex(there, there.device), chosen, half_width, method, there)
 
 
@@ -175,12 +175,12 @@ def band_of(
         band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
         return _looked_at(band, index)
     signed = sign == "winding" and index._repeated is None
-    gaps = signed and index.closed
+    gaps = signed and can_list_gaps(index._structure.kind)
     found = measured_blocks(index._structure, grid, width, signed=signed, mesh=index._measured, gaps=gaps)
     blocks, values = found.blocks, found.values
     if repeated is not None and gaps:
-        repeated_bands.note(repeated, grid, width, found)
-    if gaps:
+        repeated_bands.note(repeated, grid, width, found, index._edges)
+    if gaps and index.closed:
         return _of_closed(index, grid, half_width, found)
     ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:
