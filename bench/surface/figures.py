@@ -1,4 +1,4 @@
-"""Picture of surfaces: seconds against resolution."""
+"""Pictures of surfaces: seconds against resolution, and of `sdm watertight` from file to file."""
 
 from __future__ import annotations
 
@@ -38,3 +38,19 @@ def draw(report: dict[str, Any], path: Path) -> None:
         panels[0].legend(fontsize=8)
         machine = report["machine"]
         figure.supxlabel(f"{machine['device']}, {machine['cores']} cores, repeated calls", fontsize=8)
+
+
+def draw_watertight(report: dict[str, Any], path: Path) -> None:
+    """Bars of each mesh and resolution: the first call of a process, repeated ones, and a file of a folder."""
+    rows, parts = report["rows"], {"first": "first call", "warm": "repeated call", "folder": "a file of a folder"}
+    with sheet(path, (7.0, 1.6 + 0.9 * len(rows)), dpi=110, layout="constrained", look=STYLE) as figure:
+        axes = figure.subplots()
+        for number, (part, label) in enumerate(parts.items()):
+            places = [place + 0.25 * (1 - number) for place in range(len(rows))]
+            bars = axes.barh(places, [row[part] for row in rows], 0.22, label=label)
+            axes.bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
+        axes.set_yticks(range(len(rows)), [f"{row['mesh']}, {row['resolution']}^3" for row in rows])
+        axes.set_xlabel("seconds from file to file")
+        axes.legend(fontsize=8)
+        machine = report["machine"]
+        figure.supxlabel(f"{machine['device']}, {machine['cores']} cores", fontsize=8)

@@ -34,6 +34,7 @@ import sdm
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import load_case, missing_note
+from sdm.bench.surface.figures import draw_watertight
 from sdm.io.meshes.write import save_mesh
 
 MESHES = ("fandisk", "rocker-arm", "nefertiti")
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--processes", type=int, default=3, help="fresh processes of each that are counted; 0 for none")
     parser.add_argument("--copies", type=int, default=8, help="files of the folder")
-    parser.add_argument("--out", type=Path, help="a JSON file")
+    parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     report: dict[str, Any] = {"machine": describe(given.device), "runs": given.runs, "copies": given.copies, "rows": []}
     if given.processes:
@@ -66,6 +67,8 @@ def main() -> None:
             print(line(row), flush=True)
             if given.out:
                 json_file.write(given.out, report)
+    if given.out and report["rows"]:
+        draw_watertight(report, given.out.with_suffix(".png"))
 
 
 def line(row: dict[str, Any]) -> str:
