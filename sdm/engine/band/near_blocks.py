@@ -13,7 +13,7 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along, blocks_of, keys_of
 from sdm.core.grid import Grid
 from sdm.kernels.band.block_lists import pack_keys
-from sdm.kernels.band.near_triangles import mark_triangles
+from sdm.kernels.band.near_triangles import MOST_LARGE, mark_triangles
 from sdm.kernels.band.surface_boxes import LENGTH, STRIDE, find_boxes, mark_boxes
 from sdm.kernels.geometry.block_table import BITS
 from sdm.runtime.torch_warp import as_warp
@@ -59,10 +59,11 @@ def mark_near(
         reach: In the mesh's unit.
         bits: See `sdm.kernels.band.block_bits`.
         counts: Zeros, two for each level and for what is before the first: see `surface_boxes`. Where more boxes were
-            counted than `rooms_of` says, bits are missing. They stay zeros where triangles mark the blocks.
+            counted than `rooms_of` says, bits are missing. Where triangles mark blocks, the first counts large ones.
     """
     if marks_by_triangles(slab, counts.device):
-        mark_triangles(tree, slab, reach, bits)
+        large = torch.empty(MOST_LARGE, dtype=torch.int32, device=counts.device)
+        mark_triangles(tree, slab, reach, bits, as_warp(large, wp.int32), as_warp(counts, wp.int32))
         return
     device, levels = counts.device, levels_of(shape, counts.device)
     # Kept until all is queued.
