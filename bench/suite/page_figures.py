@@ -153,6 +153,15 @@ def _bands_on_a_gpu(record: Any) -> list[float]:
     ]
 
 
+def _beside_bands(record: Any) -> list[float]:
+    """How many times as long as ours a band takes Newton and PhysicsNeMo."""
+    seconds = {(r["library"], r["mesh"], r["resolution"]): r["seconds"] for r in record["rows"]}
+    return [
+        geometric_mean([s / seconds["sdm", mesh, n] for (name, mesh, n), s in seconds.items() if name == library])
+        for library in ("Newton", "PhysicsNeMo")
+    ]
+
+
 def _maps(record: Any) -> list[float]:
     return [round(x, -2) for x in _range([b["maps_per_second"] for b in record["rates"]["batches"]])]
 
@@ -293,6 +302,8 @@ FIGURES = (
         _bands_on_a_gpu,
     ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: _beside_bands(r)[:1]),
+    Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: _beside_bands(r)[1:]),
     Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
     Figure(LARGE, "a GPU {:.0f} to {:.0f} MiB for meshes of up to 100,000 triangles", "dense-cuda", _scratch),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
