@@ -154,7 +154,7 @@ def _bands_on_a_gpu(record: Any) -> list[float]:
 
 
 def _beside_bands(record: Any) -> list[float]:
-    """How many times as long as ours a band takes Newton and PhysicsNeMo."""
+    """Ratios of Newton's and PhysicsNeMo's times of a band to ours."""
     seconds = {(r["library"], r["mesh"], r["resolution"]): r["seconds"] for r in record["rows"]}
     return [
         geometric_mean([s / seconds["sdm", mesh, n] for (name, mesh, n), s in seconds.items() if name == library])
