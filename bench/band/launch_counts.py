@@ -27,9 +27,8 @@ def counted(triangles: int, resolution: int, *, recorded: bool) -> Counts:
     """The counts of one band of a torus."""
     vertices, faces = torus(triangles)
     grid = sdm.Grid.around(sdm.TriangleMesh(vertices, faces), resolution)
-    first = {"cpu": near_blocks.MOST_FIRST["cuda"]}
     found = Counts()
-    with as_on_a_gpu(NO_SPLITS), torch.no_grad(), mock.patch.dict(near_blocks.MOST_FIRST, first):
+    with as_on_a_gpu(NO_SPLITS), torch.no_grad(), mock.patch.object(near_blocks, "BY_TRIANGLES", ("cpu",)):
         for _ in range(2):
             # The first time kernels are compiled.
             mesh = sdm.TriangleMesh(vertices.copy(), faces.copy(), check=False)
