@@ -105,7 +105,6 @@ def _open_blocks(
     limits: CapLimits,
     slab: Slab,
     table: BlockTable,
-    listed: wp.array(dtype=wp.int32),
     next_block: wp.array(dtype=wp.int32),
     stacks: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float32),
@@ -118,9 +117,8 @@ def _open_blocks(
     windings.values = values
     # Written out once, not eight times.
     eight = unknown(8)
-    total = wp.min(listed[0], table.blocks.shape[0])
     item = fetch_add_once(next_block, 0, 1, lane)
-    while item < total:
+    while item < table.blocks.shape[0]:
         windings.place = item
         start = 8 * table.blocks[item]
         eighths = look_at_box(caps, limits, slab, start, 3, 0, windings, stack, lane, lanes)
@@ -163,14 +161,10 @@ def open_blocks(
     caps: Caps,
     slab: Slab,
     table: BlockTable,
-    listed: wp.array,
     values: wp.array,
     empty: Callable[[int, Any], wp.array],
 ) -> None:
-    """From the winding numbers of surface and caps at the voxels of blocks (N * 512) to the surface's own.
-
-    `listed` (1,) int32 is how many blocks there are: N, or less if the rest is room.
-    """
+    """From the winding numbers of surface and caps at the voxels of blocks (N * 512) to the surface's own."""
     device: Any = values.device
     kind = "cuda" if device.is_cuda else "cpu"
     lanes, workers = (GPU_LANES, gpu_workers(device, BLOCKS_PER_SM)) if device.is_cuda else (1, 16 * threads())
@@ -181,5 +175,5 @@ def open_blocks(
     next_block = empty(1, wp.int32)
     next_block.zero_()
     stacks = empty(1 if device.is_cuda else workers * LARGE_STACK_ON_CPU, wp.int32)
-    inputs = [lanes, tree, boundary, caps, limits, slab, table, listed, next_block, stacks, values]
+    inputs = [lanes, tree, boundary, caps, limits, slab, table, next_block, stacks, values]
     launch(_open_blocks, workers * lanes, inputs, device, smallest=1)

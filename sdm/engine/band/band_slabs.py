@@ -13,7 +13,7 @@ from torch import Tensor
 from sdm.core.block_lookup import BLOCK, blocks_along
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
-from sdm.engine.acceleration import AccelerationStructure, MeshKind
+from sdm.engine.acceleration import AccelerationStructure
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.block_distances import BandBlocks, measured_slab, refuse_too_many
 from sdm.engine.band.inside_runs import gaps_inside
@@ -55,7 +55,7 @@ def measured_blocks(
         width: In the mesh's unit.
         signed: False for distances of at least 0.
         mesh: The mesh, where it matters whether it reaches beyond the grid.
-        gaps: Whether to list the runs of blocks inside, next to these: of meshes with a sign, see `can_list_gaps`.
+        gaps: Whether to list the runs of blocks inside, next to these: of closed meshes with a sign.
 
     Raises:
         GridError: They do not fit into memory, or there are very many in one slab of the grid.
@@ -96,8 +96,7 @@ def _by_keys(band: BandSlab, gaps: bool) -> BandBlocks:
         before = layers[0] // BLOCK * math.prod(blocks_along(grid.shape)[1:])
         parts.append(measured_slab(slab, list_keys(slab, theirs - before), gaps=False))
     blocks, values = torch.cat([part.blocks for part in parts]), torch.cat([part.values for part in parts])
-    closed = structure.kind is MeshKind.CLOSED
-    runs = gaps_inside(blocks, values, blocks_along(grid.shape)[2]) if gaps and closed else None
+    runs = gaps_inside(blocks, values, blocks_along(grid.shape)[2]) if gaps else None
     return BandBlocks(blocks, values, sum(part.ambiguous for part in parts), runs, band.beyond)
 
 

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from sdm.core.block_lookup import BLOCK
 from sdm.core.device import SHARE_UNASKED, free_memory
-from sdm.engine.acceleration import MeshKind
 from sdm.engine.band.band_slab import BandSlab
 from sdm.engine.band.listed_blocks import Listed, Room
 from sdm.errors import GridError
@@ -19,7 +18,6 @@ from sdm.kernels.band.block_bits import AMBIGUOUS, BLOCKS, CHUNKS, COUNTS, KEPT,
 from sdm.kernels.band.block_lists import gather_blocks, keep_near, list_inside_gaps
 from sdm.kernels.band.block_winding import whole_windings
 from sdm.kernels.band.open_blocks import open_blocks
-from sdm.kernels.band.open_gaps import list_open_gaps
 from sdm.kernels.band.query import query_blocks
 from sdm.kernels.dense.block.winners import BlockOutput
 from sdm.kernels.dense.plan import memory_of
@@ -72,11 +70,6 @@ class BandBlocks(NamedTuple):
     room: Room | None = None
 
 
-def can_list_gaps(kind: MeshKind) -> bool:
-    """True for meshes whose sides far from the surface `queue_measure` can tell: closed, or with few boundary edges."""
-    return kind in (MeshKind.CLOSED, MeshKind.OPEN)
-
-
 def queue_measure(
     band: BandSlab, listed: Listed, *, gaps: bool, chunks: int | None = None, join_surface: Join | None = None
 ) -> Measured:
@@ -87,7 +80,7 @@ def queue_measure(
     Args:
         band: What is asked.
         listed: The blocks that may have a voxel in the band, with or without room behind them.
-        gaps: Whether to list the runs of blocks that are inside: see `can_list_gaps`.
+        gaps: Whether to list the runs of blocks that are inside: the mesh is closed, and has its sign.
         chunks: See `query_blocks`.
         join_surface: The same.
     """
@@ -106,7 +99,7 @@ def queue_measure(
             order, ends = as_warp(listed.order, wp.int32), as_warp(layer, wp.int32)
             whole_windings(tree, winding, band.slab, listed.table, order, blocks, ends, flat, lost)
             if winding.caps.tree.count > 0:
-                open_blocks(tree, winding.boundary, winding.caps, band.slab, listed.table, blocks, flat, empty)
+                open_blocks(tree, winding.boundary, winding.caps, band.slab, listed.table, flat, empty)
         else:
             flat.zero_()
     to: Any = BlockOutput()
@@ -132,12 +125,8 @@ def queue_measure(
     keep_near(to.near, empty(room, wp.int32), places, counts)
     runs = kept.new_empty((2 * room if gaps else 0, 4))
     if gaps:
-        places_of, gone, last = as_warp(listed.blocks, wp.vec3i), as_warp(runs, wp.vec4i), band.along[2]
-        if structure.kind is MeshKind.CLOSED:
-            list_inside_gaps(places_of, places, flat, last, empty(2 * room, wp.int32), gone, counts)
-        else:
-            parts, numbers = empty(2 * room, wp.vec2i), empty(4 * room, wp.int32)
-            list_open_gaps(tree, winding.boundary, band.slab, places_of, places, last, parts, numbers, gone, counts)
+        places_of, gone = as_warp(listed.blocks, wp.vec3i), as_warp(runs, wp.vec4i)
+        list_inside_gaps(places_of, places, flat, band.along[2], empty(2 * room, wp.int32), gone, counts)
     return Measured(values, kept, runs)
 
 

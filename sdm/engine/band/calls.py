@@ -18,16 +18,13 @@ from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign, SignMethod, SignOptions
 from sdm.engine.band import joint_bands, repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
-from sdm.engine.band.block_distances import BandBlocks, can_list_gaps
+from sdm.engine.band.block_distances import BandBlocks
 from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs
-from sdm.engine.first_build import build_first
 from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.ragged.mesh_lists import are_meshes
-from sdm.engine.repeated_faces import may_be_crowded
 from sdm.errors import GridError
 from sdm.runtime.torch_warp import refuse_forward_mode
-from sdm.topology.face_pairing import is_known
 
 # A grid; the length of its voxels' edges, one or three; or voxels along each axis of one around the mesh.
 BandGrid: TypeAlias = Grid | float | Sequence[float]
@@ -156,27 +153,8 @@ def _band(there: TriangleMesh, chosen: Grid, half_width: float, orient: Orient, 
     width = band_width(chosen, half_width)
     found = repeated_bands.replayed(there, chosen, width)
     if found is not None and found.runs is not None:
-        return SparseSDM(found.blocks, found.values, found.runs, chosen, width, found.ambiguous, sign)
-    new = None if is_known(there.faces, len(there.vertices)) else _of_new(there, chosen, width)
-    return band_of(MeshIndex(there, there.device), chosen, half_width, method, there) if new is None else new
-
-
-def _of_new(mesh: TriangleMesh, grid: Grid, width: float) -> SparseSDM | None:
-    """The band of a mesh whose faces were never seen, whose tree is made while its topology is found.
-
-    None where that does not serve: of meshes with many boundary edges.
-    """
-    structure, topology = build_first(mesh.vertices.detach().contiguous(), mesh.faces.contiguous())
-    edges = topology.boundary
-    if not can_list_gaps(structure.kind) or may_be_crowded(mesh, edges):
-        return None
-    found = measured_blocks(structure, grid, width, signed=True, mesh=mesh, gaps=True)
-    repeated_bands.note(mesh, grid, width, found, edges)
-    inside = found.runs
-    if inside is None or found.beyond:
-        inside = inside_runs(MeshIndex(mesh, mesh.device), grid, found.blocks, found.runs, beyond=found.beyond)
-    ambiguous = found.ambiguous if edges.shape[0] else 0
-    return SparseSDM(found.blocks, found.values, inside, grid, width, ambiguous, "winding")
+        return SparseSDM(found.blocks, found.values, found.runs, chosen, width, 0, sign)
+    return band_of(MeshIndex(there, there.device), chosen, half_width, method, there)
 
 
 def band_width(grid: Grid, half_width: float) -> float:
@@ -197,12 +175,12 @@ def band_of(
         band = SparseSDM(*flood_band(index, grid, width, hole), grid, width, None, sign, hole)
         return _looked_at(band, index)
     signed = sign == "winding" and index._repeated is None
-    gaps = signed and can_list_gaps(index._structure.kind)
+    gaps = signed and index.closed
     found = measured_blocks(index._structure, grid, width, signed=signed, mesh=index._measured, gaps=gaps)
     blocks, values = found.blocks, found.values
     if repeated is not None and gaps:
-        repeated_bands.note(repeated, grid, width, found, index._edges)
-    if gaps and index.closed:
+        repeated_bands.note(repeated, grid, width, found)
+    if gaps:
         return _of_closed(index, grid, half_width, found)
     ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:

@@ -8,7 +8,7 @@ import torch
 
 import sdm
 from sdm.bench.common.meshes import sphere, torus
-from sdm.engine.band import calls, near_blocks, repeated_bands
+from sdm.engine.band import near_blocks, repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
 from sdm.engine.band.calls import band_width
 from sdm.engine.band.listed_blocks import Room
@@ -78,72 +78,18 @@ def test_what_was_guessed_wrong_is_not_taken():
     assert queued(sdm.TriangleMesh(mesh.vertices, faces, check=False), grid)[1] is None
 
 
-@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
-@pytest.mark.parametrize("cut", [(3, 4), (40, 41), (7, 90)])
-def test_open_meshes_are_guessed_to_have_as_many_boundary_edges(cut, monkeypatch):
-    """Also where a run of blocks that are not stored is inside at one end alone."""
-    noted: list[graphs.Call] = []
-    monkeypatch.setattr(graphs, "note", noted.append)
-    monkeypatch.setattr(repeated_bands, "memory_of", lambda _: 1 << 36)
-    repeated_bands._known.clear()
-    vertices, faces = sphere(9)
-    mesh = sdm.TriangleMesh(vertices, np.delete(faces, range(*cut), 0))
-    moved = sdm.TriangleMesh(mesh.vertices * torch.tensor([0.93, 0.95, 0.97]), mesh.faces)
-    grid, index = sdm.Grid.around(mesh, 75), sdm.MeshIndex(mesh, "cpu", warn=False)
-    with plan_override(method="cells", slice_factors=(1,)):
-        width = band_width(grid, 3.0)
-        found = measured_blocks(index._structure, grid, width, signed=True, mesh=index._measured, gaps=True)
-        repeated_bands.note(mesh, grid, width, found, index._edges)
-        (_, guessed), (call,) = repeated_bands._known.popitem()[1], noted
-        assert guessed.boundary == len(index._edges) > 0
-        assert call.key[-1] == guessed
-        for one in (mesh, moved):
-            call = repeated_bands.band_call(one, grid, width, Room(6000, 3000), guessed)
-            assert call.finish is not None
-            made = call.finish(call.work(graphs.unverified, *call.inputs))
-            assert made is not None
-            wanted = sdm.narrow_band(one, grid, device="cpu")
-            assert_same(made[:3], wanted)
-            assert int(made[3]) == wanted.ambiguous_voxels
-        # Another boundary.
-        other = sdm.TriangleMesh(vertices, np.delete(faces, [10, 60, 110, 160], 0))
-        call = repeated_bands.band_call(other, grid, width, Room(6000, 3000), guessed)
-        assert call.finish is not None
-        assert call.finish(call.work(graphs.unverified, *call.inputs)) is None
-    repeated_bands._known.clear()
-
-
-@pytest.mark.filterwarnings("ignore::sdm.SDMWarning")
-@pytest.mark.parametrize("seed", range(4))
-def test_runs_inside_open_meshes_are_those_by_winding_numbers_of_points(seed, monkeypatch):
-    rng = np.random.default_rng(seed)
-    vertices, faces = (sphere, torus)[seed % 2]((8, 900)[seed % 2])
-    kept = faces[(vertices[faces].mean(1) @ rng.normal(size=3)) < rng.uniform(0.2, 0.8)]
-    mesh = sdm.TriangleMesh(vertices, kept)
-    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    turn[:, 2] *= np.linalg.det(turn)
-    turned = sdm.Grid(-turn @ np.array([2.4, 2.3, 2.4]), (0.035, 0.03, 0.04), (138, 154, 121), turn)
-    for grid in (sdm.Grid.around(mesh, 150), turned):
-        found = sdm.narrow_band(mesh, grid, device="cpu").inside
-        with monkeypatch.context() as patch:
-            patch.setattr(calls, "can_list_gaps", lambda kind: False)
-            wanted = sdm.narrow_band(mesh, grid, device="cpu").inside
-        assert torch.equal(found, wanted)
-    assert len(wanted) > 0 or seed % 2
-
-
 def test_the_room_that_a_band_leaves_for_the_next(monkeypatch):
     noted: list[graphs.Call] = []
     monkeypatch.setattr(graphs, "note", noted.append)
     monkeypatch.setattr(repeated_bands, "memory_of", lambda _: 1 << 36)
-    repeated_bands._known.clear()
+    repeated_bands._rooms.clear()
     mesh = sdm.TriangleMesh(*torus(3000))
-    grid, index, none = sdm.Grid.around(mesh, 75), sdm.MeshIndex(mesh, "cpu"), torch.empty((0, 2), dtype=torch.int32)
+    grid, index = sdm.Grid.around(mesh, 75), sdm.MeshIndex(mesh, "cpu")
     with plan_override(method="cells", slice_factors=(1,)):
         width = band_width(grid, 3.0)
         found = measured_blocks(index._structure, grid, width, signed=True, mesh=mesh, gaps=True)
         for _ in range(2):
-            repeated_bands.note(mesh, grid, width, found, none)
+            repeated_bands.note(mesh, grid, width, found)
         one, again = noted
         assert one.finish is not None
         made = one.finish(one.work(graphs.unverified, *one.inputs))
@@ -151,12 +97,12 @@ def test_the_room_that_a_band_leaves_for_the_next(monkeypatch):
         assert_same(made, sdm.narrow_band(mesh, grid, device="cpu"))
         # A little smaller: the same recording will do.
         smaller = measured_blocks(index._structure, grid, 0.97 * width, signed=True, mesh=mesh, gaps=True)
-        repeated_bands.note(mesh, grid, width, smaller, none)
+        repeated_bands.note(mesh, grid, width, smaller)
         assert one.key == again.key == noted[2].key
         larger = measured_blocks(index._structure, grid, 2 * width, signed=True, mesh=mesh, gaps=True)
-        repeated_bands.note(mesh, grid, width, larger, none)
+        repeated_bands.note(mesh, grid, width, larger)
         assert noted[3].key != one.key
-    repeated_bands._known.clear()
+    repeated_bands._rooms.clear()
 
 
 @pytest.mark.parametrize(("triangles", "resolution"), [(20_000, 512), (1_000_000, 1024), (100_000, 4096)])
