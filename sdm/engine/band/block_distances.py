@@ -215,14 +215,10 @@ def taken(
         said: These as numbers.
         early: What `gather_early` gave.
     """
-    return counted(early or queue_gather(layers, blocks, measured, counts, said[KEPT], said[RUNS]), said)
-
-
-def counted(gathered: Gathered, said: list[int]) -> BandBlocks:
-    """Copies of `queue_gather` without the room behind them, given the list's counts as numbers."""
-    kept = gathered.blocks[: said[KEPT]], gathered.values[: said[KEPT]]
+    found = early or queue_gather(layers, blocks, measured, counts, said[KEPT], said[RUNS])
+    kept = found.blocks[: said[KEPT]], found.values[: said[KEPT]]
     needed = Room(said[BLOCKS], said[REGIONS], said[CHUNKS])
-    return BandBlocks(*kept, said[AMBIGUOUS], gathered.runs[: said[RUNS]], room=needed)
+    return BandBlocks(*kept, said[AMBIGUOUS], found.runs[: said[RUNS]], room=needed)
 
 
 def measured_slab(band: BandSlab, listed: Listed, *, gaps: bool) -> BandBlocks:

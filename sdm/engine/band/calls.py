@@ -16,9 +16,8 @@ from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.sparse_sdm import SparseSDM
 from sdm.engine.arguments import Orient, Sign, SignMethod, SignOptions
-from sdm.engine.band import joint_bands, repeated_bands
+from sdm.engine.band import repeated_bands
 from sdm.engine.band.band_slabs import measured_blocks
-from sdm.engine.band.block_distances import BandBlocks
 from sdm.engine.band.flood_bands import flood_band
 from sdm.engine.band.inside_runs import inside_runs
 from sdm.engine.mesh_index import MeshIndex
@@ -105,12 +104,9 @@ def narrow_band(
     sized: dict[str, Any] = {"spacing": spacing, "resolution": resolution, "margin": margin}
     if are_meshes(mesh):
         meshes = list(mesh)
-        method, bands = band_method(half_width, sign, hole_size), []
-        pairs = list(zip(meshes, _grids_of(grid, len(meshes)), strict=True))
-        for first in range(0, len(pairs), joint_bands.MOST_MESHES):
-            some = [_asked(*pair, half_width, device, sized) for pair in pairs[first : first + joint_bands.MOST_MESHES]]
-            bands += _bands_of(some, half_width, orient, method)
-        return bands
+        method = band_method(half_width, sign, hole_size)
+        pairs = zip(meshes, _grids_of(grid, len(meshes)), strict=True)
+        return [_band(*_asked(*pair, half_width, device, sized), half_width, orient, method) for pair in pairs]
     method = band_method(half_width, sign, hole_size)
     return _band(*_asked(mesh, grid, half_width, device, sized), half_width, orient, method)
 
@@ -124,25 +120,6 @@ def _asked(
     chosen = band_grid(mesh, grid, half_width=half_width, **sized)
     refuse_forward_mode(mesh.vertices)
     return mesh.to(choose_device(device, mesh.vertices)), chosen
-
-
-def _bands_of(
-    given: list[tuple[TriangleMesh, Grid]], half_width: float, orient: Orient, method: SignMethod
-) -> list[SparseSDM]:
-    """The bands of meshes, on their devices, and grids: of closed ones on a GPU together, of others alone."""
-    found: dict[int, SparseSDM] = {}
-    if len(given) > 1 and method.sign == "winding" and orient == "keep":
-        # Of several GPUs those of one.
-        places = [place for place, (mesh, _) in enumerate(given) if mesh.device.type in joint_bands.DEVICES]
-        places = [place for place in places if given[place][0].device == given[places[0]][0].device]
-        asked = [joint_bands.Asked(*given[place], band_width(given[place][1], half_width)) for place in places]
-        for number, made in joint_bands.joint_bands(asked):
-            if made is not None:
-                found[places[number]] = _of_closed(made.index, given[places[number]][1], half_width, made.found)
-    bands = []
-    for place, (mesh, grid) in enumerate(given):
-        bands.append(found[place] if place in found else _band(mesh, grid, half_width, orient, method))
-    return bands
 
 
 def _band(there: TriangleMesh, chosen: Grid, half_width: float, orient: Orient, method: SignMethod) -> SparseSDM:
@@ -180,8 +157,6 @@ def band_of(
     blocks, values = found.blocks, found.values
     if repeated is not None and gaps:
         repeated_bands.note(repeated, grid, width, found)
-    if gaps:
-        return _of_closed(index, grid, half_width, found)
     ambiguous = found.ambiguous if signed and not index.closed else 0
     if sign == "winding" and index._repeated is not None:
         ambiguous = index._repeated.sign_blocks(values, blocks, grid, width)
@@ -189,13 +164,6 @@ def band_of(
         return SparseSDM(blocks, values, blocks.new_empty((0, 4)), grid, width, None, sign)
     inside = inside_runs(index, grid, blocks, found.runs, beyond=found.beyond)
     return _looked_at(SparseSDM(blocks, values, inside, grid, width, ambiguous, sign), index)
-
-
-def _of_closed(index: MeshIndex, grid: Grid, half_width: float, found: BandBlocks) -> SparseSDM:
-    """The band of a closed mesh, whose blocks and runs were found."""
-    inside = inside_runs(index, grid, found.blocks, found.runs, beyond=found.beyond)
-    band = SparseSDM(found.blocks, found.values, inside, grid, band_width(grid, half_width), 0, "winding")
-    return _looked_at(band, index)
 
 
 def _looked_at(band: SparseSDM, index: MeshIndex) -> SparseSDM:
