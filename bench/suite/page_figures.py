@@ -16,6 +16,7 @@ from typing import Any
 
 from sdm.bench.common.checkout import checkout, results_folder
 from sdm.bench.suite import disk_figures
+from sdm.bench.suite.band_figures import beside_others, means_on_a_gpu, milliseconds_on_a_gpu, shares_of_openvdb
 from sdm.bench.suite.page_tables import TABLES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 
@@ -139,29 +140,6 @@ def _first_calls(record: Any) -> list[float]:
     return [next(row["first_ms"] for row in rows if row["resolution"] == n) for n in (64, 256, 512)]
 
 
-def _bands(record: Any) -> list[float]:
-    ours = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "sdm"}
-    theirs = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "OpenVDB"}
-    return _range([ours[key] / theirs[key] for key in theirs if key in ours])
-
-
-def _bands_on_a_gpu(record: Any) -> list[float]:
-    """Least and most milliseconds of a band, for each resolution of the page."""
-    rows = record["rows"]
-    return [
-        1e3 * ms for n in (512, 1024, 2048, 4096) for ms in _range([r["seconds"] for r in rows if r["resolution"] == n])
-    ]
-
-
-def _beside_bands(record: Any) -> list[float]:
-    """Ratios of Newton's and PhysicsNeMo's times of a band to ours."""
-    seconds = {(r["library"], r["mesh"], r["resolution"]): r["seconds"] for r in record["rows"]}
-    return [
-        geometric_mean([s / seconds["sdm", mesh, n] for (name, mesh, n), s in seconds.items() if name == library])
-        for library in ("Newton", "PhysicsNeMo")
-    ]
-
-
 def _maps(record: Any) -> list[float]:
     return [round(x, -2) for x in _range([b["maps_per_second"] for b in record["rates"]["batches"]])]
 
@@ -280,7 +258,7 @@ FIGURES = (
     Figure(README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
     Figure(README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
     Figure(README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
-    Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
+    Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", shares_of_openvdb),
     Figure(README, "| two CPU cores | {:.0f} times as fast as the faster", "dense-cpu", _means_on_a_cpu),
     Figure(README, "| at {:.1f} % of the speed of training on a fixed batch", "stream", lambda r: _speeds(r)[:1]),
     Figure(SPEED, "takes {:.1f} ms at 64^3, {:.1f} ms at 256^3 and {:.1f} ms at 512^3", "first-cuda", _first_calls),
@@ -296,15 +274,16 @@ FIGURES = (
     Figure(SPEED, "at 128^3 {:.0f} times as fast", "dense-cpu", _means_on_a_cpu),
     Figure(
         SPEED,
-        "{:.0f} to {:.0f} ms at 512^3, {:.0f} to {:.0f} ms at 1024^3, {:.0f} to {:.0f} ms at 2048^3, "
+        "{:.1f} to {:.1f} ms at 512^3, {:.1f} to {:.1f} ms at 1024^3, {:.1f} to {:.1f} ms at 2048^3, "
         "{:.0f} to {:.0f} ms at 4096^3",
         "band-cuda",
-        _bands_on_a_gpu,
+        milliseconds_on_a_gpu,
     ),
-    Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", _bands),
-    Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: _beside_bands(r)[:1]),
-    Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: _beside_bands(r)[1:]),
-    Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: _bands_on_a_gpu(r)[-2:]),
+    Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", shares_of_openvdb),
+    Figure(SPEED, "geometric means {:.1f}, {:.1f}, {:.1f} and {:.1f} ms", "band-cuda", means_on_a_gpu),
+    Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: beside_others(r)[:1]),
+    Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: beside_others(r)[1:]),
+    Figure(LARGE, "takes {:.0f} to {:.0f} ms at 4096^3", "band-cuda", lambda r: milliseconds_on_a_gpu(r)[-2:]),
     Figure(LARGE, "a GPU {:.0f} to {:.0f} MiB for meshes of up to 100,000 triangles", "dense-cuda", _scratch),
     Figure(GUIDE, "{:,.0f} to {:,.0f} maps a second", "stream", _maps),
     *(Figure(DISK, *phrase) for phrase in disk_figures.PHRASES),

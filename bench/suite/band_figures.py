@@ -1,0 +1,45 @@
+"""Figures of narrow bands that the public pages have, from the records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import geometric_mean
+from typing import Any
+
+RESOLUTIONS = (512, 1024, 2048, 4096)
+
+
+def spread(numbers: Sequence[float]) -> list[float]:
+    """The least and the most."""
+    return [min(numbers), max(numbers)]
+
+
+def shares_of_openvdb(record: Any) -> list[float]:
+    """Least and most of our processor time as a share of OpenVDB's."""
+    ours = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "sdm"}
+    theirs = {(r["mesh"], r["resolution"]): r["cpu"] for r in record["rows"] if r["library"] == "OpenVDB"}
+    return spread([ours[key] / theirs[key] for key in theirs if key in ours])
+
+
+def _milliseconds(record: Any) -> list[list[float]]:
+    rows = record["rows"]
+    return [[1e3 * r["seconds"] for r in rows if r["resolution"] == n] for n in RESOLUTIONS]
+
+
+def milliseconds_on_a_gpu(record: Any) -> list[float]:
+    """Least and most milliseconds of a band, for each resolution of the page."""
+    return [ms for found in _milliseconds(record) for ms in spread(found)]
+
+
+def means_on_a_gpu(record: Any) -> list[float]:
+    """Geometric means of the milliseconds over the meshes, for each resolution of the page."""
+    return [geometric_mean(found) for found in _milliseconds(record)]
+
+
+def beside_others(record: Any) -> list[float]:
+    """Ratios of Newton's and PhysicsNeMo's times of a band to ours."""
+    seconds = {(r["library"], r["mesh"], r["resolution"]): r["seconds"] for r in record["rows"]}
+    return [
+        geometric_mean([s / seconds["sdm", mesh, n] for (name, mesh, n), s in seconds.items() if name == library])
+        for library in ("Newton", "PhysicsNeMo")
+    ]
