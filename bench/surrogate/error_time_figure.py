@@ -25,7 +25,7 @@ def draw(record: dict[str, Any], target: Path) -> None:
     rows = record["rows"]
     floor = min(row["mae_near_mm"] for row in rows if row["mae_near_mm"] > 1e-6) / ZERO
     caption = (
-        f"Repeated calls of all methods by turns on {record['threads']} threads, medians; {record['shapes']} shapes "
+        f"Repeated calls of all methods by turns, medians of processor time on one core; {record['shapes']} shapes "
         f"that no training has seen. {record['machine']['device']}. Lowest line: no error but float32's."
     )
     with drawing(target, caption, (12.0, 7.0)) as (_, axes):
@@ -40,7 +40,7 @@ def draw(record: dict[str, Any], target: Path) -> None:
             for row, a, b in zip(own, x, y, strict=True):
                 axes.annotate(row["of"], (a, b), xytext=(6, 5), textcoords="offset points", fontsize=8, color="0.35")
         log_axes(axes)
-        axes.set_xlabel("milliseconds for one map of 80 x 64 x 40 voxels, from four parameters")
+        axes.set_xlabel("milliseconds of one core for one map of 80 x 64 x 40 voxels, from four parameters")
         axes.set_ylabel("mean error within 0.5 mm of the surface [mm]")
         axes.legend(loc="upper right")
         axes.set_title("A cochlea's map: error against time", x=0.0, ha="left")

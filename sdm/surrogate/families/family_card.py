@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -139,7 +140,9 @@ def _speeds(model: LowRankSurrogate, family: Family, grid: Grid, device: torch.d
             run = runner(model, name)
             run(theta)
         except (SDMError, RuntimeError) as error:
-            found[name] = f"does not run: {str(error).splitlines()[0]}"
+            # The exporter's messages have colours, and its advice after them.
+            said = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).splitlines()[0]
+            found[name] = f"does not run: {said.split(' This is step')[0]}"
             continue
         found[name] = _milliseconds(lambda run=run: run(theta))
     found[f"exact on {device.type}"] = _milliseconds(lambda: exact_maps(family, theta, grid, device).cpu())
