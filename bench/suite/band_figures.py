@@ -43,3 +43,8 @@ def beside_others(record: Any) -> list[float]:
         geometric_mean([s / seconds["sdm", mesh, n] for (name, mesh, n), s in seconds.items() if name == library])
         for library in ("Newton", "PhysicsNeMo")
     ]
+
+
+def watertight_seconds(record: Any) -> list[float]:
+    """Seconds of `sdm watertight` of the first mesh: repeated, a file of a folder, the first call of a process."""
+    return [record["rows"][0][name] for name in ("warm", "folder", "first")]

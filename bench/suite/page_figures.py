@@ -16,7 +16,13 @@ from typing import Any
 
 from sdm.bench.common.checkout import checkout, results_folder
 from sdm.bench.suite import disk_figures
-from sdm.bench.suite.band_figures import beside_others, means_on_a_gpu, milliseconds_on_a_gpu, shares_of_openvdb
+from sdm.bench.suite.band_figures import (
+    beside_others,
+    means_on_a_gpu,
+    milliseconds_on_a_gpu,
+    shares_of_openvdb,
+    watertight_seconds,
+)
 from sdm.bench.suite.page_tables import TABLES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 
@@ -280,6 +286,7 @@ FIGURES = (
         milliseconds_on_a_gpu,
     ),
     Figure(GUIDE, "{:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", shares_of_openvdb),
+    Figure(SPEED, "{:.2f} s repeated, {:.2f} s a file of a folder, {:.1f} s", "watertight-cuda", watertight_seconds),
     Figure(SPEED, "geometric means {:.1f}, {:.1f}, {:.1f} and {:.1f} ms", "band-cuda", means_on_a_gpu),
     Figure(SPEED, "{:.0f} times as fast as Newton (off", "band-peers-cuda", lambda r: beside_others(r)[:1]),
     Figure(SPEED, "{:.0f} times as fast as PhysicsNeMo", "band-peers-cuda", lambda r: beside_others(r)[1:]),
