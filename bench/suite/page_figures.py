@@ -341,6 +341,8 @@ FIGURES = (
     Figure(FIT, "Of {} images over noise", "fit-refusals", lambda r: [r["with_an_answer"]]),
     Figure(FIT, "mm, {} were refused, so at most {:.2f} %", "fit-refusals", _refused),
     Figure(FIT, "comes back with {:.3f} mm and a Dice of {:.3f};", "fit-real", _residual),
+    Figure(FIT, "a pose come to {:.2f} mm on average", "fit-atria", lambda r: [r["mean"]["modes_mm"]]),
+    Figure(FIT, "with free vertices it is {:.2f} mm", "fit-atria", lambda r: [r["mean"]["free_form_mm"]]),
     Figure(DEEPSDF, "{:.0f} million samples a second", "sampling-cuda", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(DEEPSDF, "cores {:.2f} million", "sampling-cpu", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(
