@@ -180,6 +180,10 @@ def _refused(record: Any) -> list[float]:
     return [record["refused"], 100 * record["refused_at_most_95"]]
 
 
+def _race(record: Any) -> list[float]:
+    return [record["summary"]["exact"]["times_faster_than_libigl-closest"], len(record["cases"])]
+
+
 def _residual(record: Any) -> list[float]:
     found = record["scanners"]["0.3"]["residual"]
     return [found["mean_mm"], found["dice"]]
@@ -341,6 +345,7 @@ FIGURES = (
     Figure(FIT, "Of {} images over noise", "fit-refusals", lambda r: [r["with_an_answer"]]),
     Figure(FIT, "mm, {} were refused, so at most {:.2f} %", "fit-refusals", _refused),
     Figure(FIT, "comes back with {:.3f} mm and a Dice of {:.3f};", "fit-real", _residual),
+    Figure(FIT, "slower by a factor of {:.1f}, the median of {} cases", "fit-race", _race),
     Figure(FIT, "a pose come to {:.2f} mm on average", "fit-atria", lambda r: [r["mean"]["modes_mm"]]),
     Figure(FIT, "with free vertices it is {:.2f} mm", "fit-atria", lambda r: [r["mean"]["free_form_mm"]]),
     Figure(DEEPSDF, "{:.0f} million samples a second", "sampling-cuda", lambda r: [r["samples"]["per_second"] / 1e6]),
