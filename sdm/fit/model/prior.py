@@ -66,7 +66,7 @@ class Prior:
     def clip(self, state: State, step: Tensor) -> Tensor:
         """The step, cut so that shape parameters stay in their ranges and the pose's step is moderate."""
         count = len(self.low)
-        limit = torch.cat([(self.high - self.low) / 4, torch.full((3,), math.pi / 8), torch.full((3,), 1.0)])
-        step = step / (step.abs() / limit.to(step)).max().clamp_min(1.0)
+        pose = torch.tensor([math.pi / 8] * 3 + [1.0] * 3).to(step)
+        step = step / (step.abs() / torch.cat([(self.high - self.low) / 4, pose])).max().clamp_min(1.0)
         theta = (state.theta + step[:count]).clamp(self.low, self.high)
         return torch.cat([theta - state.theta, step[count:]])
