@@ -62,8 +62,8 @@ PHRASES: tuple[tuple[str, str, Callable[[Any], Sequence[Any]]], ...] = (
     ("wrote {:.0f} maps of 128^3 a second as `.npz` and {:.0f} as", "disk-cuda", rates),
     (
         (
-            "{:.2f} (float16) and {:.2f} (zstd) of the speed of one plain writer, {:.2f} and {:.2f} by `sdm compute` "
-            "as `.npz` and `.nii.gz`; {:.2f}, {:.2f}, {:.2f} and {:.2f} of the best"
+            "{:.2f} (float16) and {:.2f} (zstd) times the speed of one plain writer, once its processes have started; "
+            "{:.2f} and {:.2f} of the best"
         ),
         "disk-real-cuda",
         shares_of_a_disk,
