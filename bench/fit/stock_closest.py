@@ -25,7 +25,7 @@ class ClosestPointBackend(ExactBackend):
 
     name = "libigl, closest points"
 
-    def indexed(self, mesh: TriangleMesh) -> MeshIndex:
+    def _indexed(self, mesh: TriangleMesh) -> MeshIndex:
         """libigl's structures of a mesh, by the two calls that the backend makes."""
         return cast("MeshIndex", _Libigl(mesh))
 

@@ -107,11 +107,11 @@ class ExactBackend:
             return
         self._vertices, self._jacobian = vertices_of(self.family, theta), None
         mesh = TriangleMesh(self._vertices.float(), self.faces, self.family.name, check=False)
-        self._index = self.indexed(mesh)
+        self._index = self._indexed(mesh)
         self._theta = theta.clone()
         self.evaluations += 1
 
-    def indexed(self, mesh: TriangleMesh) -> MeshIndex:
+    def _indexed(self, mesh: TriangleMesh) -> MeshIndex:
         """Index of a mesh, asked for distances and for the closest points."""
         return MeshIndex(mesh, self.device)
 

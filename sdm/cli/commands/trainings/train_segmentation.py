@@ -31,7 +31,7 @@ def segmentation(
     dropout: Annotated[float | None, tyro.conf.arg(metavar="SHARE", help_behavior_hint="(as published)")] = None,
     last_dropout: float = 0.0,
     position: bool = False,
-    shapes: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")] = None,
+    labels: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")] = None,
     synthetic: float = 0.5,
     spacing: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(default: as most cases)")
@@ -72,7 +72,7 @@ def segmentation(
         dropout: Probability with which channels of the coarsest level are dropped.
         last_dropout: The same of the last level; 0.5 in Ma's public code.
         position: Tell the network where each voxel is in its volume. For volumes that show the same part of the body.
-        shapes: Labels of cases without images (NIfTI, or HDF5 with label; voxels of the same size). Images of DATA are
+        labels: Labels of cases without images (NIfTI, or HDF5 with label; voxels of the same size). Images of DATA are
             then warped to them, on the device, anew for each patch.
         synthetic: Share of the patches that are of such synthetic cases.
         spacing: Voxel size in mm that every case must have, within 5 percent.
@@ -123,7 +123,7 @@ def segmentation(
         dropout=dropout,
         last_dropout=last_dropout,
         position=position,
-        synthetic=0.0 if shapes is None else synthetic,
+        synthetic=0.0 if labels is None else synthetic,
         seed=seed,
     )
     # None at all is allowed: it shows that the cases can be read.
@@ -140,10 +140,10 @@ def segmentation(
     others = [case for case in others if case.label is not None]
     if others:
         check_cases(others, spacing=cases[0].spacing)
-    if shapes is None:
+    if labels is None:
         patches = Patches.of_settings(cases, settings, where)
     else:
-        found = read_shapes(shapes, cases[0].spacing)
+        found = read_shapes(labels, cases[0].spacing)
         patches = SyntheticPatches.of_settings_and_shapes(cases, settings, where, found)
     deadline = None if budget_s is None else time.monotonic() + budget_s
     with training_folder(out):

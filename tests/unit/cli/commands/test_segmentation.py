@@ -60,16 +60,16 @@ def test_labels_without_images_are_shapes_for_synthetic_cases(trained, tmp_path,
     words = ["train", "segmentation", "--data", str(trained / "data"), "--out", str(tmp_path / "net"), *QUICK]
     words += ["--steps", "2", "--method", "head-sdf-l2", "--synthetic", "1"]
     shapes = str(trained / "data" / "labelsTs")
-    assert main([*words, "--shapes", shapes]) == 0
+    assert main([*words, "--labels", shapes]) == 0
     assert "head-sdf-l2, 2 steps on 3 cases" in capsys.readouterr().out
     (tmp_path / "empty").mkdir()
-    assert main([*words, "--shapes", str(tmp_path / "empty")]) == 2
+    assert main([*words, "--labels", str(tmp_path / "empty")]) == 2
     assert "holds no labels" in capsys.readouterr().err
-    assert main([*words, "--shapes", str(tmp_path / "nowhere")]) == 2
+    assert main([*words, "--labels", str(tmp_path / "nowhere")]) == 2
     assert "is not there" in capsys.readouterr().err
     _, label = volume(1)
     nib.save(nib.Nifti1Image(label, np.diag([2.0, 2, 2, 1])), tmp_path / "empty" / "a.nii.gz")
-    assert main([*words, "--shapes", str(tmp_path / "empty")]) == 2
+    assert main([*words, "--labels", str(tmp_path / "empty")]) == 2
     assert "resample it" in capsys.readouterr().err
 
 
