@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-import sdm.fit.study.simulate
 from sdm.fit import ExactBackend, FitOptions, FitResult, Scanner, fit_shape, random_state, simulate
 from sdm.fit.solve.formation.estimate import estimate_formation
 from sdm.shapes import Cochlea
@@ -16,9 +15,7 @@ SCANNER = Scanner(spacing=0.5, blur=0.25, noise=200.0)
 OPTIONS = FitOptions(blur=SCANNER.blur, starts=2, fine=0.25)
 
 
-def test_ends_where_a_cpu_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sdm.fit.study.simulate, "FINE", 0.1)
-    monkeypatch.setattr(sdm.fit.study.simulate, "SHARP", 4)
+def test_ends_where_a_cpu_does() -> None:
     backends = [ExactBackend(Cochlea(2_000), device) for device in ("cpu", "cuda")]
     image = simulate(backends[0], random_state(backends[0], 5, edge=0.25), SCANNER, seed=1)
     plain = [fit_shape(image.values, image.grid, backend, options=OPTIONS).require() for backend in backends]
