@@ -24,12 +24,13 @@ import torch
 
 import sdm
 from sdm.bench.common import json_file
-from sdm.bench.common.figure import drawing, log_axes
+from sdm.bench.common.figure import MARKERS, SPARE, drawing, log_axes, plain_ticks
 from sdm.bench.common.grids import cube_around
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import Case, load_case, missing_note
 from sdm.bench.common.timing import once
 from sdm.runtime import graphs
+from sdm.viz.style import PALETTE
 
 MESHES = ("torus-1000", "torus-5000", "torus-20000", "torus-100000", "rocker-arm", "nefertiti", "stanford-bunny")
 RESOLUTIONS = (32, 64, 128, 256, 512)
@@ -116,15 +117,22 @@ def _medians(found: list[tuple[float, float]]) -> tuple[float, float]:
 def draw(report: dict[str, Any], path: Path) -> None:
     """Milliseconds against voxels along an axis: first calls as lines, repeated ones dashed."""
     with drawing(path, f"{report['machine']['device']}: first call and, dashed, repeated call") as (_, axes):
+        hues = (*PALETTE, *reversed(SPARE))
+        sizes: list[int] = sorted({found["resolution"] for found in report["rows"]})
         for number, name in enumerate(dict.fromkeys(found["mesh"] for found in report["rows"])):
             rows = [found for found in report["rows"] if found["mesh"] == name]
-            sizes = [found["resolution"] for found in rows]
-            axes.plot(sizes, [found["first_ms"] for found in rows], "o-", color=f"C{number}", label=name)
-            axes.plot(sizes, [found["repeated_ms"] for found in rows], "--", color=f"C{number}")
+            own = [found["resolution"] for found in rows]
+            hue, marker = hues[number % len(hues)], MARKERS[number % len(MARKERS)]
+            axes.plot(own, [found["first_ms"] for found in rows], "-", marker=marker, color=hue, label=name)
+            axes.plot(own, [found["repeated_ms"] for found in rows], "--", color=hue)
+        log_axes(axes)
+        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.minorticks_off()
+        plain_ticks(axes.yaxis)
         axes.set_xlabel("voxels along each axis")
         axes.set_ylabel("milliseconds of a map")
+        axes.set_title("A mesh's first map and its repeated ones", x=0.0, ha="left")
         axes.legend(fontsize=8)
-        log_axes(axes)
 
 
 def main() -> None:
