@@ -52,7 +52,7 @@ def draw(record: dict[str, Any], target: Path) -> None:
 
 
 def _place(method: str, name: str) -> dict[str, Any]:
-    """Where a point's name keeps clear of curves and of other names."""
+    """Place of a point's name, clear of curves and of other names."""
     if method.startswith("libigl"):
         return {"xytext": (-8, -3), "ha": "right"}
     if name in ("32 modes", "64 modes", "128 modes", "torch", "onnxruntime"):
