@@ -24,6 +24,7 @@ from sdm.bench.suite.band_figures import (
     watertight_seconds,
 )
 from sdm.bench.suite.page_tables import TABLES
+from sdm.bench.suite.readme_figures import README_FIGURES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
 
 README, GUIDE, SPEED, PAPERS = "README.md", "docs/guide.md", "docs/speed.md", "docs/papers.md"
@@ -256,18 +257,11 @@ def _share(record: Any) -> list[float]:
     return [100 * published["share"], published["ms"], 100 * local["share"]]
 
 
-def _zoo(record: Any, resolution: str) -> list[float]:
-    found = record["summary"][resolution]
-    return [found["stock_over_first"], found["slower_than_stock"]]
-
-
 FIGURES = (
     Figure(README, "{:.1f} ms at 64^3, {:.1f} ms at 256^3, {:.1f} ms at 512^3 |", "first-cuda", _first_calls),
     Figure(README, "| H100 | {:.0f}, {:.0f} times as fast as stock Warp by the better", "dense-cuda", _first),
     Figure(README, "not counted); {:.0f}, {:.0f} times |", "dense-cuda", lambda r: _means(r)[1:]),
-    Figure(README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
-    Figure(README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
-    Figure(README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
+    *(Figure(*row) for row in README_FIGURES),
     Figure(README, "| {:.2f} to {:.2f} of the processor time of OpenVDB", "band-cpu", shares_of_openvdb),
     Figure(README, "| two CPU cores | {:.0f} times as fast as the faster", "dense-cpu", _means_on_a_cpu),
     Figure(README, "| at {:.1f} % of the speed of training on a fixed batch", "stream", lambda r: _speeds(r)[:1]),

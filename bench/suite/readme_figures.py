@@ -1,0 +1,31 @@
+"""Figures of README's table about dirty and foreign meshes and disks: page, words, record, numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sdm.bench.suite.disk_figures import rates
+
+README = "README.md"
+
+
+def _zoo(record: Any, resolution: str) -> list[float]:
+    found = record["summary"][resolution]
+    return [found["stock_over_first"], found["slower_than_stock"]]
+
+
+def _dirty(record: Any) -> list[float]:
+    """How many times as fast as stock Warp a torus is without some of its faces, and with half of them turned."""
+    wanted = ("less 1 %", "less 3 %", "less 10 %", "less 30 %", "half its faces turned")
+    rows = {row["mesh"]: row["stock_warp_ms"] / row["signed_ms"] for row in record["rows"]}
+    return [next(times for mesh, times in rows.items() if mesh.startswith("torus") and name in mesh) for name in wanted]
+
+
+README_FIGURES: tuple[tuple[str, str, str, Callable[[Any], Sequence[Any]]], ...] = (
+    (README, "{} foreign meshes, open", "zoo-speed-cuda", lambda r: [r["summary"]["64"]["meshes"]]),
+    (README, "{:.2f} times as fast at 64^3 ({} of them slower)", "zoo-speed-cuda", lambda r: _zoo(r, "64")),
+    (README, "{:.1f} times at 256^3 ({} slower)", "zoo-speed-cuda", lambda r: _zoo(r, "256")),
+    (README, "{:.0f}, {:.0f}, {:.0f}, {:.0f} times as fast; {:.0f} times with half", "dirty-cuda", _dirty),
+    (README, "{:.0f} meshes a second as `.npz`, {:.0f} as `.nii.gz`", "disk-cuda", rates),
+)
