@@ -16,7 +16,7 @@ def _zoo(record: Any, resolution: str) -> list[float]:
 
 
 def _dirty(record: Any) -> list[float]:
-    """How many times as fast as stock Warp a torus is without some of its faces, and with half of them turned."""
+    """Ratios of stock Warp's time to ours of a torus without some of its faces, and with half of them turned."""
     wanted = ("less 1 %", "less 3 %", "less 10 %", "less 30 %", "half its faces turned")
     rows = {row["mesh"]: row["stock_warp_ms"] / row["signed_ms"] for row in record["rows"]}
     return [next(times for mesh, times in rows.items() if mesh.startswith("torus") and name in mesh) for name in wanted]
