@@ -71,10 +71,7 @@ class MapManifest:
         found = self._known.get(_name(task.target))
         if found is None or found["source"] != _mark(task.source):
             return None
-        written, there = found["written"], _mark(task.target)
-        if there is None or (
-            there != written and not (self._is_far and there[0] == written[0] and there[1] < self._before)
-        ):
+        if not self._is_as_written(_mark(task.target), found["written"]):
             return None
         return replace(MeshEntry(**found["entry"]), state="there already", seconds=None)
 

@@ -6,12 +6,10 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sdm.cli.common.error_sentence import sentence_of
-from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.common.failed_item import reason_of
 from sdm.cli.maps.map_settings import Settings
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.cli.maps.work import MapTask, Written
-from sdm.errors import FormatError
 from sdm.io.files.stand_in import shown
 from sdm.runtime.pipeline.outcome import Done, Failed
 
@@ -48,12 +46,8 @@ def tell(outcome: Done[Written] | Failed, number: int, task: MapTask, settings: 
         Exception: What is no user's mistake, or the error of a mesh that is alone.
     """
     if isinstance(outcome, Failed):
-        sentence = sentence_of(outcome.error)
-        if sentence is None or alone:
-            raise outcome.error
-        if is_full_disk(outcome.error):
-            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return Told(number, MeshEntry(mesh=shown(task.source), state="failed", reason=sentence))
+        reason = reason_of(outcome, alone=alone)
+        return Told(number, MeshEntry(mesh=shown(task.source), state="failed", reason=reason))
     found = outcome.value
     mesh = found.read.measured
     entry = MeshEntry(

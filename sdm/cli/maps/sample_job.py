@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sdm.cli.common.error_sentence import sentence_of
-from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.common.failed_item import reason_of
 from sdm.cli.maps.mesh_report import MeshEntry
 from sdm.core.device import choose_device
 from sdm.engine.arguments import Sign
-from sdm.errors import FormatError
 from sdm.io.files.stand_in import StandIn, adopt, shown
 from sdm.runtime.pipeline.outcome import Done, Failed
 from sdm.runtime.pipeline.stage_times import StageTimes
@@ -85,12 +83,7 @@ def entry_of(outcome: Done[SampledMesh] | Failed, source: Path, sign: Sign) -> M
         Exception: What is no user's mistake.
     """
     if isinstance(outcome, Failed):
-        sentence = sentence_of(outcome.error)
-        if sentence is None:
-            raise outcome.error
-        if is_full_disk(outcome.error):
-            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return MeshEntry(mesh=shown(source), state="failed", reason=sentence)
+        return MeshEntry(mesh=shown(source), state="failed", reason=reason_of(outcome))
     found = outcome.value
     if found.there:
         return MeshEntry(mesh=shown(source), state="there already", sign=sign)

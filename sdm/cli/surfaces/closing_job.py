@@ -9,12 +9,10 @@ from typing import Any
 
 import torch
 
-from sdm.cli.common.error_sentence import sentence_of
-from sdm.cli.common.full_disk import is_full_disk
+from sdm.cli.common.failed_item import reason_of
 from sdm.cli.surfaces.closing_stages import Closed, Closing, ClosingStages
 from sdm.cli.surfaces.journal import Journal
 from sdm.core.device import choose_device
-from sdm.errors import FormatError
 from sdm.io.files.stand_in import StandIn, adopt
 from sdm.remeshing import WatertightReport
 from sdm.runtime.pipeline.outcome import Done, Failed
@@ -99,12 +97,7 @@ def surfaces_told(
 
 def _told(outcome: Done[Closed] | Failed, number: int, *, alone: bool) -> SurfaceTold:
     if isinstance(outcome, Failed):
-        sentence = sentence_of(outcome.error)
-        if sentence is None or alone:
-            raise outcome.error
-        if is_full_disk(outcome.error):
-            raise FormatError(f"{sentence}; --resume goes on from there") from outcome.error
-        return SurfaceTold(number=number, reason=sentence)
+        return SurfaceTold(number=number, reason=reason_of(outcome, alone=alone))
     made = outcome.value
     return SurfaceTold(
         number=number,
