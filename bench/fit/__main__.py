@@ -5,7 +5,8 @@
     python -m sdm.bench.fit mismatch --count 24     the same in images that do not fit the model. Resumable
     python -m sdm.bench.fit formation --count 40    the same with the image's formation estimated. Resumable
     python -m sdm.bench.fit refusals --count 500    how many images with an answer are refused? Resumable
-    python -m sdm.bench.fit campaign                both of these in one queue, a line of JSON a case. Resumable
+    python -m sdm.bench.fit campaign                both of these in one queue, a line of JSON a case. Goes on from
+                                                    the rows of both records
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
     python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
 
@@ -81,6 +82,9 @@ def main() -> None:
         each[name].add_argument("--folder", type=Path, default=Path(f"build/fit-{name}"), help="one file a case")
     each["campaign"].add_argument("--count", type=int, default=400, help="cases under each condition")
     each["campaign"].add_argument("--images", type=int, default=500, help="images of the study of refusals")
+    each["campaign"].add_argument(
+        "--first-image", type=int, default=0, help="begin the study of refusals with this one"
+    )
     each["campaign"].add_argument("--folder", type=Path, default=Path("build/fit-campaign"), help="one file a case")
     each["campaign"].add_argument("--lines", type=Path, default=Path("build/fit-campaign.jsonl"), help="a line a case")
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")

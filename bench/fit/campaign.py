@@ -1,7 +1,8 @@
 """The studies `formation` and `refusals` in one queue, a line of JSON for each case.
 
 Cases are ordered so that whenever the queue stops, each condition has about the same share of those that it wants.
-Lines are written as cases end; the next run goes on from them, on any machine.
+Lines are written as cases end; the next run goes on from them, and from the rows of both records, on any machine.
+`--first` and `--first-image` say where to begin on a machine that has neither; `--budget-s 0` only sums up.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 from sdm.bench.common.json_file import write
 from sdm.bench.fit import formation as with_formation
 from sdm.bench.fit import refusals as of_refusals
+from sdm.bench.fit.case_rows import read_rows, rounded
 from sdm.bench.fit.tools import run_cases
 
 # A study's name, the condition ("" where there is one alone), and the number of the case.
@@ -26,14 +28,31 @@ Case = tuple[str, str, int]
 def campaign(options: argparse.Namespace) -> None:
     """Do what has no line yet, then write the records of both studies."""
     deadline = time.monotonic() + options.budget_s
-    done = unpack(options.lines, options.folder)
-    jobs = [(case, options, deadline) for case in queue(options.count, options.images) if case not in done]
+    done = restore(options) | unpack(options.lines, options.folder)
+    before = with_formation.before_rows(_of_study("formation", options).out)
+    firsts = {"formation": before["cases"] if before else options.first, "refusals": options.first_image}
+    cases = [case for case in queue(options.count, options.images) if case not in done and case[2] >= firsts[case[0]]]
     begin = time.monotonic()
-    run_cases(_run, jobs, options.processes)
-    found = len(unpack(options.lines, options.folder)) - len(done)
+    run_cases(_run, [(case, options, deadline) for case in cases], options.processes)
+    found = len(unpack(options.lines, options.folder) - done)
     print(f"{found} cases in {time.monotonic() - begin:.0f} s with {options.processes} processes on {options.device}")
-    with_formation.formation(_of_study("formation", options, deadline))
-    of_refusals.refusals(_of_study("refusals", options, deadline))
+    with_formation.sum_up(_of_study("formation", options))
+    of_refusals.sum_up(_of_study("refusals", options))
+
+
+def restore(options: argparse.Namespace) -> set[Case]:
+    """Rows of both records as a file for each case."""
+    out = {study: _of_study(study, options).out for study in ("formation", "refusals")}
+    found: dict[Case, dict[str, Any]] = {}
+    for row in read_rows(with_formation.rows_of(out["formation"])):
+        found["formation", row.pop("condition"), row["number"]] = row
+    if out["refusals"].is_file():
+        for row in json.loads(out["refusals"].read_text())["cases"]:
+            found["refusals", "", row["number"]] = row
+    for case, row in found.items():
+        if not (path := _path(case, options.folder)).is_file():
+            write(path, row)
+    return set(found)
 
 
 def queue(count: int, images: int) -> list[Case]:
@@ -46,13 +65,9 @@ def queue(count: int, images: int) -> list[Case]:
 
 
 def unpack(lines: Path, folder: Path) -> set[Case]:
-    """Lines as a file for each case, where the studies look for them; a line that was cut off does not count."""
+    """Lines as a file for each case, where the studies look for them."""
     done: set[Case] = set()
-    for text in lines.read_text().splitlines() if lines.is_file() else ():
-        try:
-            line = json.loads(text)
-        except json.JSONDecodeError:
-            continue
+    for line in read_rows(lines):
         case = (line["study"], line["condition"], line["number"])
         if not (path := _path(case, folder)).is_file():
             write(path, line["record"])
@@ -65,12 +80,12 @@ def _path(case: Case, folder: Path) -> Path:
     return folder / study / (f"{name}-{number}.json" if name else f"{number}.json")
 
 
-def _of_study(study: str, options: argparse.Namespace, deadline: float) -> Namespace:
-    """The options that a study by itself would have; it begins no case of its own."""
-    count = options.count if study == "formation" else options.images
+def _of_study(study: str, options: argparse.Namespace) -> Namespace:
+    """The options that a study by itself would have."""
+    count, first = (options.count, options.first) if study == "formation" else (options.images, options.first_image)
     return Namespace(
-        folder=options.folder / study, device=options.device, count=count, first=count, processes=1,
-        budget_s=deadline - time.monotonic(), out=options.out.with_name(f"fit-{study}.json"),
+        folder=options.folder / study, device=options.device, count=count, first=first,
+        out=options.out.with_name(f"fit-{study}.json"),
     )  # fmt: skip
 
 
@@ -79,7 +94,7 @@ def _run(job: tuple[Case, argparse.Namespace, float]) -> None:
     if time.monotonic() > deadline:
         return
     study, name, number = case
-    own = _of_study(study, options, deadline)
+    own = _of_study(study, options)
     path = _path(case, options.folder)
     path.parent.mkdir(parents=True, exist_ok=True)
     if study == "formation":
@@ -87,7 +102,7 @@ def _run(job: tuple[Case, argparse.Namespace, float]) -> None:
     else:
         of_refusals.run((number, own, deadline))
     if path.is_file():
-        record = json.loads(path.read_text())
+        record = rounded(json.loads(path.read_text()))
         _append(options.lines, {"study": study, "condition": name, "number": number, "record": record})
 
 

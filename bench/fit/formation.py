@@ -6,6 +6,8 @@ The fit is told a blur of 0.2 mm and no more. Each case is one shape under one n
 from __future__ import annotations
 
 import argparse
+import itertools
+import json
 import math
 import time
 from dataclasses import dataclass, replace
@@ -17,6 +19,7 @@ import torch
 
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import commit, describe
+from sdm.bench.fit.case_rows import commits, merged, write_rows
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS, summarise
 from sdm.bench.fit.mismatch import CLINICAL, Condition, correlated, image_of
 from sdm.bench.fit.tools import counted, exact_backends, run_cases
@@ -91,19 +94,52 @@ def formation(options: argparse.Namespace) -> None:
         (name, number, options, deadline)
         for number in range(options.first, options.count)
         for name in CASES
-        if not _path(name, number, options).is_file()
+        if not path_of(name, number, options.folder).is_file()
     ]
     run_cases(run, jobs, options.processes)
-    report = {name: {"note": case.note, **_summary(name, options)} for name, case in CASES.items()}
-    write(options.out, {"wanted": options.count, "named_blur_mm": NAMED_BLUR, "conditions": report,
-                        "machine": describe(options.device)})  # fmt: skip
+    sum_up(options)
+
+
+def sum_up(options: argparse.Namespace) -> None:
+    """Write the record and its rows, a line a case.
+
+    Where the record has cases of which no rows are left (`before`), the rows are of those that follow.
+    """
+    before = before_rows(options.out)
+    first = before["cases"] if before else options.first * (not path_of("matched", 0, options.folder).is_file())
+    rows = {name: _counted(name, first, options) for name in CASES}
+    report = {}
+    for name, case in CASES.items():
+        found = _summary(rows[name])
+        report[name] = {"note": case.note, **(merged(before["conditions"][name], found) if before else found)}
+    write(options.out, {
+        "wanted": options.count, "named_blur_mm": NAMED_BLUR, "conditions": report,
+        "rows": {"file": rows_of(options.out).name, "from": first, "commits": commits(itertools.chain(*rows.values()))},
+        **({"before": before} if before else {}), "machine": describe(options.device),
+    })  # fmt: skip
+    write_rows(rows_of(options.out), [{"condition": name, **row} for name in CASES for row in rows[name]])
     for name, found in report.items():
         print(f"{name:11} {found.get('coverage_90_shape')} of {found['trusted']} trusted, {found['cases']} cases; "
               f"before {found.get('coverage_90_shape_before')}")  # fmt: skip
 
 
-def _path(name: str, number: int, options: argparse.Namespace) -> Path:
-    return options.folder / f"{name}-{number}.json"
+def rows_of(out: Path) -> Path:
+    """The file of a record's rows."""
+    return out.with_suffix(".jsonl")
+
+
+def before_rows(out: Path) -> dict[str, Any] | None:
+    """The summary of the first cases, of which no rows are left; None where there are none such."""
+    return json.loads(out.read_text()).get("before") if out.is_file() else None
+
+
+def _counted(name: str, first: int, options: argparse.Namespace) -> list[dict[str, Any]]:
+    return counted(path_of(name, number, options.folder) for number in range(first, options.count))
+
+
+def path_of(name: str, number: int, folder: Path) -> Path:
+    """The file of a case."""
+    return folder / f"{name}-{number}.json"
 
 
 def run(job: tuple[str, int, argparse.Namespace, float]) -> None:
@@ -118,7 +154,7 @@ def run(job: tuple[str, int, argparse.Namespace, float]) -> None:
     begin = time.perf_counter()
     found = estimate_formation(image.values, image.grid, backend, first, own)
     it = found.formation
-    write(_path(name, number, options), {
+    write(path_of(name, number, options.folder), {
         "number": number,
         "z": found.posterior.standardised(state).tolist(),
         "z_before": first.posterior.standardised(state).tolist(),
@@ -135,8 +171,7 @@ def run(job: tuple[str, int, argparse.Namespace, float]) -> None:
     })  # fmt: skip
 
 
-def _summary(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    records = counted(_path(name, number, options) for number in range(options.count))
+def _summary(records: list[dict[str, Any]]) -> dict[str, Any]:
     summary = summarise(records)
     before = [r["z_before"][:4] for r in records if r["trusted_before"]]
     if before:

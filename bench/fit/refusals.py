@@ -18,6 +18,7 @@ import torch
 
 from sdm.bench.common.json_file import write
 from sdm.bench.common.machine import commit, describe
+from sdm.bench.fit.case_rows import commits, rounded
 from sdm.bench.fit.coverage import EDGE, LEVEL_SIGMAS
 from sdm.bench.fit.tools import counted, exact_backends, run_cases
 from sdm.core.grid import Grid
@@ -42,11 +43,19 @@ def refusals(options: argparse.Namespace) -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + options.budget_s
     numbers = range(options.first, options.count)
-    jobs = [(number, options, deadline) for number in numbers if not _path(number, options).is_file()]
+    jobs = [(number, options, deadline) for number in numbers if not path_of(number, options.folder).is_file()]
     run_cases(run, jobs, options.processes)
-    found = summary(counted(_path(number, options) for number in range(options.count)))
-    write(options.out, {"wanted": options.count, **found, "machine": describe(options.device)})
-    print(json.dumps({key: value for key, value in found.items() if key != "cases"}, indent=1))
+    sum_up(options)
+
+
+def sum_up(options: argparse.Namespace) -> None:
+    """Write the record, and print it without its cases."""
+    first = options.first * (not path_of(0, options.folder).is_file())
+    found = summary(counted(path_of(number, options.folder) for number in range(first, options.count)))
+    report = {"wanted": options.count, **found, "machine": describe(options.device)}
+    cases = report.pop("cases")
+    write(options.out, {**report, "cases": rounded(cases)})
+    print(json.dumps(report, indent=1))
 
 
 def summary(records: list[dict[str, Any]]) -> dict[str, Any]:
@@ -73,6 +82,7 @@ def summary(records: list[dict[str, Any]]) -> dict[str, Any]:
         "refused_plain": sum(not r["trusted_plain"] for r in whole),
         "median_cpu_seconds": round(float(np.median([r["cpu_seconds"] for r in records])), 2) if records else None,
         "by_noise": rows,
+        "commits": commits(records),
         "cases": records,
     }
 
@@ -93,8 +103,9 @@ def lies_whole(truth: ExactBackend, state: State, grid: Grid) -> bool:
     return bool(((index >= 0) & (index <= most)).all())
 
 
-def _path(number: int, options: argparse.Namespace) -> Path:
-    return options.folder / f"{number}.json"
+def path_of(number: int, folder: Path) -> Path:
+    """The file of a case."""
+    return folder / f"{number}.json"
 
 
 def run(job: tuple[int, argparse.Namespace, float]) -> None:
@@ -109,7 +120,7 @@ def run(job: tuple[int, argparse.Namespace, float]) -> None:
     own = FitOptions(blur=NAMED_BLUR)
     plain = fit_shape(image.values, image.grid, backend, options=own)
     found = estimate_formation(image.values, image.grid, backend, plain, own)
-    write(_path(number, options), {
+    write(path_of(number, options.folder), {
         "number": number,
         "noise": scanner.noise,
         "spacing": scanner.spacing,

@@ -6,10 +6,12 @@ import json
 from argparse import Namespace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from sdm.bench.fit import campaign, formation, refusals
+from sdm.bench.fit.case_rows import merged
 from sdm.bench.fit.formation import CASES, scene
 from sdm.bench.fit.tools import counted, run_cases
 from sdm.core.grid import Grid
@@ -114,3 +116,67 @@ def test_a_queue_that_stops_leaves_every_condition_with_the_same_share(tmp_path:
     assert campaign.unpack(lines, tmp_path) == {("refusals", "", 3), ("formation", "blur", 1)}
     assert json.loads((tmp_path / "refusals" / "3.json").read_text()) == {"number": 3}
     assert (tmp_path / "formation" / "blur-1.json").is_file()
+
+
+def test_a_summary_of_all_cases_is_that_of_their_parts():
+    rng = np.random.default_rng(0)
+    rows = []
+    for number in range(60):
+        z = (1.2 * rng.standard_normal(10) + 0.1).tolist()
+        rows.append({"number": number, "z": z, "z_before": [2 * x for x in z], "deviations": [1.0] * 10})
+        rows[-1] |= {"trusted": number % 9 != 0, "trusted_before": number % 7 != 0, "problems": ["no"], "seconds": 1.0}
+    whole, one, two = (formation._summary(part) for part in (rows, rows[:23], rows[23:]))
+    found = merged(one, two)
+    assert found.pop("medians_of") == 37
+    assert found.keys() == whole.keys()
+    for key, value in whole.items():
+        if key == "coverage_90":
+            assert found[key] == pytest.approx(value, abs=1e-9)
+        elif key in ("mean_of_z", "deviation_of_z"):
+            assert found[key] == pytest.approx(value, abs=1.1e-3)
+        elif isinstance(value, float):
+            assert found[key] == pytest.approx(value, abs=1.1e-4), key
+        elif key != "median_deviation":
+            assert found[key] == value, key
+
+
+def test_a_campaign_goes_on_from_its_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    old = {"number": 0, "z": [2.0] * 10, "z_before": [2.0] * 10, "deviations": [1.0] * 10, "seconds": 1.0}
+    old |= {"trusted": True, "trusted_before": True, "problems": []}
+    before = {"cases": 2, "conditions": {name: formation._summary([old, old]) for name in CASES}}
+    image = {"number": 0, "noise": 0.0, "trusted": True, "trusted_plain": True, "z": [0.0] * 10, "whole": True}
+    image |= {"cpu_seconds": 1.0, "commit": "a"}
+    (tmp_path / "fit-formation.json").write_text(json.dumps({"before": before}))
+    (tmp_path / "fit-refusals.json").write_text(json.dumps({"cases": [image]}))
+    done = []
+
+    def of_formation(job):
+        name, number, options, _ = job
+        done.append((name, number))
+        row = {**old, "number": number, "z": [0.0] * 10, "commit": "b"}
+        formation.path_of(name, number, options.folder).write_text(json.dumps(row))
+
+    def of_refusals(job):
+        number, options, _ = job
+        done.append(("", number))
+        refusals.path_of(number, options.folder).write_text(json.dumps({**image, "number": number, "commit": "b"}))
+
+    monkeypatch.setattr(formation, "run", of_formation)
+    monkeypatch.setattr(refusals, "run", of_refusals)
+    options = Namespace(
+        folder=tmp_path / "cases", lines=tmp_path / "lines.jsonl", out=tmp_path / "fit-campaign.json", device="cpu",
+        count=4, images=3, first=0, first_image=0, processes=1, budget_s=60.0,
+    )  # fmt: skip
+    campaign.campaign(options)
+    assert sorted(done) == sorted([("", 1), ("", 2), *((name, number) for name in CASES for number in (2, 3))])
+    made = json.loads((tmp_path / "fit-formation.json").read_text())
+    assert made["rows"] == {"file": "fit-formation.jsonl", "from": 2, "commits": {"b": 2 * len(CASES)}}
+    assert made["conditions"]["thick"]["cases"] == 4
+    assert made["conditions"]["thick"]["coverage_90_shape"] == 0.5
+    assert json.loads((tmp_path / "fit-refusals.json").read_text())["commits"] == {"a": 1, "b": 2}
+    # Anywhere else, from the records alone.
+    done.clear()
+    options.folder, options.lines, options.count = tmp_path / "others", tmp_path / "none.jsonl", 5
+    campaign.campaign(options)
+    assert sorted(done) == [(name, 4) for name in sorted(CASES)]
+    assert json.loads((tmp_path / "fit-formation.json").read_text())["conditions"]["thick"]["cases"] == 5
