@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -269,7 +270,7 @@ def rates_table(logs: LogFile) -> str:
     return "\n".join(lines) if rates else ""
 
 
-def table_of(logs: LogFile) -> str:
+def table_of(logs: LogFile, texts: Mapping[str, str] = ROWS) -> str:
     """A row for each network and way to enlarge; its cases are those of all seeds."""
     rows: dict[str, list[dict[str, Any]]] = {}
     seeds: dict[str, int] = {}
@@ -278,7 +279,7 @@ def table_of(logs: LogFile) -> str:
             name = f"{log['job']['network']} {way}"
             rows.setdefault(name, []).extend(log[way])
             seeds[name] = seeds.get(name, 0) + 1
-    ordered = {f"{text} ({seeds[name]})": rows[name] for name, text in ROWS.items() if name in rows}
+    ordered = {f"{text} ({seeds[name]})": rows[name] for name, text in texts.items() if name in rows}
     return table(ordered, COLUMNS, unit="voxels") if ordered else "There are no scores of test shapes yet."
 
 

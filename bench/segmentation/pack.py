@@ -1,12 +1,15 @@
 """HDF5 cases in one small file and back, for a machine that the data has to travel to.
 
     python -m sdm.bench.segmentation.pack pack DIR/la la.npz
+    python -m sdm.bench.segmentation.pack pack DIR/la la2.npz --coarsen 2    # a fifth of the size
     python -m sdm.bench.segmentation.pack unpack la.npz OUT/la
 
 MRI is recorded in whole numbers; the data's float32 images are these, shifted and scaled. The file holds the whole
 numbers, as differences between neighbours, and the unpacked cases hold them as 8 bits. Training standardises every
 image, so it sees the same values but for float32's rounding. Labels without images (DIR/la/labels/*.npz: `bits`,
-`shape`) are packed too. `sdm.bench.segmentation.ma --data la.npz` reads the file as it is, which needs no HDF5.
+`shape`) are packed too. With --coarsen every cube of so many voxels along each axis has its mean, rounded to a whole
+number: all that a training with the same --coarsen sees of an image; labels stay as they are.
+`sdm.bench.segmentation.ma --data la.npz` reads the file as it is, which needs no HDF5.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import numpy as np
 import torch
 
 from sdm.segmentation import Case
+from sdm.segmentation.data.downsample import coarse_image
 
 # Relative to the step between two neighbouring values.
 TOLERANCE = 0.02
@@ -32,11 +36,15 @@ def main() -> None:
     parser.add_argument("what", choices=("pack", "unpack"))
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
+    parser.add_argument("--coarsen", type=int, default=1, help="pack: means of cubes of so many voxels along each axis")
     options = parser.parse_args()
-    (pack if options.what == "pack" else unpack)(options.source, options.target)
+    if options.what == "pack":
+        pack(options.source, options.target, coarsen=options.coarsen)
+    else:
+        unpack(options.source, options.target)
 
 
-def pack(source: Path, target: Path) -> None:
+def pack(source: Path, target: Path, *, coarsen: int = 1) -> None:
     import h5py
 
     arrays: dict[str, np.ndarray] = {}
@@ -47,6 +55,8 @@ def pack(source: Path, target: Path) -> None:
         numbers = whole_numbers(image)
         if numbers is None:
             raise SystemExit(f"{path} is not made of at most 256 whole numbers: copy it as it is")
+        if coarsen > 1:
+            numbers = means_of_cubes(numbers, coarsen)
         arrays[f"{name}:shape"] = np.asarray(image.shape)
         arrays[f"{name}:image"] = squeezed(differences(numbers))
         arrays[f"{name}:label"] = squeezed(np.packbits(label != 0))
@@ -123,6 +133,14 @@ def label_of(file: Any, name: str) -> np.ndarray:
 
 def unpacked_bits(bits: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return np.unpackbits(bits, count=math.prod(int(n) for n in shape)).reshape(shape)
+
+
+def means_of_cubes(numbers: np.ndarray, edge: int) -> np.ndarray:
+    """Each voxel's cube of `edge`^3 as `coarse_image` takes it, by its rounded mean: (x,y,z) uint8, the same shape."""
+    means = coarse_image(torch.from_numpy(numbers).float(), edge).round().to(torch.uint8)
+    for axis, count in enumerate(numbers.shape):
+        means = means.repeat_interleave(edge, axis).narrow(axis, 0, count)
+    return means.numpy()
 
 
 def differences(numbers: np.ndarray) -> np.ndarray:

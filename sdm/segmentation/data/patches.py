@@ -102,8 +102,12 @@ class Patches:
         if self.kind is not None and not self.per_patch:
             # A patch that is scaled scales its distances, so they are clipped afterwards.
             whole: Map = "signed" if self.kind == "clipped" else self.kind
-            channels.append(coarse_map(distance_map(label[None, None], whole, case.spacing)[0, 0], self.coarsen))
+            channels.append(self._case_map(case, label, whole))
         return torch.stack(channels)
+
+    def _case_map(self, case: Case, label: Tensor, kind: Map) -> Tensor:
+        """Map of a whole case at its larger voxels, from the padded label of its own voxels."""
+        return coarse_map(distance_map(label[None, None], kind, case.spacing)[0, 0], self.coarsen)
 
     def __len__(self) -> int:
         return len(self._cases)

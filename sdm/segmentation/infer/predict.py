@@ -63,6 +63,21 @@ def predicted_field(
     batch: int = 4,
 ) -> Tensor:
     """Field of an image (x,y,z) by a network, before it is cut at zero: see `predict`, `SegmentationModel.field`."""
+    values = coarse_field(model, image, window, stride=stride, mirrors=mirrors, batch=batch)
+    with torch.inference_mode():
+        return fine_field(values, model.coarsen, image.shape)
+
+
+def coarse_field(
+    model: SegmentationModel,
+    image: Tensor,
+    window: Sequence[int],
+    *,
+    stride: Sequence[int] | None = None,
+    mirrors: str = "",
+    batch: int = 4,
+) -> Tensor:
+    """The same before it is enlarged: at the centres of the larger voxels (x',y',z') that the network sees."""
     model.eval()
     device = next(model.parameters()).device
     images = _mirror_images(mirrors)
@@ -76,8 +91,7 @@ def predicted_field(
 
     with torch.inference_mode():
         seen = standardized(coarse_image(image.to(device), model.coarsen))
-        values = sliding_window(field, seen, window, stride=stride, batch=batch, position=model.position)
-        return fine_field(values, model.coarsen, image.shape)
+        return sliding_window(field, seen, window, stride=stride, batch=batch, position=model.position)
 
 
 def prediction_of(values: Tensor, *, largest: bool) -> Prediction:

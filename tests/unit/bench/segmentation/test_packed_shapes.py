@@ -10,6 +10,7 @@ import torch
 
 from sdm.bench.segmentation import ma
 from sdm.bench.segmentation.pack import pack, packed_cases, shapes_of, unpack
+from sdm.segmentation.data.downsample import coarse_image
 from tests.helpers.segmentation_cases import volume, write_hdf5
 
 
@@ -48,3 +49,10 @@ def test_a_row_with_synthetic_cases_is_trained(packed, tmp_path, monkeypatch):
     lines = [json.loads(line) for line in logs.read_text().splitlines()]
     assert [line["job"]["settings"]["synthetic"] for line in lines] == [1.0, 1.0]
     assert list(lines[0]["largest"]) == ["case2"]
+
+
+def test_means_of_cubes_are_what_a_coarser_network_sees(packed, tmp_path):
+    pack(packed.parent / "la", tmp_path / "la3.npz", coarsen=3)
+    for fine, coarse in zip(packed_cases(packed, "train"), packed_cases(tmp_path / "la3.npz", "train"), strict=True):
+        assert torch.equal(coarse_image(coarse.image, 3), coarse_image(fine.image, 3).round())
+        assert torch.equal(coarse.label, fine.label)
