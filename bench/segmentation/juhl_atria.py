@@ -12,8 +12,10 @@ transform of the coarse label and on the exact map of the label's smooth surface
 
 Rates: each network is trained at each of the same rates, without every fourth of the training cases and their near
 twins; the rate with the highest Dice of these (linearly enlarged) is that of all its seeds, which train on all cases.
-So the validation cases, by which the tables are, choose nothing. Near twins of theirs are not trained on. Largest
-connected component; distances in the images' voxels.
+So the validation cases, by which the tables are, choose nothing. Near twins of theirs are not trained on. A wider grid
+goes on with the rates that were tried; run it again to train those anew whose rate is another since. With one rate
+there is no search: `--logs FILE.jsonl/NAME --rates 1e-4 --networks pwr-voxels --steps 2000` is a trial of its own.
+Largest connected component; distances in the images' voxels.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ from sdm.segmentation.infer.scores import COLUMNS as UNITS
 from sdm.segmentation.train.methods import Map
 
 LOGS = LogFile(results_folder() / "segmentation_juhl_atria.jsonl")
-RATES = (3e-4, 1e-3, 3e-3, 1e-2)
+RATES = (3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 SEEDS = (0, 1, 2)
 # Every so many-th of the training cases chooses rates.
 CHOOSING = 4
@@ -101,6 +103,7 @@ def main() -> None:
     options = parser().parse_args()
     if options.what == "run":
         on = devices(options.gpus) * options.per_gpu
+        remove_outdated(options)
         listed = jobs(options)
         known = options.logs.names()
         if len(on) > 1 and any(job["name"] not in known for job in listed):
@@ -155,6 +158,7 @@ def jobs(options: argparse.Namespace) -> list[Job]:
         {"name": f"{network}-rate-{rate:g}", "kind": "rate", **job(network, options.seeds[0], rate)}
         for network in options.networks
         for rate in options.rates
+        if len(options.rates) > 1
     ]
     # Their rate is chosen when they begin.
     return found + [
@@ -162,6 +166,19 @@ def jobs(options: argparse.Namespace) -> list[Job]:
         for seed in options.seeds
         for network in options.networks
     ]
+
+
+def remove_outdated(options: argparse.Namespace) -> None:
+    """Take out the logs of trainings at a rate that is not the best of the grid any more, once all of it is tried."""
+    for network in options.networks:
+        tried = rates_of(options.logs, network)
+        if not set(options.rates) <= set(tried):
+            continue
+        best = min(options.rates, key=tried.__getitem__)
+        for log in options.logs.trainings():
+            job = log["job"]
+            if (job["network"], job["kind"]) == (network, "test") and job["settings"]["learning_rate"] != best:
+                options.logs.remove(job["name"])
 
 
 def compile_once(job: Job, device: str) -> None:
@@ -183,7 +200,7 @@ def work(
 ) -> Log | None:
     """One training and the scores of the cases that choose, or, at the rate they chose, of the validation cases."""
     rated = job["kind"] == "rate"
-    if not rated:
+    if not rated and len(job["rates"]) > 1:
         rate = best_rate(partial(rates_of, logs, job["network"]), job["rates"], deadline)
         if rate is None:
             return None

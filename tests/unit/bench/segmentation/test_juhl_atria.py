@@ -83,3 +83,27 @@ def test_a_study_at_tiny_size(tmp_path, monkeypatch, capsys):
     assert "| PWR over PWC (CE), as published |" in text
     juhl_atria.main()
     assert "0 of 8 jobs to do" in capsys.readouterr().out
+
+
+def test_a_wider_grid_trains_those_anew_whose_rate_is_another(tmp_path):
+    logs = LogFile(tmp_path / "logs.jsonl")
+
+    def put(network: str, name: str, kind: str, rate: float, **more) -> None:
+        job = {"name": f"{network}-{name}", "kind": kind, "network": network, "settings": {"learning_rate": rate}}
+        logs.put({"job": job, **more})
+
+    for network, dices in (("pwc", {0.1: 0.9, 0.2: 0.7, 0.3: 0.8}), ("pwr-mesh", {0.1: 0.7, 0.2: 0.9})):
+        for rate, dice in dices.items():
+            put(network, f"rate-{rate}", "rate", rate, validation={"linear": [{"dice": dice}]})
+        put(network, "0", "test", 0.1)
+        put(network, "1", "test", 0.3)
+    options = juhl_atria.parser().parse_args(["run", "--rates", "0.1", "0.2", "0.3", "--networks", "pwc", "pwr-mesh"])
+    options.logs = logs
+    juhl_atria.remove_outdated(options)
+    # Of pwr-mesh one rate is not tried yet.
+    assert {name for name in logs.names() if "rate" not in name} == {"pwc-0", "pwr-mesh-0", "pwr-mesh-1"}
+
+
+def test_one_rate_is_not_searched_for():
+    options = juhl_atria.parser().parse_args(["run", "--rates", "0.1", "--networks", "pwc", "--seeds", "0", "1"])
+    assert [job["name"] for job in juhl_atria.jobs(options)] == ["pwc-0", "pwc-1"]
