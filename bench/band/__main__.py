@@ -4,13 +4,14 @@
 
 For each mesh and resolution (voxels along the longest axis of a cube around it) the band of `--half-width` voxels is
 made `--runs` times by turns: by `sdm.narrow_band` from vertices and faces in new memory, structure and signs included,
-and by OpenVDB's `meshToLevelSet` (see `sdm.bench.peers.openvdb`), on as many cores; on a GPU by Newton's
-`Mesh.build_sdf` too, where it is installed (see `sdm.bench.peers.newton`), and by PhysicsNeMo's
-`signed_distance_field`, which is told for nothing which voxels are in the band. `seconds` are medians, `cpu` those
-of all cores together: on a machine that others use too, only these compare. Before that both are compared with a
-float64 brute force at `--samples` voxels of the band: `error` is the largest, in voxels, `signs` how many are on the
-wrong side. `peak` is what a process that makes one band has more in memory than before it, `bytes` what the band
-itself takes.
+and by OpenVDB's `meshToLevelSet` (see `sdm.bench.peers.openvdb`), on as many cores. On a GPU also by Newton's
+`Mesh.build_sdf` (see `sdm.bench.peers.newton`), by PhysicsNeMo's `signed_distance_field` and by MeshLib's CUDA searches
+for closest points and winding numbers, where they are installed; these two are told for nothing which voxels are in
+the band, and `query` of MeshLib's rows leaves out the build of its structures. `seconds` are medians, `cpu` those of
+all cores together: on a machine that others use too, only these compare. Before that all are compared with a float64
+brute force at `--samples` voxels of the band: `error` is the largest, in voxels, `signs` how many are on the wrong
+side. `peak` is what a process that makes one band has more in memory than before it, `bytes` what the band itself
+takes.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ import torch
 
 from sdm.bench.band.figures import draw
 from sdm.bench.band.job import measure
+from sdm.bench.band.peer_rows import OTHERS, notes
 from sdm.bench.common import json_file
 from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import load_case, missing_note
-from sdm.bench.peers import newton, openvdb
-from sdm.bench.peers.physicsnemo import PhysicsNeMo
+from sdm.bench.peers import openvdb
 
 MESHES = ("fandisk", "rocker-arm", "nefertiti", "torus-1000000")
 RESOLUTIONS = (256, 512, 1024)
@@ -41,12 +42,6 @@ def line(name: str, resolution: int, found: dict[str, Any]) -> str:
         f"{found['error']:>11.2e}{found['signs']:>7}{found['active_voxels']:>13,}"
         f"{found['bytes'] / 2**20:>9.1f}{found['peak'] / 2**20:>9.1f}"
     )
-
-
-def _no_physicsnemo(device: str) -> str | None:
-    if not device.startswith("cuda"):
-        return "PhysicsNeMo is left out: at the voxels of a band it is asked on a GPU alone"
-    return PhysicsNeMo(device).missing()
 
 
 def main() -> None:
@@ -63,9 +58,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     note = "OpenVDB was not asked for" if given.alone else openvdb.missing()
-    no_newton = "Newton was not asked for" if given.alone else newton.missing(given.device)
-    no_physicsnemo = "PhysicsNeMo was not asked for" if given.alone else _no_physicsnemo(given.device)
-    for sentence in (note, no_newton, no_physicsnemo):
+    others = {name: f"{name} was not asked for" for name in OTHERS} if given.alone else notes(given.device)
+    for sentence in (note, *others.values()):
         if sentence:
             print(sentence)
     print(
@@ -87,15 +81,14 @@ def main() -> None:
                 given.samples,
                 given.runs,
                 with_peer=note is None,
-                with_newton=no_newton is None,
-                with_physicsnemo=no_physicsnemo is None,
+                others=[name for name, why in others.items() if why is None],
             )
             for one in found:
                 print(line(name, resolution, one), flush=True)
             rows = [row for row in rows if (row["mesh"], row["resolution"]) != (case.name, resolution)] + found
             if given.out:
                 report = {"machine": describe(given.device), "half_width": given.half_width, "note": note, "rows": rows}
-                report |= {"note_on_newton": no_newton, "note_on_physicsnemo": no_physicsnemo}
+                report |= {f"note_on_{name.lower()}": why for name, why in others.items()}
                 json_file.write(given.out, report)
     if given.out and rows:
         draw(json.loads(given.out.read_text()), given.out.with_suffix(".png"))

@@ -6,18 +6,19 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 import torch
 
 import sdm
+from sdm.bench.band.peer_rows import OTHERS, Asked, errors, near_voxels, row_of
 from sdm.bench.common.grids import cube_around
 from sdm.bench.common.meshes import Case
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.bench.common.timing import once
-from sdm.bench.peers import newton, openvdb
-from sdm.bench.peers.physicsnemo import PhysicsNeMo
+from sdm.bench.peers import openvdb
 from sdm.core.voxel_points import voxel_points
 
 OURS, PEER = "sdm", "OpenVDB"
@@ -38,19 +39,18 @@ def measure(
     runs: int,
     *,
     with_peer: bool,
-    with_newton: bool = False,
-    with_physicsnemo: bool = False,
+    others: Collection[str] = (),
 ) -> list[dict[str, Any]]:
-    """The rows of the table: ours, and those of the others that are there."""
+    """The rows of the table: ours, and those of OpenVDB and of `others` (names of `OTHERS`)."""
     grid = cube_around(case, resolution)
     band = sdm.narrow_band(fresh(case, device), grid, half_width=half_width, device=device)
     voxels = _some_voxels(band, samples)
     truth = _truth(case, grid, voxels)
-    rows = [_row(OURS, case, resolution, band.active_voxels, band.nbytes)]
-    rows[0] |= _errors(band.at(voxels).cpu().double().numpy(), truth, grid)
+    rows = [row_of(OURS, case, resolution, band.active_voxels, band.nbytes)]
+    rows[0] |= errors(band.at(voxels).cpu().double().numpy(), truth, grid)
     rows[0]["peak"] = _peak(case, device, resolution, half_width)
     times: dict[str, list[tuple[float, float]]] = {OURS: [], PEER: []}
-    near = _near_voxels(band) if with_physicsnemo else None
+    told = near_voxels(band) if others else None
     del band
     for _ in range(runs):
         mesh, begin = fresh(case, device), time.process_time()
@@ -63,67 +63,16 @@ def measure(
             times[PEER].append((found.seconds[-1], found.cpu_seconds[-1]))
     if with_peer:
         found = openvdb.level_set(case, grid, half_width, voxels.numpy(), 1)
-        rows.append(_row(PEER, case, resolution, found.active_voxels, found.nbytes))
-        rows[1] |= _errors(found.values.astype(np.float64), truth, grid)
+        rows.append(row_of(PEER, case, resolution, found.active_voxels, found.nbytes))
+        rows[1] |= errors(found.values.astype(np.float64), truth, grid)
         rows[1]["peak"] = found.peak_bytes
     for row in rows:
         wall, cpu = zip(*times[row["library"]], strict=True)
         row |= {"seconds": statistics.median(wall), "cpu": statistics.median(cpu), "all_seconds": list(wall)}
-    if with_newton:
-        rows.append(_newton_row(case, device, resolution, half_width, voxel_points(grid, voxels).numpy(), runs))
-    if near is not None:
-        rows.append(_physicsnemo_row(case, device, resolution, voxel_points(grid, voxels), truth, near, runs))
+    if told is not None:
+        asked = Asked(case, device, resolution, half_width, voxel_points(grid, voxels), truth, told, runs)
+        rows += [OTHERS[name](asked) for name in OTHERS if name in others]
     return rows
-
-
-def _physicsnemo_row(
-    case: Case,
-    device: str,
-    resolution: int,
-    some: torch.Tensor,
-    truth: tuple[np.ndarray, np.ndarray],
-    near: torch.Tensor,
-    runs: int,
-) -> dict[str, Any]:
-    """PhysicsNeMo's row: it makes no bands, so it is told which voxels (N,3) are in ours, for nothing."""
-    peer, grid = PhysicsNeMo(device), cube_around(case, resolution)
-    peer.build(case)
-    row = _row(peer.name, case, resolution, len(near), 4 * len(near))
-    row |= _errors(peer.signed_distance(some.to(device)).cpu().double().numpy(), truth, grid)
-    points = voxel_points(grid, near)
-    seconds = [once(lambda: peer.signed_distance(points), device)[0] / 1e3 for _ in range(1 + runs)][1:]
-    return row | {"peak": 0, "seconds": statistics.median(seconds), "cpu": 0.0, "all_seconds": seconds}
-
-
-def _newton_row(
-    case: Case, device: str, resolution: int, half_width: float, points: np.ndarray, runs: int
-) -> dict[str, Any]:
-    """Newton's row. At its own voxels, as it takes no grid; of its memory and processor time nothing is known."""
-    grid = cube_around(case, resolution)
-    found = newton.sparse_field(case, grid, half_width, points, runs, device)
-    row = _row(newton.NAME, case, resolution, found.voxels, found.nbytes)
-    brute = Brute(case.vertices, case.faces)
-    truth = brute.distance(found.points)[0], brute.winding_number(found.points)
-    row |= _errors(found.values.astype(np.float64), truth, grid)
-    row |= {"peak": 0, "seconds": statistics.median(found.seconds), "cpu": 0.0, "all_seconds": found.seconds}
-    return row
-
-
-def _row(library: str, case: Case, resolution: int, active: int, nbytes: int) -> dict[str, Any]:
-    return {
-        "library": library,
-        "mesh": case.name,
-        "triangles": len(case),
-        "resolution": resolution,
-        "active_voxels": active,
-        "bytes": nbytes,
-    }
-
-
-def _near_voxels(band: sdm.SparseSDM) -> torch.Tensor:
-    """Indices (N,3) of all voxels in the band."""
-    place, x, y, z = (band.values.abs() < band.width).nonzero().unbind(1)
-    return 8 * band.blocks[place].long() + torch.stack([x, y, z], 1)
 
 
 def _some_voxels(band: sdm.SparseSDM, count: int) -> torch.Tensor:
@@ -140,19 +89,6 @@ def _truth(case: Case, grid: sdm.Grid, voxels: torch.Tensor) -> tuple[np.ndarray
     """Distances and winding numbers at voxels, in float64."""
     brute, points = Brute(case.vertices, case.faces), voxel_points(grid, voxels).numpy()
     return brute.distance(points)[0], brute.winding_number(points)
-
-
-def _errors(values: np.ndarray, truth: tuple[np.ndarray, np.ndarray], grid: sdm.Grid) -> dict[str, Any]:
-    distance, winding = truth
-    clear = np.abs(winding - 0.5) > 1e-3
-    wrong = ((values < 0) != (winding > 0.5)) & clear & (distance > 1e-6 * grid.spacing[0])
-    error = np.abs(np.abs(values) - distance) / grid.spacing[0]
-    return {
-        "error": float(error.max()),
-        "mean_error": float(error.mean()),
-        "signs": int(wrong.sum()),
-        "samples": len(values),
-    }
 
 
 def _peak(case: Case, device: str, resolution: int, half_width: float) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from importlib import import_module
 from typing import Any
 
@@ -15,6 +16,8 @@ from sdm.bench.peers.base import Peer
 
 # More than any squared distance.
 FAR = 3.0e38
+# How many sizes away a part of the mesh is one dipole: its own default.
+BETA = 2.0
 
 
 class MeshLib(Peer):
@@ -55,10 +58,15 @@ class MeshLib(Peer):
 
 
 class MeshLibCuda(MeshLib):
-    """The same with winding numbers from a GPU; distances stay on the CPU, and so does the map."""
+    """Distances and winding numbers from a GPU: of grids by `meshToDistanceVolume`, of points by its two searches.
 
-    name, module, device = "MeshLib, CUDA signs", "meshlib.mrcudapy", "cuda"
-    note = "meshToDistanceVolume, HoleWindingRule by mrcudapy; distances on the CPU"
+    Points and what is found come from the host and return to it.
+    """
+
+    name, module, device = "MeshLib, CUDA", "meshlib.mrcudapy", "cuda"
+    note = "mrcudapy: meshToDistanceVolume with its FastWindingNumber; its PointsToMeshProjector at points"
+    parts = ("distance", "sign")
+    points_too = True
 
     def __init__(self, device: str = "cuda") -> None:
         self.device = device
@@ -67,9 +75,69 @@ class MeshLibCuda(MeshLib):
     def library(self) -> Any:
         return import_module("meshlib.mrmeshpy")
 
+    def missing(self) -> str | None:
+        """Why it cannot run here: also what it says of one point."""
+        if (why := super().missing()) is not None:
+            return why
+        try:
+            self.build(Case("corner", np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), frozenset()))
+            self.signed_distance(torch.zeros(1, 3))
+        except Exception as error:  # noqa: BLE001
+            return f"{self.name} is installed but does not run on {self.device}: {error}"
+        return None
+
     def build(self, case: Case) -> None:
         super().build(case)
-        self._winding = import_module(self.module).FastWindingNumber(self._mesh)
+        there = import_module(self.module)
+        self._winding = there.FastWindingNumber(self._mesh)
+        self._projector = there.PointsToMeshProjector()
+        self._projector.updateMeshData(self._mesh)
 
     def _choose(self, asked: Any) -> None:
         asked.fwn = self._winding
+
+    def points_for(self, points: Tensor) -> Any:
+        """Points (N,3) as it takes them."""
+        return self._numpy.fromNumpyArray(points.detach().cpu().numpy())
+
+    def distances_at(self, points: Any) -> Any:
+        """What it finds of the closest points of `points_for`."""
+        found = self.library.std_vector_MeshProjectionResult()
+        self._projector.findProjections(found, points, None, None, FAR, 0.0)
+        return found
+
+    def winding_at(self, points: Any) -> Any:
+        """Winding numbers at `points_for`."""
+        meshlib, found = self.library, self.library.std_vector_float()
+        self._winding.calcFromVector(found, points, BETA, meshlib.FaceId(), meshlib.func_bool_from_float())
+        return found
+
+    def signed_distance(self, points: Tensor) -> Tensor:
+        given = self.points_for(points)
+        return signed(self.distances_at(given), self.winding_at(given)).to(self.device)
+
+    def unsigned_distance(self, points: Tensor) -> Tensor:
+        return _lengths(self.distances_at(self.points_for(points))).to(self.device)
+
+    def inside(self, points: Tensor) -> Tensor:
+        return (_floats(self.winding_at(self.points_for(points)), 1)[:, 0] > 0.5).to(self.device)
+
+
+def signed(distances: Any, winding: Any) -> Tensor:
+    """Signed distances (N,) of what `distances_at` and `winding_at` found."""
+    lengths = _lengths(distances)
+    return torch.where(_floats(winding, 1)[:, 0] > 0.5, -lengths, lengths)
+
+
+def _lengths(distances: Any) -> Tensor:
+    # The square is the last of eight words of a result.
+    return _floats(distances, 8)[:, 7].sqrt()
+
+
+def _floats(vector: Any, words: int) -> Tensor:
+    """A vector of C++ as floats (N, words), copied."""
+    count = vector.size()
+    if count == 0:
+        return torch.empty(0, words)
+    memory = (ctypes.c_float * (count * words)).from_address(vector.data_pointer())
+    return torch.from_numpy(np.frombuffer(memory, np.float32).reshape(count, words).copy())

@@ -157,16 +157,46 @@ def test_meshlib_takes_the_winding_numbers_of_a_gpu(asked, monkeypatch):
     arrays = SimpleNamespace(
         meshFromFacesVerts=lambda faces, vertices: mesh, getNumpy3Darray=lambda volume: np.zeros((2, 2, 2))
     )
-    cuda = SimpleNamespace(FastWindingNumber=lambda one: ("on a GPU", one))
+    cuda = SimpleNamespace(
+        FastWindingNumber=lambda one: ("on a GPU", one),
+        PointsToMeshProjector=lambda: SimpleNamespace(updateMeshData=lambda one: None),
+    )
     for name, module in {"mrmeshpy": library, "mrmeshnumpy": arrays, "mrcudapy": cuda}.items():
         monkeypatch.setitem(sys.modules, f"meshlib.{name}", module)
     monkeypatch.setitem(sys.modules, "meshlib", SimpleNamespace())
-    peer = next(peer for peer in all_peers("cuda") if peer.name == "MeshLib, CUDA signs")
+    peer = next(peer for peer in all_peers("cuda") if peer.name == "MeshLib, CUDA")
     peer.build(case)
     peer.signed_distance_map(Grid((0, 0, 0), (1, 1, 1), (2, 2, 2)))
     assert volumes == [(mesh, params)]
     assert params.fwn == ("on a GPU", mesh)
     assert params.vol.origin == (-0.5, -0.5, -0.5)
+
+
+def test_meshlib_at_points(asked, monkeypatch):
+    """The searches of its CUDA module, which its other one has for the CPU."""
+    pytest.importorskip("meshlib.mrmeshpy")
+    case, points, expected = asked
+    peer = next(peer for peer in all_peers("cuda") if peer.name == "MeshLib, CUDA")
+    monkeypatch.setattr(peer, "module", "meshlib.mrmeshpy")
+    monkeypatch.setattr(peer, "device", "cpu")
+    assert peer.missing() is None
+    peer.build(case)
+    np.testing.assert_allclose(peer.signed_distance(points).numpy(), expected, atol=2e-6)
+    np.testing.assert_allclose(peer.unsigned_distance(points).numpy(), np.abs(expected), atol=2e-6)
+    np.testing.assert_array_equal(peer.inside(points).numpy(), expected < 0)
+    assert len(peer.signed_distance(points[:0])) == 0
+
+
+def test_meshlib_that_does_not_run_says_so(monkeypatch):
+    peer = next(peer for peer in all_peers("cuda") if peer.name == "MeshLib, CUDA")
+    monkeypatch.setattr(peer, "device", "cpu")
+
+    def build(case):
+        raise RuntimeError("no kernel image")
+
+    monkeypatch.setattr(peer, "module", "json")
+    monkeypatch.setattr(peer, "build", build)
+    assert peer.missing() == "MeshLib, CUDA is installed but does not run on cpu: no kernel image"
 
 
 def test_newton_says_why_it_is_left_out(monkeypatch):
