@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 # Turning angle [degrees]; half-width of the section along the radius, height above and below the centre line [mm];
 # slope of the section (rise over radius). All in the half-plane through the axis.
@@ -59,6 +58,9 @@ class CochleaDesign:
 
     def stations(self, angles: np.ndarray) -> np.ndarray:
         """The kernel's table (S,8) float64 for turning angles (S,) [rad]."""
+        # A fifth of a second to import, which most commands that import families do not need.
+        from scipy.interpolate import PchipInterpolator
+
         table = np.asarray(self.sections, dtype=np.float64)
         # Monotone cubics: no overshoot, one derivative.
         width, top, bottom, slope = PchipInterpolator(np.radians(table[:, 0]), table[:, 1:])(angles).T
