@@ -9,11 +9,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from sdm.core.as_mesh import as_mesh
 from sdm.core.mesh import TriangleMesh
 from sdm.core.signed_distance_map import SDM
 from sdm.core.sparse_sdm import SparseSDM
+from sdm.engine.mesh_index import MeshIndex
 from sdm.engine.surface.active_blocks import ActiveBlocks, active_blocks, refuse_many, starts_of
 from sdm.engine.surface.hermite_data import map_normals, mesh_crossings
+from sdm.engine.surface.sharp_edges import with_sharp_edges
 from sdm.engine.surface.voxel_blocks import VoxelBlocks
 from sdm.kernels.launch import set_array
 from sdm.kernels.surface.dual_cells import DualCells, decide_faces
@@ -31,6 +34,9 @@ REACH_OF_MAP, REACH_OF_MESH = 0.0, 1.0
 
 def dual_contouring(field: VoxelBlocks, source: SDM | SparseSDM, level: float, mesh: Any) -> TriangleMesh | None:
     """The surface of blocks of voxels; None if there is none."""
+    index = None
+    if mesh is not None:
+        index = mesh if isinstance(mesh, MeshIndex) else MeshIndex(as_mesh(mesh), field.values.device, warn=False)
     with on_current_stream(field.values, *field.memory):
         found = active_blocks(field, level)
         if found is None:
@@ -53,11 +59,11 @@ def dual_contouring(field: VoxelBlocks, source: SDM | SparseSDM, level: float, m
         points = torch.empty(edge_count, 3, dtype=torch.float32, device=found.device)
         ways = torch.empty_like(points)
         write_points(found.voxels, found.surface, as_warp(points, wp.vec3), as_warp(ways, wp.vec3))
-    if mesh is None:
+    if index is None:
         normals = map_normals(source, points)
     else:
-        points, normals = mesh_crossings(mesh, source.grid, level, points, ways)
-    hermite = _hermite(source, points, normals, mesh is None)
+        points, normals = mesh_crossings(index, source.grid, level, points, ways)
+    hermite = _hermite(source, points, normals, index is None)
     vertices = torch.empty(vertex_count, 3, dtype=torch.float32, device=found.device)
     faces = torch.empty(triangle_count, 3, dtype=torch.int32, device=found.device)
     with on_current_stream(vertices, *found.memory, *memory, points, normals, first, first_edge):
@@ -70,7 +76,10 @@ def dual_contouring(field: VoxelBlocks, source: SDM | SparseSDM, level: float, m
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.vec3i),
         )
-    return TriangleMesh(vertices, faces, "isosurface", check=False)
+    surface = TriangleMesh(vertices, faces, "isosurface", check=False)
+    if index is None or level != 0:
+        return surface
+    return with_sharp_edges(surface, index, max(source.grid.spacing))
 
 
 def _cells(found: ActiveBlocks) -> tuple[Any, tuple[Tensor, ...]]:

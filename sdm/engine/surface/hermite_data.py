@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from sdm.core.as_mesh import as_mesh
 from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.core.sparse_sdm import SparseSDM
@@ -35,13 +34,13 @@ def map_normals(field: SDM | SparseSDM, points: Tensor) -> Tensor:
     return torch.nn.functional.normalize(gradient, dim=1).float()
 
 
-def mesh_crossings(mesh: Any, grid: Grid, level: float, points: Tensor, ways: Tensor) -> tuple[Tensor, Tensor]:
+def mesh_crossings(index: MeshIndex, grid: Grid, level: float, points: Tensor, ways: Tensor) -> tuple[Tensor, Tensor]:
     """Crossings of voxel edges with the surface at a level itself, and its normals there.
 
     Newton's method along each edge, by the planes at the closest points: exact after a step where the surface is flat.
 
     Args:
-        mesh: The mesh that the map is of, or its `MeshIndex`.
+        index: Of the mesh that the map is of.
         grid: Of the map.
         level: Where unsigned distances are as long, the surface is.
         points: (V,3) first guesses, on the edges.
@@ -50,7 +49,6 @@ def mesh_crossings(mesh: Any, grid: Grid, level: float, points: Tensor, ways: Te
     Returns:
         Points (V,3) and normals (V,3), which may face either way.
     """
-    index = mesh if isinstance(mesh, MeshIndex) else MeshIndex(as_mesh(mesh), points.device, warn=False)
     to_voxels = torch.linalg.inv(torch.from_numpy(grid.affine[:3, :3]).to(points.device))
     origin = torch.tensor(grid.origin, dtype=torch.float64, device=points.device)
     lengths = ways.double().norm(dim=1)
