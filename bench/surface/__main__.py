@@ -6,7 +6,8 @@ For each mesh and resolution the exact map is made once; then each method makes 
 `seconds` are medians of repeated calls, `cpu` those of all cores together: on a machine that others use too, only these
 compare. Ours stay on the device, the others' begin with values on the host. Before that: `open` is how many edges are
 not there once each way, `zero` how many triangles have no area, `vertices` the largest distance of a vertex from the
-mesh, and `edges` the mean distance of points of the mesh's edges of more than 30 degrees from the surface, in voxels.
+mesh, and `edges` the mean distance of points of the mesh's edges of more than 30 degrees from the surface,
+`edges_most` the largest, in voxels.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from sdm.bench.common.machine import describe
 from sdm.bench.common.meshes import Case, load_case, missing_note
 from sdm.bench.common.timing import once
 from sdm.bench.surface.figures import draw
-from sdm.bench.surface.methods import Surface, host_surface, methods_of
+from sdm.bench.surface.methods import Surface, methods_of
+from sdm.core.mesh import TriangleMesh
 
 MESHES = ("fandisk", "rocker-arm", "nefertiti")
 RESOLUTIONS = (128, 256)
@@ -42,7 +44,7 @@ def measure(case: Case, device: str, resolution: int, runs: int, *, alone: bool 
     rows, times = [], {name: [] for name in calls}
     for name, call in calls.items():
         row = {"method": name, "mesh": case.name, "resolution": resolution}
-        rows.append(row | errors(host_surface(call()), mesh, edges, grid.spacing[0]))
+        rows.append(row | errors(call(), mesh, edges, grid.spacing[0]))
     for _ in range(runs):
         for name, call in calls.items():
             begin = time.process_time()
@@ -54,20 +56,26 @@ def measure(case: Case, device: str, resolution: int, runs: int, *, alone: bool 
     return rows
 
 
-def errors(surface: Surface, mesh: sdm.TriangleMesh, edges: torch.Tensor | None, voxel: float) -> dict[str, Any]:
+def errors(
+    surface: TriangleMesh | Surface, mesh: sdm.TriangleMesh, edges: torch.Tensor | None, voxel: float
+) -> dict[str, Any]:
     """Closedness of a surface, and its distances from the mesh in voxels."""
-    vertices, faces = surface
-    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
-    forth = np.unique(pairs[:, 0] * len(vertices) + pairs[:, 1], return_counts=True)
-    back = np.unique(pairs[:, 1] * len(vertices) + pairs[:, 0])
-    a, b, c = np.moveaxis(vertices.astype(np.float64)[faces], 1, 0)
-    found = sdm.TriangleMesh(vertices, np.ascontiguousarray(faces)).to(mesh.device)
+    found = TriangleMesh(*surface).to(mesh.device) if isinstance(surface, tuple) else surface
+    corners, count = found.faces.long(), len(found.vertices)
+    start, end = corners.reshape(-1), corners.roll(-1, 1).reshape(-1)
+    forth, uses = torch.unique(start * count + end, return_counts=True)
+    back = torch.unique(end * count + start)
+    # Edges of both are there once in each.
+    both = 2 * (len(forth) + len(back) - len(torch.unique(torch.cat([forth, back]))))
+    a, b, c = found.vertices.double()[corners].unbind(1)
+    away = None if edges is None else sdm.signed_distance(found, edges, sign="none") / voxel
     return {
-        "triangles": len(faces),
-        "open": len(np.setxor1d(forth[0], back)) + int((forth[1] > 1).sum()),
-        "zero": int((np.linalg.norm(np.cross(b - a, c - a), axis=1) == 0).sum()),
+        "triangles": len(corners),
+        "open": len(forth) + len(back) - both + int((uses > 1).sum()),
+        "zero": int((torch.linalg.cross(b - a, c - a).norm(dim=1) == 0).sum()),
         "vertices": float(sdm.signed_distance(mesh, found.vertices, sign="none").max()) / voxel,
-        "edges": None if edges is None else float(sdm.signed_distance(found, edges, sign="none").mean()) / voxel,
+        "edges": None if away is None else float(away.mean()),
+        "edges_most": None if away is None else float(away.max()),
     }
 
 
@@ -86,10 +94,10 @@ def sharp_points(mesh: sdm.TriangleMesh, degrees: float = 30.0) -> torch.Tensor 
 
 def line(row: dict[str, Any]) -> str:
     """A line of the table that is printed."""
-    edges = "" if row["edges"] is None else f"{row['edges']:.4f}"
+    edges = "" if row["edges"] is None else f"{row['edges']:.4f}{row['edges_most']:>8.3f}"
     return (
         f"{row['mesh']:12}{row['resolution']:>5}^3  {row['method']:22}{row['seconds']:>9.4f}{row['cpu']:>9.4f}"
-        f"{row['triangles']:>12,}{row['open']:>6}{row['zero']:>6}{row['vertices']:>10.4f}{edges:>10}"
+        f"{row['triangles']:>12,}{row['open']:>6}{row['zero']:>6}{row['vertices']:>10.4f}{edges:>18}"
     )
 
 
@@ -105,7 +113,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a JSON file; a picture goes beside it")
     given = parser.parse_args()
     print(
-        f"{'':42}{'seconds':>9}{'cpu':>9}{'triangles':>12}{'open':>6}{'zero':>6}{'vertices':>10}{'edges':>10}",
+        f"{'':42}{'seconds':>9}{'cpu':>9}{'triangles':>12}{'open':>6}{'zero':>6}{'vertices':>10}{'edges':>10}{'most':>8}",
         flush=True,
     )
     rows: list[dict[str, Any]] = json.loads(given.out.read_text())["rows"] if given.add else []

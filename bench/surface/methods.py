@@ -29,11 +29,6 @@ def methods_of(
     return calls | _scikit_image(field, values) | _libigl(field, values)
 
 
-def host_surface(found: Any) -> Surface:
-    """Vertices (V,3) and faces (F,3) on the host."""
-    return found.numpy() if isinstance(found, sdm.TriangleMesh) else found
-
-
 def _scikit_image(field: sdm.SDM, values: np.ndarray) -> dict[str, Callable[[], Any]]:
     try:
         from skimage.measure import marching_cubes

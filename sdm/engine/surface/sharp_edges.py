@@ -35,6 +35,8 @@ SNAP = 0.1
 # Of a square voxel: no triangle becomes smaller.
 LEAST_AREA = 1e-6
 MOST_AT_ENDS = 256
+# Of more points only the furthest of each triangle is looked at.
+MANY = 1 << 12
 # In voxels, beside a point of an edge: where one side is inside and one is not.
 ASIDE = 1e-2
 
@@ -130,16 +132,31 @@ def _at_the_surface(index: MeshIndex, points: Tensor, ways: Tensor, aside: float
 
 def _divided(piece: TriangleMesh, points: Tensor, step: float) -> TriangleMesh:
     """A piece of a surface, with those of points (N,3) as vertices that are too far from it."""
+    asked = points
     for _ in range(ROUNDS):
-        distance, hit = MeshIndex(piece, warn=False).signed_distance(points, sign="none", return_closest=True)
+        distance, hit = MeshIndex(piece, warn=False).signed_distance(asked, sign="none", return_closest=True)
         left = (distance > NEAR * step).nonzero()[:, 0]
-        # The furthest first.
-        left = left[torch.argsort(distance[left], descending=True, stable=True)]
-        divided = _with_points(piece, points[left], hit.faces[left].long(), hit.barycentric[left], step)
-        if divided is None:
+        if len(left):
+            # The furthest first.
+            left = left[torch.argsort(distance[left], descending=True, stable=True)]
+            first = _first_of_each(hit.faces[left].long(), len(piece)) if len(left) > MANY else slice(None)
+            chosen = left[first]
+            divided = _with_points(piece, asked[chosen], hit.faces[chosen].long(), hit.barycentric[chosen], step)
+            if divided is not None:
+                piece, asked = divided, asked[left]
+                continue
+        # Triangles beside those that were divided may have come further away from points that were near.
+        if len(asked) == len(points):
             break
-        piece = divided
+        asked = points
     return piece
+
+
+def _first_of_each(face: Tensor, faces: int) -> Tensor:
+    """The numbers of the first entry of each face among faces (N,), in their order."""
+    own = torch.arange(len(face), device=face.device)
+    first = torch.full((faces,), len(face), device=face.device).scatter_reduce(0, face, own, "amin")
+    return (first[face] == own).nonzero()[:, 0]
 
 
 class Division(NamedTuple):
