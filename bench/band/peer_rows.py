@@ -119,7 +119,7 @@ def _times(seconds: list[float]) -> dict[str, Any]:
 
 
 def row_of(library: str, case: Case, resolution: int, active: int, nbytes: int) -> dict[str, Any]:
-    """What is the same of each row."""
+    """The fields that all rows share."""
     return {
         "library": library,
         "mesh": case.name,

@@ -101,7 +101,7 @@ class MeshLibCuda(MeshLib):
         return self._numpy.fromNumpyArray(points.detach().cpu().numpy())
 
     def distances_at(self, points: Any) -> Any:
-        """What it finds of the closest points of `points_for`."""
+        """Results about the closest points of `points_for`."""
         found = self.library.std_vector_MeshProjectionResult()
         self._projector.findProjections(found, points, None, None, FAR, 0.0)
         return found

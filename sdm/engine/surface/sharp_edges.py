@@ -226,7 +226,7 @@ def _with_points(
 
 
 def _division(faces: Tensor, around: Tensor, face: Tensor, corner: Tensor, at_edge: Tensor, new: Tensor) -> Division:
-    """What is made of a triangle and of that beyond the edge across from a corner, if that edge is to be divided."""
+    """Division of a triangle, with that beyond the edge across from a corner if that edge is to be divided."""
     # Edge k leads from corner k to the next.
     beyond = around[face, (corner + 1) % 3]
     on_edge = at_edge & (beyond >= 0)

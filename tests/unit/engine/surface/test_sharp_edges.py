@@ -49,7 +49,7 @@ def test_both_edges_of_a_low_step_are_kept(share, resolution):
 
 
 def test_a_cube_is_left_as_it_is():
-    """What one vertex in a cell keeps gets no other."""
+    """Nothing is added where one vertex in a cell keeps all edges."""
     mesh = stairs(0.25)
     grid = sdm.Grid.around(mesh, 40, margin=0.2)
     field = sdm.signed_distance_map(mesh, grid)
