@@ -257,11 +257,11 @@ def tables_of(logs: LogFile) -> str:
     return f"{found}\n\n{table_of(logs)}" if found else table_of(logs)
 
 
-def rates_table(logs: LogFile) -> str:
-    """Dice of the validation shapes, linearly enlarged, for each network and rate; the highest in bold."""
+def rates_table(logs: LogFile, of: str = "validation shapes") -> str:
+    """Dice of what chooses rates, linearly enlarged, for each network and rate; the highest in bold."""
     own = {name: {r: f"{100 * (1 - e):.2f}" for r, e in rates_of(logs, name).items()} for name in NETWORKS}
     rates = sorted({rate for row in own.values() for rate in row})
-    lines = ["| Dice of validation shapes [%] |" + "".join(f" rate {rate:g} |" for rate in rates)]
+    lines = [f"| Dice of {of} [%] |" + "".join(f" rate {rate:g} |" for rate in rates)]
     lines.append("|---|" + "---|" * len(rates))
     for name, row in own.items():
         best = max(row.values(), key=float, default="")

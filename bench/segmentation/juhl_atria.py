@@ -259,7 +259,10 @@ def enlarged(values: Tensor, factor: int, shape: Sequence[int], way: str) -> Ten
 
 def tables_of(logs: LogFile) -> str:
     """The search for the rates, the scores, and what gains over what."""
-    return "\n\n".join(text for text in (rates_table(logs), table_of(logs, ROWS), gains_table(logs)) if text)
+    parts = [rates_table(logs, of="training cases left out"), table_of(logs, ROWS)]
+    if gains := gains_table(logs):
+        parts += ["Differences by case, means over the seeds, with 95 % intervals over the cases:", gains]
+    return "\n\n".join(part for part in parts if part)
 
 
 def gains_table(logs: LogFile) -> str:

@@ -24,6 +24,7 @@ from scipy import stats
 from sdm.bench.common.checkout import results_folder
 from sdm.bench.common.json_file import put
 from sdm.bench.segmentation import juhl as segmentation_juhl
+from sdm.bench.segmentation import juhl_atria
 from sdm.bench.segmentation import ma as segmentation_ma
 from sdm.bench.segmentation.ensemble_tables import ensembles_tables, mixtures_tables
 from sdm.bench.segmentation.log_file import LogFile, log_file
@@ -42,18 +43,24 @@ def main() -> None:
     parser.add_argument("--ma", type=log_file, default=segmentation_ma.LOGS)
     parser.add_argument("--juhl", type=log_file, default=segmentation_juhl.ONE_RATE)
     parser.add_argument("--juhl-rates", type=log_file, default=segmentation_juhl.LOGS)
+    parser.add_argument("--juhl-atria", type=log_file, default=juhl_atria.LOGS)
     parser.add_argument("--whole", type=log_file, default=WHOLE)
     parser.add_argument("--trials", type=log_file, default=TRIALS)
     parser.add_argument("--out", type=Path, default=None, help=f"also written to this file, for instance {OUT}")
     options = parser.parse_args()
-    text = page(options.ma, options.juhl, options.trials, options.whole, options.juhl_rates)
+    text = page(options.ma, options.juhl, options.trials, options.whole, options.juhl_rates, options.juhl_atria)
     print(text)
     if options.out is not None:
         put(options.out, text + "\n")
 
 
 def page(
-    ma: LogFile, juhl: LogFile, trials: LogFile, whole: LogFile | None = None, rates: LogFile | None = None
+    ma: LogFile,
+    juhl: LogFile,
+    trials: LogFile,
+    whole: LogFile | None = None,
+    rates: LogFile | None = None,
+    atria: LogFile | None = None,
 ) -> str:
     """The page in Markdown."""
     logs, shape_logs = ma.trainings(), juhl.trainings()
@@ -85,7 +92,21 @@ def page(
             segmentation_juhl.tables_of(rates),
             "",
         ]
+    if atria is not None:
+        parts += classification_and_regression(atria)
     return "\n".join(parts).rstrip()
+
+
+def classification_and_regression(file: LogFile) -> list[str]:
+    """Juhl's rows on left atria: the study, then its trials, each of one rate for each network."""
+    parts = []
+    titles = {"### Left atria in place of Juhl's medical data (largest component; logs in {})": file}
+    titles |= {f"#### {name}, logs in {{}}": trial for name, trial in file.trials().items()}
+    for title, own in titles.items():
+        if logs := own.trainings():
+            told = protocol(logs, rate="a rate of its own for each network")
+            parts += [title.format(file.path.stem), "", told, "", juhl_atria.tables_of(own), ""]
+    return parts
 
 
 def study(file: LogFile, logs: Logs) -> list[str]:

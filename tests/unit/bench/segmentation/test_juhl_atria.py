@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 import torch
 
-from sdm.bench.segmentation import juhl_atria
+from sdm.bench.segmentation import juhl_atria, report
 from sdm.bench.segmentation.juhl_atria import AtriumPatches, enlarged, parts_of
 from sdm.bench.segmentation.log_file import LogFile
 from sdm.segmentation import Settings
@@ -81,8 +81,17 @@ def test_a_study_at_tiny_size(tmp_path, monkeypatch, capsys):
     text = capsys.readouterr().out
     assert "| PWR on the labels' transform, linear (as published) (2) |" in text
     assert "| PWR over PWC (CE), as published |" in text
+    none = LogFile(tmp_path / "none.jsonl")
+    page = report.page(none, none, none, atria=LogFile(logs))
+    assert "### Left atria in place of Juhl's medical data" in page
+    assert f"| `pwr-voxels` | {' | '.join(page_rates(errors, best))} |" in page
     juhl_atria.main()
     assert "0 of 8 jobs to do" in capsys.readouterr().out
+
+
+def page_rates(errors: dict[float, float], best: float) -> list[str]:
+    cells = {rate: f"{100 * (1 - error):.2f}" for rate, error in errors.items()}
+    return [f"**{cell}**" if cell == cells[best] else cell for _, cell in sorted(cells.items())]
 
 
 def test_a_wider_grid_trains_those_anew_whose_rate_is_another(tmp_path):
