@@ -1,4 +1,4 @@
-"""Shapes from images: simulated cases with known truth, coverage of the intervals, speed, and a real shape.
+r"""Shapes from images: simulated cases with known truth, coverage of the intervals, speed, and a real shape.
 
     python -m sdm.bench.fit cases [--quick]         nine cases, as in Table 2 of Wang et al., MIDL 2020
     python -m sdm.bench.fit coverage --count 200    do 90 % intervals hold the truth in 90 % of cases? Resumable
@@ -19,7 +19,13 @@ All but the last write bench/results/fit-NAME.json. `--backends exact,surrogate,
 distances and finite differences, as a method without our derivatives has it (`libigl-closest` takes our derivatives
 from its closest points, in one query a step): `libigl` is asked about the points near
 the surface alone, which our search for them allows, `libigl-map` makes whole maps, as a mesh's signed distance map in
-the place of a surrogate. `warp` and `warp-map` are stock Warp's.
+the place of a surrogate. `warp` and `warp-map` are stock Warp's. A race at equal accuracy, on cores that are free:
+
+    python -m sdm.bench.fit cases --count 20 --backends exact,libigl-closest,exact-map,libigl-closest-map \
+        --out bench/results/fit-race.json
+
+where `exact-map` and `libigl-closest-map` make the same maps with their derivatives, each by one query a shape, and
+have anchors as a surrogate has.
 """
 
 from __future__ import annotations
@@ -62,17 +68,19 @@ def main() -> None:
     each["cases"].add_argument(
         "--backends",
         default="exact,libigl",
-        help="of exact,surrogate,surrogate-alone,hybrid,libigl-closest,libigl,libigl-map,warp,warp-map",
+        help="of exact,surrogate,surrogate-alone,hybrid,exact-map,libigl-closest,libigl-closest-map,libigl,libigl-map,"
+        "warp,warp-map",
     )
     each["cases"].add_argument("--count", type=int, default=9)
     each["cases"].add_argument("--quick", action="store_true", help="two cases")
     each["coverage"].add_argument("--count", type=int, default=200, help="cases at each voxel size")
     each["coverage"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["coverage"].add_argument("--folder", type=Path, default=Path("build/fit-coverage"), help="one file a case")
-    for name in ("coverage", "mismatch", "formation", "refusals", "campaign"):
+    for name in ("cases", "coverage", "mismatch", "formation", "refusals", "campaign"):
         each[name].add_argument(
             "--budget-s", "--limit-s", type=float, default=float("inf"), help="begin no fit after this long"
         )
+    for name in ("coverage", "mismatch", "formation", "refusals", "campaign"):
         each[name].add_argument("--processes", type=int, default=1, help="how many at once, a thread each")
         each[name].add_argument("--first", type=int, default=0, help="begin with this case: other machines do the rest")
     each["mismatch"].add_argument("--count", type=int, default=24, help="cases under each condition")

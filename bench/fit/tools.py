@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from sdm.bench.fit.closest_maps import ClosestMaps
 from sdm.bench.fit.stock_backend import StockBackend
 from sdm.bench.fit.stock_closest import ClosestPointBackend
 from sdm.bench.fit.stock_maps import StockMaps
@@ -31,7 +32,7 @@ from sdm.surrogate.infer.weights_file import near_error
 TRUTH_TRIANGLES = 320_000
 # Shapes by which the error of a surrogate is measured that does not say it.
 SHAPES = 16
-STOCK = ("libigl", "warp", "libigl-map", "warp-map", "libigl-closest")
+STOCK = ("libigl", "warp", "libigl-map", "warp-map", "libigl-closest", "libigl-closest-map")
 
 
 def truth_backend(device: str = "cpu") -> ExactBackend:
@@ -47,6 +48,8 @@ def case(truth: ExactBackend, scanner: str, number: int, *, edge: float = 0.0) -
 
 def backends_by_name(name: str, device: str, weights: Path | None = None) -> tuple[Backend, Backend | None]:
     """Ours by `make_backends`, "surrogate-alone" without its anchors, or a stock library's."""
+    if name in ("exact-map", "libigl-closest-map"):
+        return ClosestMaps(name.split("-", maxsplit=1)[0]), None
     if name in STOCK:
         if name == "libigl-closest":
             return ClosestPointBackend(Cochlea(TRIANGLES), "cpu"), None

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from sdm.bench.fit.stock_backend import StockBackend
-from sdm.bench.fit.stock_closest import ClosestPointBackend
+from sdm.bench.fit.stock_closest import ClosestPointBackend, filled_up
+from sdm.bench.peers.libigl import THREADS_FROM
 from sdm.fit import ExactBackend
 from sdm.shapes import Cochlea
 
@@ -40,3 +41,14 @@ def test_closest_points_of_libigl_give_our_derivatives() -> None:
     assert float(((ours.by_theta - theirs.by_theta).abs().amax(1) < 1e-4).double().mean()) > 0.98
     assert (stock.evaluations, stock.rough()) == (1, None)
     assert isinstance(ClosestPointBackend(Cochlea(20_000), "cpu").rough(), ClosestPointBackend)
+
+
+def test_few_points_are_filled_up_where_that_is_quicker() -> None:
+    points = torch.arange(3 * 2_000, dtype=torch.float32).reshape(-1, 3)
+    full = filled_up(points, threads=16)
+    assert len(full) == THREADS_FROM
+    assert torch.equal(full[:2_000], points)
+    assert torch.equal(full[2_000:4_000], points)
+    assert len(filled_up(points[:600], threads=16)) == 600
+    assert len(filled_up(points, threads=2)) == 2_000
+    assert len(filled_up(full.repeat(2, 1), threads=16)) == 2 * THREADS_FROM
