@@ -8,7 +8,7 @@ r"""Shapes from images: simulated cases with known truth, coverage of the interv
     python -m sdm.bench.fit campaign                both of these in one queue, a line of JSON a case. Goes on from
                                                     the rows of both records
     python -m sdm.bench.fit real [--data FOLDER]    the mean human scala tympani: mesh, image, fit
-    python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left
+    python -m sdm.bench.fit pictures                docs/fit-*.png from what the others left; `--records`: without fits
 
 Studies of many cases take `--processes 16` (a thread each) and `--budget-s`, and go on where they ended. Cases are
 drawn at random in a fixed order, and those count that were finished from the first on without a gap, so that a study
@@ -98,6 +98,7 @@ def main() -> None:
     each["real"].add_argument("--data", type=Path, default=None, help="folder of test data; SDM_DATA if not given")
     each["real"].add_argument("--backend", default="exact", help="exact, surrogate or hybrid")
     each["pictures"].add_argument("--docs", type=Path, default=docs_folder())
+    each["pictures"].add_argument("--records", action="store_true", help="those alone that need no fit")
     options = parser.parse_args()
     STUDIES[options.study](options)
 

@@ -177,6 +177,21 @@ def _formation_of(name: str) -> Numbers:
     return numbers
 
 
+def _formation_counts(record: Any) -> list[float]:
+    found = record["conditions"].values()
+    return [min(c["cases"] for c in found), *_range([c["trusted"] for c in found])]
+
+
+def _border(record: Any) -> list[float]:
+    refused = [r["problems"] for c in record["conditions"].values() for r in c["not_trusted"]]
+    return [len(refused), sum("reaches the image's border" in problems[0] for problems in refused)]
+
+
+def _coverage_by_noise(record: Any) -> list[float]:
+    shares = {row["noise_HU"]: 100 * row["coverage_90_shape"] for row in record["by_noise"]}
+    return [*_range([share for noise, share in shares.items() if noise >= 5]), shares[1.0], shares[0.0]]
+
+
 def _refused(record: Any) -> list[float]:
     return [record["refused"], 100 * record["refused_at_most_95"]]
 
@@ -330,6 +345,16 @@ FIGURES = (
     Figure(FIT, "along x {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
     Figure(FIT, "partial volume {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
     Figure(FIT, "shading together {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
+    Figure(FIT, "Of {} shapes at 0.3 mm and 200 HU of noise", "fit-formation", lambda r: _formation_counts(r)[:1]),
+    Figure(FIT, "trusted fits, {} to {} of them", "fit-formation", lambda r: _formation_counts(r)[1:]),
+    Figure(FIT, "Of the {} fits that are not trusted, {} reach the image's border", "fit-formation", _border),
+    Figure(
+        FIT,
+        "truth in {:.0f} to {:.0f} % from 5 HU on, in {:.0f} % at 1 HU and in {:.0f} %",
+        "fit-refusals",
+        _coverage_by_noise,
+    ),
+    Figure(FIT, "a case takes {:.0f} s of a core", "fit-refusals", lambda r: [r["median_cpu_seconds"]]),
     Figure(FIT, "as it is told | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("matched")),
     Figure(FIT, "a blur of 0.3 mm | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("blur")),
     Figure(FIT, "over 0.6 voxels | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("correlated")),

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from sdm.bench.fit import campaign, formation, refusals
 from sdm.bench.fit.case_rows import merged
 from sdm.bench.fit.formation import CASES, scene
+from sdm.bench.fit.pictures import draw_formation, draw_refusals
 from sdm.bench.fit.tools import counted, run_cases
 from sdm.core.grid import Grid
 from sdm.fit import ExactBackend, random_state
@@ -180,3 +182,17 @@ def test_a_campaign_goes_on_from_its_records(tmp_path: Path, monkeypatch: pytest
     campaign.campaign(options)
     assert sorted(done) == [(name, 4) for name in sorted(CASES)]
     assert json.loads((tmp_path / "fit-formation.json").read_text())["conditions"]["thick"]["cases"] == 5
+
+
+def test_the_picture_has_what_the_records_say():
+    figure = Figure()
+    one, two = figure.subplots(1, 2)
+    found = {"coverage_90_shape": 0.9, "coverage_90_shape_before": 0.5, "standard_error_shape": 0.01, "cases": 7}
+    draw_formation({"conditions": dict.fromkeys(CASES, found)}, one)
+    assert one.get_title(loc="left") == "7 shapes, each imaged in six ways"
+    assert [list(line.get_ydata()) for line in one.get_lines() if line.get_label() == "not estimated"] == [[0.5] * 6]
+    rows = [{"noise_HU": 5.0, "coverage_90_shape": 0.875, "images": 2}]
+    cases = [{"noise": 5.0, "trusted": True, "z": [z] * 4 + [9.0] * 6} for z in (0.0, 2.0)]
+    draw_refusals({"by_noise": rows, "cases": cases, "images": 2, "refused": 1}, two)
+    assert two.get_title(loc="left").endswith("1 refused")
+    assert two.get_lines()[1].get_ydata() == pytest.approx([0.875])
