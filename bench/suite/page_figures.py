@@ -23,6 +23,7 @@ from sdm.bench.suite.band_figures import (
     shares_of_openvdb,
     watertight_seconds,
 )
+from sdm.bench.suite.fit_figures import FIT_FIGURES
 from sdm.bench.suite.page_tables import TABLES
 from sdm.bench.suite.readme_figures import README_FIGURES
 from sdm.bench.suite.shape_figures import SHAPE_FIGURES
@@ -169,50 +170,6 @@ def _worst_coverage(record: Any) -> list[float]:
     return [*(100 * x for x in _range([c["coverage_90_shape"] for c in wrong])), *_range([c["trusted"] for c in wrong])]
 
 
-def _formation_of(name: str) -> Numbers:
-    def numbers(record: Any) -> list[float]:
-        found = record["conditions"][name]
-        return [100 * found["coverage_90_shape"], 100 * found["coverage_90_shape_before"]]
-
-    return numbers
-
-
-def _formation_counts(record: Any) -> list[float]:
-    found = record["conditions"].values()
-    return [min(c["cases"] for c in found), *_range([c["trusted"] for c in found])]
-
-
-def _border(record: Any) -> list[float]:
-    refused = [r["problems"] for c in record["conditions"].values() for r in c["not_trusted"]]
-    return [len(refused), sum("reaches the image's border" in problems[0] for problems in refused)]
-
-
-def _coverage_by_noise(record: Any) -> list[float]:
-    shares = {row["noise_HU"]: 100 * row["coverage_90_shape"] for row in record["by_noise"]}
-    return [*_range([share for noise, share in shares.items() if noise >= 5]), shares[1.0], shares[0.0]]
-
-
-def _refused(record: Any) -> list[float]:
-    return [record["refused"], 100 * record["refused_at_most_95"]]
-
-
-def _race(record: Any) -> list[float]:
-    return [record["summary"]["exact"]["times_faster_than_libigl-closest"], len(record["cases"])]
-
-
-def _residual(record: Any) -> list[float]:
-    found = record["scanners"]["0.3"]["residual"]
-    return [found["mean_mm"], found["dice"]]
-
-
-def _coverage_of(name: str) -> Numbers:
-    def numbers(record: Any) -> list[float]:
-        found = record["conditions"][name]
-        return [100 * found["coverage_90_shape"], found["trusted"]]
-
-    return numbers
-
-
 def _training(record: Any, network: str) -> list[float]:
     found = record["training"][network]
     return [found["streamed_step_ms"], found["cached_step_ms"], found["streamed_to_cached"]]
@@ -337,36 +294,7 @@ FIGURES = (
         lambda r: _fits(r)[:3],
     ),
     Figure(FIT, "same points and {:.0f} s with", "fit-cases", lambda r: _fits(r)[3:]),
-    Figure(FIT, "all as assumed {:.0f} % ({})", "fit-mismatch", _coverage_of("matched")),
-    Figure(FIT, "taken for 0.2 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.20")),
-    Figure(FIT, "for 0.3 {:.0f} % ({})", "fit-mismatch", _coverage_of("blur-0.30")),
-    Figure(FIT, "over 0.6 voxels {:.0f} % ({})", "fit-mismatch", _coverage_of("correlated")),
-    Figure(FIT, "degrees of freedom {:.0f} % ({})", "fit-mismatch", _coverage_of("heavy-tailed")),
-    Figure(FIT, "along x {:.0f} % ({})", "fit-mismatch", _coverage_of("shading")),
-    Figure(FIT, "partial volume {:.0f} % ({})", "fit-mismatch", _coverage_of("labels")),
-    Figure(FIT, "shading together {:.0f} % ({})", "fit-mismatch", _coverage_of("several")),
-    Figure(FIT, "Of {} shapes at 0.3 mm and 200 HU of noise", "fit-formation", lambda r: _formation_counts(r)[:1]),
-    Figure(FIT, "trusted fits, {} to {} of them", "fit-formation", lambda r: _formation_counts(r)[1:]),
-    Figure(FIT, "Of the {} fits that are not trusted, {} reach the image's border", "fit-formation", _border),
-    Figure(
-        FIT,
-        "truth in {:.0f} to {:.0f} % from 5 HU on, in {:.0f} % at 1 HU and in {:.0f} %",
-        "fit-refusals",
-        _coverage_by_noise,
-    ),
-    Figure(FIT, "a case takes {:.0f} s of a core", "fit-refusals", lambda r: [r["median_cpu_seconds"]]),
-    Figure(FIT, "as it is told | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("matched")),
-    Figure(FIT, "a blur of 0.3 mm | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("blur")),
-    Figure(FIT, "over 0.6 voxels | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("correlated")),
-    Figure(FIT, "10 % along x | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("shading")),
-    Figure(FIT, "slices of 0.6 mm | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("thick")),
-    Figure(FIT, "about any axis | {:.0f} % ({:.0f} %)", "fit-formation", _formation_of("turned")),
-    Figure(FIT, "Of {} images over noise", "fit-refusals", lambda r: [r["with_an_answer"]]),
-    Figure(FIT, "mm, {} were refused, so at most {:.2f} %", "fit-refusals", _refused),
-    Figure(FIT, "comes back with {:.3f} mm and a Dice of {:.3f};", "fit-real", _residual),
-    Figure(FIT, "slower by a factor of {:.1f}, the median of {} cases", "fit-race", _race),
-    Figure(FIT, "a pose come to {:.2f} mm on average", "fit-atria", lambda r: [r["mean"]["modes_mm"]]),
-    Figure(FIT, "with free vertices it is {:.2f} mm", "fit-atria", lambda r: [r["mean"]["free_form_mm"]]),
+    *(Figure(FIT, *row) for row in FIT_FIGURES),
     Figure(DEEPSDF, "{:.0f} million samples a second", "sampling-cuda", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(DEEPSDF, "cores {:.2f} million", "sampling-cpu", lambda r: [r["samples"]["per_second"] / 1e6]),
     Figure(
