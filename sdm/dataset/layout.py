@@ -27,7 +27,7 @@ import zarr
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 
 from sdm.dataset.manifest import KEY, WITH_CHECKSUMS, sealed
-from sdm.dataset.shard_file import maps_content, rows_content
+from sdm.dataset.shard_file import blocksize_of, maps_content, rows_content
 from sdm.errors import FormatError
 from sdm.io.files.atomic import own_name, put
 from sdm.io.files.direct_file import DirectFile
@@ -142,7 +142,8 @@ def _rows_array(store: Path, shape: tuple[int, ...], dtype: str, manifest: dict[
 def _sdm_array(store: Path, rows: int, shape: tuple[int, ...], manifest: dict[str, Any]) -> zarr.Array:
     dtype = manifest["recipe"]["dtype"]
     size = np.dtype(dtype).itemsize
-    compress = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle", typesize=size)]
+    block = blocksize_of(manifest)
+    compress = [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle", typesize=size, blocksize=block)]
     return zarr.create_array(
         store=store,
         shape=(rows, *shape),

@@ -16,12 +16,16 @@ import google_crc32c
 import numpy as np
 from numcodecs.blosc import SHUFFLE, Blosc
 
-from sdm.dataset.manifest import WITH_CHECKSUMS
+from sdm.dataset.manifest import LARGE_BLOCKS, WITH_CHECKSUMS
 
 # In the index, of a chunk that is not there.
 ABSENT = (1 << 64) - 1
-# Chunks that are being compressed at a time.
-AHEAD = 64
+# Bytes that Blosc shuffles and compresses at a time; its own choice, 0, is 32 KiB, where half of the planes of bytes,
+# which are noise, cannot be told from the others.
+BLOCK = 1 << 20
+# Bytes of maps that a thread compresses at a time, as it is handed each task by Python's lock, and of those that are on
+# the way.
+TASK, AHEAD = 1 << 22, 1 << 26
 
 
 def rows_content(values: np.ndarray, manifest: dict[str, Any], dtype: str) -> bytes:
@@ -32,9 +36,14 @@ def rows_content(values: np.ndarray, manifest: dict[str, Any], dtype: str) -> by
     return content + _checksum(content) if manifest["version"] >= WITH_CHECKSUMS else content
 
 
+def blocksize_of(manifest: dict[str, Any]) -> int:
+    """Blosc's block size for the maps of a dataset."""
+    return BLOCK if manifest["version"] >= LARGE_BLOCKS else 0
+
+
 def maps_content(maps: np.ndarray, manifest: dict[str, Any], pool: Executor) -> Iterator[bytes]:
     """Content of the file of maps (n,nx,ny,nz), piece by piece; they must not change before all is taken."""
-    chunks = _compressed(maps, pool) if manifest["compression"] == "zstd" else _plain(maps)
+    chunks = _compressed(maps, pool, blocksize_of(manifest)) if manifest["compression"] == "zstd" else _plain(maps)
     index = np.full((manifest["shard"], 2), ABSENT, dtype="<u8")
     at = 0
     for number, (content, checksum) in enumerate(chunks):
@@ -56,17 +65,25 @@ def _plain(maps: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
         yield _chunk(values, None)
 
 
-def _compressed(maps: np.ndarray, pool: Executor) -> Iterator[tuple[bytes, bytes]]:
-    codec = Blosc(cname="zstd", clevel=1, shuffle=SHUFFLE, blocksize=0)
-    waiting: deque[Future[tuple[bytes, bytes]]] = deque()
+def _compressed(maps: np.ndarray, pool: Executor, blocksize: int) -> Iterator[tuple[bytes, bytes]]:
+    codec = Blosc(cname="zstd", clevel=1, shuffle=SHUFFLE, blocksize=blocksize)
+    each = max(1, TASK // max(1, maps[0].nbytes))
+    tasks = iter(range(0, len(maps), each))
+    waiting: deque[Future[list[tuple[bytes, bytes]]]] = deque()
     try:
-        for number in range(len(maps)):
-            while number + len(waiting) < len(maps) and len(waiting) < AHEAD:
-                waiting.append(pool.submit(_chunk, maps[number + len(waiting)], codec))
-            yield waiting.popleft().result()
+        while True:
+            while len(waiting) < max(1, AHEAD // TASK) and (begin := next(tasks, None)) is not None:
+                waiting.append(pool.submit(_chunks, maps[begin : begin + each], codec))
+            if not waiting:
+                return
+            yield from waiting.popleft().result()
     finally:
         for future in waiting:
             future.cancel()
+
+
+def _chunks(maps: np.ndarray, codec: Blosc) -> list[tuple[bytes, bytes]]:
+    return [_chunk(values, codec) for values in maps]
 
 
 def _chunk(values: np.ndarray, codec: Blosc | None) -> tuple[bytes, bytes]:

@@ -35,6 +35,8 @@ from sdm.stream import Batch, Maker, Sampler
 # Shards that are compressed and written at a time; each is 256 MiB of memory, if nobody says otherwise. A thread
 # takes 0.5 to 1 ms for the SHA-256 of a megabyte.
 WRITERS = 6
+# Shards of a GPU that are made while all writers are busy, so that none of them waits for the next one.
+READY = 2
 
 
 class _Shard(NamedTuple):
@@ -128,6 +130,7 @@ class Job:
         adopt(self.stand_ins)
         scratch = self.folder / f".{os.getpid()}-{secrets.token_hex(4)}.part"
         threads = threads_beside(maker.device)
+        writers = min(threads, WRITERS)
         try:
             scratch.mkdir()
             with ThreadPoolExecutor(threads, thread_name_prefix="sdm-compress") as pool:
@@ -138,8 +141,8 @@ class Job:
                     made,
                     "write",
                     lambda shard: self._write(shard, scratch, pool),
-                    workers=min(threads, WRITERS),
-                    most_held=min(threads, WRITERS),
+                    workers=writers,
+                    most_held=writers + (READY if maker.device.type == "cuda" else 0),
                     times=times,
                     prompt=True,
                 )
