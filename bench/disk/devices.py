@@ -92,8 +92,8 @@ def main() -> None:
     """Measure, and write the record."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, help="a place on the disk that counts")
-    parser.add_argument("--meshes", type=int, default=3000)
-    parser.add_argument("--maps", type=int, default=40_000)
+    parser.add_argument("--meshes", type=int, default=3000, help="of compute; 0 leaves it out")
+    parser.add_argument("--maps", type=int, default=40_000, help="of generate; 0 leaves it out")
     parser.add_argument("--processes", type=int, default=4, help="on each GPU")
     parser.add_argument("--checked", type=int, default=64, help="maps that are compared")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -114,6 +114,7 @@ def main() -> None:
             sdm.signed_distance_map(file, resolution=MESHES_AT, device=every[0])
         compute_rates(first, MESHES_AT, every[:1], StageTimes())
         if options.maps:
+            generate_rows(folder, min(options.maps, 2000), every[:1])
             record["rows"] += generate_rows(folder, options.maps, [every[0], *([None] if len(every) > 1 else [])])
             json_file.write(out, record)
         if options.meshes:
