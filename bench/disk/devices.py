@@ -15,6 +15,7 @@ import hashlib
 import os
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,7 @@ def compute_rows(folder: Path, count: int, ways: list[list[str]], checked: int) 
     return rows
 
 
-def generate_rows(folder: Path, count: int, ways: list[str | None]) -> list[dict[str, Any]]:
+def generate_rows(folder: Path, count: int, ways: Sequence[str | None]) -> list[dict[str, Any]]:
     """A row for each device; None is all."""
     family, rows, whole = Cochlea(TRIANGLES), [], set()
     for device in ways:

@@ -2,9 +2,9 @@
 
     python -m sdm.bench.disk.shared_check --folder /dev/shm
 
-Each command is done by one process on the first GPU and then shared among all GPUs, however little work it is; names and
-contents of files are compared. Then one process of `sdm generate` is killed in the middle (SIGKILL): the command must
-say so in one sentence, leave no process behind, and be finished by `--resume` to the same bytes.
+Each command is done by one process on the first GPU and then shared among all GPUs, however little work it is; names
+and contents of files are compared. Then one process of `sdm generate` is killed in the middle (SIGKILL): the command
+must say so in one sentence, leave no process behind, and be finished by `--resume` to the same bytes.
 """
 
 from __future__ import annotations
