@@ -45,7 +45,7 @@ def write(band: SparseSDM, path: Path, made_from: str | None = None) -> None:
     )
     nvdb.complete_header(volume.array().numpy(), told, made_from, WORD)
     volume.save_to_nvdb(str(path))
-    nvdb.compress(path)
+    nvdb.compress(path, band.values.nbytes)
 
 
 def read(path: Path) -> SparseSDM:

@@ -5,7 +5,8 @@ for is filled in here, and the grid's name (at most 255 letters) keeps the exact
 `sdm NXxNYxNZ AMBIGUOUS BASE64`, where BASE64 is origin, spacing and direction as 15 little-endian float64 numbers. If
 the mesh is known, a space and its digest follow.
 Voxels come in blocks of 8 x 8 x 8; those beyond the map have its largest value, and so have blocks that are not kept
-because nothing in them is less. The volume is compressed by zlib, so that a file is not larger than the bare values.
+because nothing in them is less. The volume is compressed, so that a file of a map of 8^3 voxels or more is not larger
+than the bare values; header and tree of a smaller one take 2 to 3 kB, and thin maps have voxels beyond in each block.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import base64
 import math
 import re
 import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,8 @@ LAYERS = 64
 LEVEL_SET = 1
 # Of 0 to 3. Distances hardly shrink by more work.
 LEVEL = 1
+# Of zlib's, 0 to 9.
+THOROUGH = 9
 
 # Bytes of NanoVDB's GridData, and of the file's headers before it.
 NAME_AT, NAME_SIZE = 40, 256
@@ -66,7 +70,7 @@ def write(field: SDM, path: Path, made_from: str | None = None) -> None:
         store(volume, begin, wp.array(slab, dtype=wp.float32, device="cpu", copy=False))
     complete_header(volume.array().numpy().view(np.uint8), field, made_from)
     volume.save_to_nvdb(str(path))
-    compress(path)
+    compress(path, grid.nbytes)
 
 
 def read(path: Path) -> SDM:
@@ -120,11 +124,16 @@ def _least_of_blocks(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def compress(path: Path) -> None:
-    """Compress the volume in a file that Warp wrote, whose own way to do it takes ten times as long."""
+def compress(path: Path, plain: int) -> None:
+    """Compress the volume in a file that Warp wrote, whose own way to do it takes ten times as long.
+
+    Where that is more than `plain` bytes, as of small maps, whose tree is most of it, zlib does it thoroughly.
+    """
     data = path.read_bytes()
     at = FILE_NAME_AT + struct.unpack_from("<I", data, FILE_NAME_SIZE_AT)[0]
     packed = isal_zlib.compress(memoryview(data)[at:], LEVEL)
+    if at + 8 + len(packed) > plain:
+        packed = min(packed, zlib.compress(memoryview(data)[at:], THOROUGH), key=len)
     head = bytearray(data[:at])
     for place in CODECS_AT:
         struct.pack_into("<H", head, place, ZIP)
