@@ -37,8 +37,6 @@ UNFINISHED = ".part"
 # Bytes of a shard before compression: large enough for disks, small enough to lose.
 SHARD_BYTES = 1 << 28
 DIGEST = 32
-# Bytes of one call that writes, of a few maps.
-AT_ONCE = 1 << 22
 # Of each array.
 DTYPES = {"theta": "float32", "transform": "float64"}
 AXES = {"sdm": 4, "theta": 2, "transform": 3, "sha256": 2}
@@ -252,13 +250,9 @@ def write_shard(
     # Under another name until it is whole; its file then takes its place in the dataset.
     part = scratch / str(number)
     with DirectFile(part, maps.nbytes) as file:
-        held: list[bytes] = []
-        for piece in maps_content(maps, manifest, pool):
-            digest.update(piece)
-            held.append(piece)
-            if sum(map(len, held)) >= AT_ONCE:
-                file.write_all(held)
-                held.clear()
-        file.write_all(held)
+        for pieces in maps_content(maps, manifest, pool):
+            for piece in pieces:
+                digest.update(piece)
+            file.write_all(pieces)
     put(files["sdm"], part)
     put(checksum_file(folder, number), digest.digest())

@@ -1,7 +1,8 @@
 """Files that go to their disk past the system's cache: threads that write large ones do not wait for each other.
 
 A file that goes by the cache is copied there first, and then its flush waits: for the journal, and so for what other
-files have in the cache. Past it the disk is busy from the first bytes on, and a flush has little left to do.
+files have in the cache. Past it the disk is busy from the first bytes on, and a flush has little left to do. While the
+disk has one part of a large file, the next one is gathered.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import mmap
 import os
 import threading
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,6 +26,8 @@ from sdm.io.files.atomic import write_all
 ROOM, BLOCK = 1 << 23, 1 << 12
 # Smaller files are not worth it.
 LEAST = 1 << 21
+# Smaller ones are not worth a thread that writes them; more threads than have files to write wait for nothing.
+LEAST_BESIDE, MOST_BESIDE = 1 << 25, 32
 
 _own = threading.local()
 
@@ -32,7 +37,7 @@ class DirectFile:
 
     Args:
         path: The file. An older one is replaced.
-        size: About how large it will be.
+        size: About how large it will be. A large one is written by a thread of its own, beside whoever has more.
 
     On file systems in memory or over a network, on other systems than Linux, and where `size` is small, it is a file as
     any other. Whoever wants it on the disk flushes it, as any other.
@@ -45,7 +50,9 @@ class DirectFile:
         handle = _opened_directly(path) if size >= LEAST else None
         self._direct = handle is not None
         self._file: Any = path.open("wb", buffering=0) if handle is None else os.fdopen(handle, "wb", buffering=0)
-        self._at = self._written = 0
+        self._beside = size >= LEAST_BESIDE
+        self._at = self._written = self._turn = 0
+        self._pending: Future[None] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -54,10 +61,14 @@ class DirectFile:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None and self._at:
+            if kind is None:
                 self._end()
         finally:
-            self._file.close()
+            try:
+                # Memory and file are in use until then.
+                self._wait()
+            finally:
+                self._file.close()
 
     def write(self, piece: Any) -> None:
         """Write bytes."""
@@ -68,26 +79,42 @@ class DirectFile:
         if not self._direct:
             write_all(self._file, pieces)
             return
-        room = _buffer()
         for piece in pieces:
             left = np.frombuffer(piece, np.uint8) if len(piece) else np.empty(0, np.uint8)
             while len(left):
                 count = min(len(left), ROOM - self._at)
-                room[self._at : self._at + count] = left[:count]
+                _buffer(self._turn)[self._at : self._at + count] = left[:count]
                 self._at, left = self._at + count, left[count:]
                 if self._at == ROOM:
-                    self._put(ROOM)
-                    self._written, self._at = self._written + ROOM, 0
+                    self._whole_room()
+
+    def _whole_room(self) -> None:
+        self._wait()
+        room, self._at = _buffer(self._turn), 0
+        if not self._beside:
+            self._put(room)
+            return
+        self._pending = _threads().submit(self._put, room)
+        self._turn = 1 - self._turn
+
+    def _wait(self) -> None:
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
 
     def _end(self) -> None:
-        whole = -(-self._at // BLOCK) * BLOCK
-        _buffer()[self._at : whole] = 0
-        self._put(whole)
-        self._file.truncate(self._written + self._at)
+        self._wait()
+        if not self._at:
+            return
+        whole, size = -(-self._at // BLOCK) * BLOCK, self._written + self._at
+        room = _buffer(self._turn)
+        room[self._at : whole] = 0
+        self._put(room[:whole])
+        self._file.truncate(size)
 
-    def _put(self, count: int) -> None:
+    def _put(self, content: np.ndarray) -> None:
         try:
-            write_all(self._file, [_buffer()[:count].data])
+            write_all(self._file, [content.data])
         except OSError as error:
             if error.errno != errno.EINVAL:
                 raise
@@ -96,7 +123,8 @@ class DirectFile:
 
             fcntl.fcntl(self._file, fcntl.F_SETFL, fcntl.fcntl(self._file, fcntl.F_GETFL) & ~os.O_DIRECT)
             self._file.seek(self._written)
-            write_all(self._file, [_buffer()[:count].data])
+            write_all(self._file, [content.data])
+        self._written += len(content)
 
 
 def _opened_directly(path: Path) -> int | None:
@@ -112,8 +140,15 @@ def _opened_directly(path: Path) -> int | None:
         return None
 
 
-def _buffer() -> np.ndarray:
-    """Memory of this thread, at the beginning of a page, as disks ask for."""
-    if not hasattr(_own, "room"):
-        _own.room = np.frombuffer(mmap.mmap(-1, ROOM), np.uint8)
-    return _own.room
+def _buffer(turn: int) -> np.ndarray:
+    """One of two pieces of memory of this thread, at the beginning of a page, as disks ask for."""
+    if not hasattr(_own, "rooms"):
+        _own.rooms = {}
+    if turn not in _own.rooms:
+        _own.rooms[turn] = np.frombuffer(mmap.mmap(-1, ROOM), np.uint8)
+    return _own.rooms[turn]
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(MOST_BESIDE, thread_name_prefix="sdm-disk")

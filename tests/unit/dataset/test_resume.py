@@ -84,6 +84,24 @@ def test_a_stopped_one_is_finished_to_the_same_bytes(whole, tmp_path, monkeypatc
     assert not layout.part_of(target).exists()
 
 
+def test_a_dataset_of_version_2_is_finished_in_its_own_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr("sdm.dataset.writer.VERSION", 2)
+    # A map of more than one block.
+    options = {"grid": FAMILY.grid(24), "count": 4}
+    old = generate(FAMILY, path=tmp_path / "d.zarr", device="cpu", shard=2, **options)
+    before = contents(old)
+    monkeypatch.undo()
+    now = generate(FAMILY, path=tmp_path / "now.zarr", device="cpu", shard=2, **options)
+    file = layout.file_of(Path("."), "sdm", 1)
+    assert (now / file).stat().st_size < (old / file).stat().st_size
+    old.rename(layout.part_of(old))
+    (layout.part_of(old) / file).unlink()
+    assert mend_arrays(layout.part_of(old)) == []
+    generate(FAMILY, path=old, device="cpu", shard=2, resume=True, **options)
+    assert contents(old) == before
+    assert torch.equal(SDMDataset(old)[3].sdm, SDMDataset(now)[3].sdm)
+
+
 def test_a_full_disk_is_said_and_loses_one_shard(whole, tmp_path, monkeypatch):
     target = tmp_path / "d.zarr"
     real, calls = layout.put, []

@@ -11,10 +11,13 @@ from sdm.dataset import layout
 from sdm.dataset.shard_file import maps_content, rows_content
 
 
+@pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.parametrize("rows", [5, 3])
 @pytest.mark.parametrize("dtype", ["float32", "float16"])
 @pytest.mark.parametrize(("compression", "version"), [("zstd", 3), ("zstd", 2), ("none", 3)])
-def test_bytes_are_those_of_zarr(rows, dtype, compression, version, tmp_path, monkeypatch):
+def test_bytes_are_those_of_zarr(rows, dtype, compression, version, direct, tmp_path, monkeypatch):
+    if not direct:
+        monkeypatch.setattr("sdm.dataset.compressor.direct_call", lambda: None)
     # Two maps a task, and fewer on the way than there are.
     monkeypatch.setattr("sdm.dataset.shard_file.TASK", 2 * 20 * 21 * 22 * np.dtype(dtype).itemsize)
     monkeypatch.setattr("sdm.dataset.shard_file.AHEAD", 1)
@@ -33,7 +36,8 @@ def test_bytes_are_those_of_zarr(rows, dtype, compression, version, tmp_path, mo
     expected = layout.file_of(tmp_path, "sdm", 0).read_bytes()
     for threads in (1, 3):
         with ThreadPoolExecutor(threads) as pool:
-            assert b"".join(maps_content(maps, manifest, pool)) == expected
+            found = b"".join(bytes(piece) for some in maps_content(maps, manifest, pool) for piece in some)
+            assert found == expected
 
 
 @pytest.mark.parametrize("version", [1, 2])

@@ -14,11 +14,12 @@ from sdm.io.files.direct_file import BLOCK, DirectFile
 ROOM = 4 * BLOCK
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch):
-    """A buffer of a few blocks, and no file too small."""
+@pytest.fixture(autouse=True, params=[False, True], ids=["itself", "beside"])
+def small(monkeypatch, request):
+    """A buffer of a few blocks, and no file too small; written by the caller, or by another thread."""
     monkeypatch.setattr(direct_file, "ROOM", ROOM)
     monkeypatch.setattr(direct_file, "LEAST", 0)
+    monkeypatch.setattr(direct_file, "LEAST_BESIDE", 0 if request.param else 1 << 40)
     monkeypatch.setattr(direct_file, "_own", threading.local())
 
 
@@ -67,6 +68,25 @@ def test_a_disk_of_larger_blocks(tmp_path, monkeypatch):
     monkeypatch.setattr(direct_file, "write_all", write_all)
     assert written(tmp_path / "a", content, 1000) == content
     assert refused
+
+
+@pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="Linux")
+@pytest.mark.parametrize("rooms", [1, 2, 3])
+def test_a_disk_that_is_full(tmp_path, monkeypatch, rooms):
+    """Whoever writes hears of it, and not later than when the file is closed."""
+    monkeypatch.setattr(direct_file, "_opened_directly", lambda path: os.open(path, os.O_WRONLY | os.O_CREAT))
+    plain = direct_file.write_all
+
+    def write_all(file, pieces):
+        if file.tell() >= (rooms - 1) * ROOM:
+            raise OSError(errno.ENOSPC, "full")
+        plain(file, pieces)
+
+    monkeypatch.setattr(direct_file, "write_all", write_all)
+    with pytest.raises(OSError, match="full"), DirectFile(tmp_path / "a", 3 * ROOM) as file:
+        for _ in range(3):
+            file.write(bytes(ROOM))
+    assert file._file.closed
 
 
 def test_an_error_leaves_no_open_file(tmp_path):
