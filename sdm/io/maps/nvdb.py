@@ -6,8 +6,8 @@ for is filled in here, and the grid's name (at most 255 letters) keeps the exact
 the mesh is known, a space and its digest follow.
 Voxels come in blocks of 8 x 8 x 8; those beyond the map have its largest value, and so have blocks that are not kept
 because nothing in them is less. The volume is compressed, so that the file of a map of 24^3 voxels or more is smaller
-than the bare values; header and tree of a smaller one take up to 3 kB more, and a map of few layers has voxels beyond it
-in each block.
+than the bare values; header and tree of a smaller one take up to 3 kB more, and a map of few layers has voxels beyond
+it in each block.
 """
 
 from __future__ import annotations
