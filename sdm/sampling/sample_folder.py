@@ -213,7 +213,8 @@ class FolderSampling:
         samples = found.rows.wait()
         inside = int(samples.occupancies.sum())
         if self._recipe.sign != "none" and inside == 0:
-            gaps = ", or has gaps, which a larger hole_size closes (--hole-size)" if self._recipe.sign == "flood" else ""
+            flood = self._recipe.sign == "flood"
+            gaps = ", or has gaps, which a larger hole_size closes (--hole-size)" if flood else ""
             raise MeshError(f"none of the samples of {read.task.source} is inside: it encloses nothing{gaps}")
         path = self._layout.write(read.task.number, samples)
         seconds = found.seconds + time.perf_counter() - start
