@@ -113,7 +113,7 @@ def test_a_file_is_not_larger_than_its_values(shape, place, tmp_path):
 
 
 def test_noise_takes_a_little_more_than_its_values(tmp_path):
-    """What cannot be compressed has the tree beside it."""
+    """Values that cannot be compressed have the tree beside them."""
     for n in (2, 8, 16, 40):
         values = np.random.default_rng(n).normal(size=(n, n, n)).astype(np.float32)
         field = SDM(values, Grid((0.0,) * 3, (1.0,) * 3, (n, n, n)), 0, sign="winding")
