@@ -49,6 +49,8 @@ NAME_AT, NAME_SIZE = 40, 256
 DOUBLE_MAP_AT = NAME_AT + NAME_SIZE + 88
 VOXEL_SIZE_AT, CLASS_AT = 608, 632
 FILE_NAME_SIZE_AT, FILE_NAME_AT = 16 + 136, 16 + 176
+# What a volume begins with, and bytes of it, compressed or not, that hold its name.
+MAGIC, NAME_READ = b"NanoVDB", 1 << 14
 # The codec, of the file and of the grid, and the bytes that the grid takes in the file.
 CODECS_AT, FILE_SIZE_AT, ZIP = (14, 16 + 168), 16 + 8, 1
 
@@ -180,9 +182,14 @@ def geometry(path: Path, pattern: re.Pattern[str] = NAME) -> tuple[Grid, int | N
 
 def _named(path: Path, pattern: re.Pattern[str]) -> tuple[str, ...]:
     """The parts of the grid's name; the last three are None where mesh, sign and count of disagreements are unknown."""
-    found = pattern.fullmatch(grid_name(path))
+    name = grid_name(path)
+    found = pattern.fullmatch(name)
     if found is None:
         raise FormatError(f"{path} was not written by sdm: it does not say where its values are")
+    if name != _name_in_volume(path):
+        raise FormatError(
+            f"{path} is damaged: the name in its head is not the one in its volume; compute or copy it again"
+        )
     return found.groups()
 
 
@@ -192,3 +199,21 @@ def grid_name(path: Path) -> str:
         head = file.read(FILE_NAME_AT + NAME_SIZE + 1)
     size = struct.unpack_from("<I", head, FILE_NAME_SIZE_AT)[0]
     return head[FILE_NAME_AT : FILE_NAME_AT + size].split(b"\0")[0].decode("latin-1")
+
+
+def _name_in_volume(path: Path) -> str | None:
+    """The name that the volume itself has, whose bytes zlib's checksum holds together; None where it cannot be read.
+
+    A file's head repeats it, and has no checksum.
+    """
+    with path.open("rb") as file:
+        size = struct.unpack_from("<I", file.read(FILE_NAME_AT), FILE_NAME_SIZE_AT)[0]
+        file.seek(FILE_NAME_AT + size)
+        content = file.read(NAME_READ)
+    if not content.startswith(MAGIC):
+        # Compressed, behind its length.
+        try:
+            content = zlib.decompressobj().decompress(content[8:], NAME_AT + NAME_SIZE)
+        except zlib.error:
+            return None
+    return content[NAME_AT : NAME_AT + NAME_SIZE].split(b"\0")[0].decode("latin-1")

@@ -15,7 +15,7 @@ from sdm.core.grid import Grid
 from sdm.core.signed_distance_map import SDM
 from sdm.engine.api import signed_distance_map
 from sdm.errors import FormatError
-from sdm.io import load, save
+from sdm.io import grid_like, load, save
 
 TURN = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
 GRID = Grid((-50.3, 20.1, 3), (0.7, 0.8, 1.9), (17, 7, 10), TURN)
@@ -58,6 +58,23 @@ def test_the_header_has_the_transform_in_double_precision(saved):
     assert doubles[18:21] == GRID.origin
     assert struct.unpack_from("<3d", data, at + 608) == GRID.spacing
     assert struct.unpack_from("<2I", data, at + 632) == (1, 1)  # a level set of floats
+
+
+def test_a_flipped_bit_of_the_name_is_found(saved):
+    """The name in the file's head says where the values are, and nothing else there has a checksum."""
+    field, path = saved
+    whole = path.read_bytes()
+    size = struct.unpack_from("<I", whole, 16 + 136)[0]
+    for place in range(16 + 176, 16 + 176 + size - 1):
+        data = bytearray(whole)
+        data[place] ^= 1 << place % 7
+        path.write_bytes(data)
+        with pytest.raises(FormatError, match=r"is damaged|was not written by sdm"):
+            load(path)
+        with pytest.raises(FormatError, match=r"is damaged|was not written by sdm"):
+            grid_like(path)
+    path.write_bytes(whole)
+    assert load(path).grid == field.grid
 
 
 def test_around_the_map_it_is_outside(saved):
