@@ -152,7 +152,10 @@ def with_duct(mesh: TriangleMesh, options: argparse.Namespace) -> dict[str, Any]
             backend, finish = backends_by_name(options.backend, options.device, options.weights)
             own = FitOptions(blur=made.blur, components=(1, outside))
             result = fit_shape(image.values, image.grid, backend, finish=finish, options=own)
-            row = {"residual": residual(mesh, surface_of(finish or backend, result)), "trusted": result.trusted}
+            fitted = surface_of(finish or backend, result)
+            free = free_form(image.values, image.grid, fitted, blur=made.blur, device=options.device)
+            row = {"residual": residual(mesh, fitted), "residual_free_form": residual(mesh, free.mesh)}
+            row |= {"trusted": result.trusted}
             row |= {"problems": list(result.diagnosis.problems), "explained": result.diagnosis.explained}
             found[f"{scanner}, components outside {outside}"] = row
             print(scanner, "mm, duct,", outside, "outside", row)
