@@ -52,6 +52,21 @@ class Surface(NamedTuple):
     cones: Cones  # their cones of normals, and those of the hierarchy's nodes
 
 
+def _nothing() -> None:
+    pass
+
+
+class Pending(NamedTuple):
+    """What has to be called before parts of a surface are looked at, if they are made beside a query's first stages."""
+
+    boundary: Callable[[], None] = _nothing  # boundary edges and caps; called where winding numbers are made
+    cones: Callable[[], None] = _nothing
+    features: Callable[[], None] = _nothing
+
+
+MADE = Pending()
+
+
 class Target(NamedTuple):
     """Arrays that a query fills."""
 
@@ -72,6 +87,7 @@ def query_slab(
     plan: Plan,
     empty: Callable[[int, Any], wp.array],
     beside: Beside,
+    pending: Pending = MADE,
 ) -> None:
     """Signed distances of a slab of voxels for a batch of meshes.
 
@@ -83,6 +99,7 @@ def query_slab(
         plan: Decisions about the query; distances are exact whatever they are.
         empty: Allocates workspace: `empty(length, dtype)`.
         beside: What is launched in `with beside() as join:` may run beside what comes after it, until `join()`.
+        pending: Of the surface and the winding data.
     """
     values = target.values
     with beside() as join:
@@ -90,13 +107,15 @@ def query_slab(
             values.zero_()
         else:
             # This is bound by memory, and making lists is not.
-            slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns)
+            slab_winding(surface.tree, winding, slab, values, empty, plan.most_columns, pending.boundary)
     out = output_of(target, empty)
     if plan.method == "search":
+        pending.cones()
+        pending.features()
         join()
         search_slab(surface.tree, slab, out, slab.meshes or values.shape[0])
     else:
-        run_stages(surface, slab, out, plan, empty, beside, join)
+        run_stages(surface, slab, out, plan, empty, beside, join, pending=pending)
 
 
 def output_of(target: Target, empty: Callable[[int, Any], wp.array]) -> Any:
@@ -141,6 +160,7 @@ def run_stages(
     beside: Beside,
     join_winding: Callable[[], None],
     own: OwnStages | None = None,
+    pending: Pending = MADE,
 ) -> None:
     """The seven stages, pass by pass, and a search for what found no room; see `query_slab`.
 
@@ -168,12 +188,16 @@ def run_stages(
     for first in range(plan.passes):
         work.begin_pass(plan, first)
         find(tree, frames, slab, grid, work.counters, cache, workers(SCHEDULE_BLOCKS_PER_SM), lanes)
+        if first == 0:
+            pending.cones()
         list_regions(
             tree, frames, cones, slab, grid, cache, pool, regions, stacks, workers(REGION_BLOCKS_PER_SM), lanes
         )
         list_cells(
             tree, frames, cones, slab, grid, cache, pool, regions, cells, shares, workers(CELL_BLOCKS_PER_SM), lanes
         )
+        if first == 0:
+            pending.features()
         schedule_blocks(
             tree,
             frames,

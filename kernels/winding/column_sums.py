@@ -198,12 +198,14 @@ def slab_winding(
     values: wp.array,
     empty: Callable[[int, Any], wp.array],
     most_columns: int | None = None,
+    before_boundary: Callable[[], None] | None = None,
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
     Fills `values` (meshes, n, ny, nz) float32, or of meshes that have grids of their own all in one row, each as if it
     were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
     instead. `empty(length, dtype)` allocates workspace; for `most_columns` see `PlanOptions`.
+    `before_boundary` is called once all is queued that needs neither boundary nor caps.
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()
@@ -214,17 +216,23 @@ def slab_winding(
     loose = FACES_AN_EDGE[0] * edges <= tree.count <= FACES_AN_EDGE[1] * edges
     by_edges = fast and not few and loose and edges <= MOST_EDGES[kind]
     with_caps = fast and not few and not by_edges
+    wait = before_boundary or _nothing
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()
+        wait()
     elif slab.turned != 0:
+        wait()
         launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)
     else:
         values.zero_()
         counts = flat.view(wp.int32)
         scan_triangles(tree, slab, counts, meshes, empty, most_columns)
         if with_caps:
+            wait()
             scan_triangles(winding.caps.tree, slab, counts, meshes, empty, most_columns)
         launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
+        if not with_caps:
+            wait()
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
     elif by_edges:
@@ -233,3 +241,7 @@ def slab_winding(
         add_rims(tree, winding.boundary, slab, flat)
     elif winding.kind != CLOSED:
         launch(_add_boundary, total, [tree, winding, slab, values], device)
+
+
+def _nothing() -> None:
+    pass

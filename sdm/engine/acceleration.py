@@ -354,7 +354,8 @@ def fill_surface(
 ) -> None:
     """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
 
-    To `unjoined` is added what has to be called before features and cones are read, if it is to be called later.
+    To `unjoined` is added what has to be called before cones are read, and before features are, if that is to be later;
+    then only the branches that make them wait for the neighbours.
     """
     count, empty = view.tree.face.shape[0], workspace(vertices.device)
     corners, triples = as_warp(vertices, wp.vec3), as_warp(faces, wp.int32)
@@ -363,15 +364,15 @@ def fill_surface(
     normals = empty(4 * count, wp.float32)
     keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)
     build_tree(view.tree, corners, triples, bounds, keys, slots, normals, gathered, fillers=fillers)
-    if join is not None:
+    if join is not None and (unjoined is None or tree_alone):
         join()
     if tree_alone:
         return
     shared = as_warp(neighbours, wp.int32)
     # None of these fills a GPU by itself.
-    with kernels_beside(vertices) as join_cones:
+    with kernels_beside(vertices, after=join) as join_cones:
         normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-    with kernels_beside(vertices, 2) as join_features:
+    with kernels_beside(vertices, 2, join) as join_features:
         voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
     triangle_frames.make_frames(view.tree, view.frames)
     if unjoined is None:

@@ -24,9 +24,9 @@ from sdm.engine.acceleration import (
     build,
     closed_by_faces,
     kind_of,
-    queue_build,
     topology_for,
 )
+from sdm.engine.build_beside import build_beside
 from sdm.engine.capacity.classes import class_of
 from sdm.engine.capacity.first_maps import class_map, has_room
 from sdm.engine.first_build import build_first
@@ -234,9 +234,8 @@ def _queue_maps(
     *,
     join: Join | None = None,
 ) -> tuple[Tensor, ...]:
-    topology = MeshTopology(neighbours, boundary, caps)
-    structure = queue_build(vertices, faces, topology, join, for_maps=True)
-    found = map_slab(vertices, faces, structure, grid, 0, grid.shape[0])
+    structure, pending = build_beside(vertices, faces, MeshTopology(neighbours, boundary, caps), join)
+    found = structure_slab(structure, grid, 0, grid.shape[0], pending=pending)
     return found if boundary.shape[0] else found[:1]
 
 
@@ -276,8 +275,8 @@ def _queue_unsigned_map(grid: Grid, verify: Verify, vertices: Tensor, faces: Ten
         _, _, neighbours = queue_pairing(faces, vertices.shape[0])
     none = faces.new_empty((0, 2))
     within = faces.clamp(0, vertices.shape[0] - 1)
-    structure = queue_build(vertices[None], within, MeshTopology(neighbours, none, none), join)
-    return (structure_slab(structure, grid, 0, grid.shape[0], signed=False)[0],)
+    structure, pending = build_beside(vertices[None], within, MeshTopology(neighbours, none, none), join)
+    return (structure_slab(structure, grid, 0, grid.shape[0], signed=False, pending=pending)[0],)
 
 
 def _queue_index_map(

@@ -27,7 +27,7 @@ from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.points.plan import plan_points
 from sdm.kernels.points.query import query_points, query_winding, sort_points
 from sdm.kernels.winding.column_sums import slab_winding
-from sdm.runtime.graphs.branches import kernels_beside
+from sdm.runtime.graphs.branches import WINDING, kernels_beside
 from sdm.runtime.graphs.output_slot import current_slot
 from sdm.runtime.operators import define, differentiate, is_eager
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
@@ -215,9 +215,15 @@ def _slab_distances(
     direction: tuple[float, ...],
     slices: Slices,
     signed: bool = True,
+    pending: dense.Pending = dense.MADE,
 ) -> tuple[Tensor, Tensor]:
     options = OPTIONS.get()
-    query = partial(_query_slices, origin, direction, options, signed)
+    if structure.device.type == "cpu":
+        # Nothing is beside anything else.
+        for each in pending:
+            each()
+        pending = dense.MADE
+    query = partial(_query_slices, origin, direction, options, signed, pending)
     # Of a GPU's meshes the host does not know how large they are.
     if structure.device.type != "cpu" or options.method == "search":
         return query(structure, slices, AS_IT_IS)
@@ -238,6 +244,7 @@ def _query_slices(
     direction: tuple[float, ...],
     options: PlanOptions,
     signed: bool,
+    pending: dense.Pending,
     structure: AccelerationStructure,
     slices: Slices,
     times: Triple,
@@ -266,7 +273,8 @@ def _query_slices(
                 ),
                 make_plan(work, memory_of(warp_device.alias), options),
                 workspace(device),
-                partial(kernels_beside, values),
+                partial(kernels_beside, values, WINDING),
+                pending,
             )
             return ambiguous
 
@@ -323,12 +331,21 @@ def map_slab(
 
 
 def structure_slab(
-    structure: AccelerationStructure, grid: Grid, begin: int, end: int, *, signed: bool = True
+    structure: AccelerationStructure,
+    grid: Grid,
+    begin: int,
+    end: int,
+    *,
+    signed: bool = True,
+    pending: dense.Pending = dense.MADE,
 ) -> tuple[Tensor, Tensor]:
-    """`map_slab` of a structure that is there, past torch's dispatcher and without gradients; without a sign too."""
+    """`map_slab` of a structure that is there, past torch's dispatcher and without gradients; without a sign too.
+
+    `pending`: what has to be called before parts of it are looked at.
+    """
     slices = Slices(grid.spacing, (end - begin, *grid.shape[1:]), begin)
     direction = (*grid.direction[0], *grid.direction[1], *grid.direction[2])
-    return _slab_distances(structure, grid.origin, direction, slices, signed)
+    return _slab_distances(structure, grid.origin, direction, slices, signed, pending)
 
 
 def _handed_over(structure: AccelerationStructure | None) -> tuple[list[Tensor], int]:

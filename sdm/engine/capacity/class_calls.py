@@ -21,12 +21,12 @@ from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
 from sdm.engine.capacity.tables import ADDRESSES_AT, COUNTS_AT, TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
-from sdm.kernels.dense.query import Surface, Target, output_of, run_stages
+from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology.filler_faces import VALUES_AT, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import TableCall, Verify
-from sdm.runtime.graphs.branches import Join, beside, kernels_beside
+from sdm.runtime.graphs.branches import WINDING, Join, beside, kernels_beside
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
@@ -43,7 +43,7 @@ class ClassMap(NamedTuple):
         values: (nx,ny,nz), the map.
         neighbours: (F,4) int32, those of the mesh's faces.
         ambiguous: (1,) int32, of an open class: voxels that are.
-        unmatched: (MOST_EDGES,3) int32, of an open class: its unmatched edges come first.
+        unmatched: (room,3) int32, of an open class: its unmatched edges come first.
         boundary: Of an open class, the memory of an `OpenBoundary`.
     """
 
@@ -54,17 +54,17 @@ class ClassMap(NamedTuple):
     boundary: Tensor | None = None
 
 
-def class_key(kind: CapacityClass, is_open: bool = False) -> tuple[str, CapacityClass]:
-    """The key of the calls of a class about closed meshes, or about open ones."""
-    return "open class" if is_open else "class", kind
+def class_key(kind: CapacityClass, room: int = 0) -> tuple[str, CapacityClass, int]:
+    """The key of the calls of a class about closed meshes, or about open ones with room for so many edges."""
+    return "open class" if room else "class", kind, room
 
 
 def class_call(
-    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
+    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid, later: int = 0
 ) -> TableCall[ClassMap]:
     """The call that makes the map of a mesh, if it is closed: `vertices` (V,3) and `faces` (F,3) are contiguous.
 
-    The flags are of a vertex out of range, twice, and the number of unmatched edges.
+    The flags are of a vertex out of range, twice, and the number of unmatched edges. `later`: of a `TableCall`.
     """
     device = faces.device
 
@@ -76,13 +76,19 @@ def class_call(
         return ClassMap(values, neighbours)
 
     key, work = class_key(kind), partial(_queue_closed_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid))
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid) + later)
 
 
 def open_class_call(
-    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid
+    kind: CapacityClass,
+    decisions: Decisions,
+    vertices: Tensor,
+    faces: Tensor,
+    grid: Grid,
+    later: int = 0,
+    room: int = MOST_EDGES,
 ) -> TableCall[ClassMap]:
-    """The same of a mesh that is open by up to MOST_EDGES unmatched and boundary edges, or by none.
+    """The same of a mesh that is open by up to `room` unmatched and boundary edges, or by none.
 
     The flags are those of `boundary_loops.join_edges`, and behind them the numbers of unmatched and of boundary edges.
     """
@@ -90,15 +96,15 @@ def open_class_call(
 
     def fill(table: Any) -> ClassMap:
         values = torch.empty(kind.shape, dtype=torch.float32, device=device)
-        lengths = [4 * count, 3 * MOST_EDGES, OpenBoundary.length(), 1]
+        lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
         told = torch.empty(sum(lengths), dtype=torch.int32, device=device)
         neighbours, unmatched, boundary, ambiguous = told.split(lengths)
         at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), ambiguous.data_ptr(), told.data_ptr()
         write_table(table, kind, decisions, count, vertices.shape[0], grid, at)
-        return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(MOST_EDGES, 3), boundary)
+        return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(room, 3), boundary)
 
-    key, work = class_key(kind, is_open=True), partial(_queue_open_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid))
+    key, work = class_key(kind, room), partial(_queue_open_map, kind, room, device)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid) + later)
 
 
 def _later(grid: Grid) -> int:
@@ -148,8 +154,8 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
     told()
 
 
-def _queue_open_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
-    boundary = OpenBoundary.empty(device)
+def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
+    boundary = OpenBoundary.empty(device, room)
     # The first flag is that of a vertex out of range.
     mesh = _take_in(kind, device, table, boundary.numbers[:1])
     with beside(device) as join:
@@ -158,7 +164,7 @@ def _queue_open_map(kind: CapacityClass, device: torch.device, verify: Verify, t
         boundary.queue_joining(unmatched, found, mesh.vertices)
     with beside(device, TELLING) as told:
         verify(boundary.numbers, TOLD)
-        _tell(mesh, neighbours, unmatched[:MOST_EDGES], boundary.memory)
+        _tell(mesh, neighbours, unmatched[:room], boundary.memory)
     _queue_map(kind, mesh, neighbours, join, boundary.ambiguous, boundary, joined)
     told()
     with on_current_stream(mesh.addresses):
@@ -184,7 +190,7 @@ def _queue_map(
     """The map of a mesh, to the address in the table: its neighbours are there after `join`, its boundary `joined`."""
     vertices, device = mesh.vertices, mesh.vertices.device
     # Typed for meshes that share faces, but only these attributes are looked at.
-    sizes = kind.sizes if boundary is None else kind.open_sizes
+    sizes = kind.sizes if boundary is None else kind.open_sizes(boundary.room)
     structure = AccelerationStructure.in_block(cast(Sizes, sizes), device)
     bounds = torch.empty(12, dtype=torch.float32, device=device)
     # Of winding numbers: the distances go elsewhere.
@@ -196,15 +202,23 @@ def _queue_map(
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
         box: Any = as_warp(bounds, wp.float32)
-        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, fillers=True)
+        # What the first stages need comes before the neighbours are waited for.
+        unjoined: list[Join] = []
+        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, fillers=True, unjoined=unjoined)
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
-        slab = both_slabs(kind, mesh.rows)
-        with kernels_beside(values) as join_winding:
-            winding = view.winding
+        slab, winding = both_slabs(kind, mesh.rows), view.winding
+        if boundary is not None:
+            winding = boundary.winding(view)
+
+        def before_boundary() -> None:
             if boundary is not None and joined is not None:
                 joined()
-                winding = boundary.queue_caps(view, vertices, box, empty)
-            slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns)
+                few = boundary.room <= kind.few_edges(device.type)
+                boundary.queue_winding(winding, view.tree, vertices, box, empty, few)
+
+        with kernels_beside(values, WINDING) as join_winding:
+            slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns, before_boundary)
         surface = Surface(tree, view.frames, view.features, view.cones)
         out = output_of(target, empty)
-        run_stages(surface, slab, out, kind.plan, empty, partial(kernels_beside, values), join_winding)
+        beside, pending = partial(kernels_beside, values, WINDING), Pending(cones=unjoined[0], features=unjoined[1])
+        run_stages(surface, slab, out, kind.plan, empty, beside, join_winding, pending=pending)

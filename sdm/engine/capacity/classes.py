@@ -8,6 +8,7 @@ and of its plan the shares of lists and the levels that these leave out.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_larg
 from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, joint_plan, make_plan
 from sdm.kernels.plan_options import PlanOptions
 from sdm.kernels.winding.cap_tree import depth_of_caps
+from sdm.kernels.winding.rims.every_voxel import MOST_SUMS
 
 # Most faces of the classes of small meshes, which cost a GPU about the same whatever their faces, and of the largest:
 # of more, kernels take longer than the host. One block sorts 4,864 short keys: the edges of the first class, the faces
@@ -27,6 +29,10 @@ from sdm.kernels.winding.cap_tree import depth_of_caps
 SMALL, LARGEST = (1620, 4863, 20480, 81920), 1 << 20
 # Room for unmatched edges, and for boundary edges, of open meshes: a tree of caps has room for one more.
 MOST_EDGES = 2 * MOST_BOUNDARY_EDGES - 1
+# Least room for boundary edges that is worth recordings of their own for meshes with few.
+LEAST_FEW = 32
+# Larger classes that may serve a mesh until its own is worth a recording.
+LARGER = 2
 # Vertices for each face of the room: of closed surfaces, or of triangles that share none.
 SHARED, LOOSE = 0.75, 3.0
 
@@ -59,13 +65,20 @@ class CapacityClass:
         """Sizes of the structure of both, if the mesh is closed."""
         return PairSizes(self.most, self.faces, (2 << depth_for(self.most)) + 2)
 
-    @property
-    def open_sizes(self) -> PairSizes:
-        """Sizes of the structure of both, with room for a boundary of the mesh."""
-        caps = MOST_EDGES + 1
+    def few_edges(self, device: str) -> int:
+        """Room for boundary edges that are so few that each voxel gets the sum over them, on `"cuda"` or `"cpu"`.
+
+        Neither caps nor boxes are needed then. 0: the grid is so large that hardly any mesh has so few.
+        """
+        room = min(MOST_SUMS[device] / math.prod(self.shape), MOST_EDGES)
+        return int(room) if room >= LEAST_FEW else 0
+
+    def open_sizes(self, room: int) -> PairSizes:
+        """Sizes of the structure of both, with room for so many boundary edges of the mesh."""
+        caps = room + 1
         return self.sizes._replace(
-            edges=MOST_EDGES,
-            visited_edges=MOST_EDGES,
+            edges=room,
+            visited_edges=room,
             caps=caps,
             all_caps=caps,
             cap_nodes=2 * (2 << depth_of_caps(caps)),
@@ -124,6 +137,29 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
         return None
     found = _class(most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
     return None if found is None else (found, decisions)
+
+
+def larger_classes(
+    kind: CapacityClass, decisions: Decisions, grid: Grid, memory: int | None
+) -> Iterator[CapacityClass]:
+    """The next larger classes, from the smallest on, that serve a mesh of a class about which so much is decided."""
+    most, uneven = kind.most, uneven_room(grid.spacing, kind.turned) > 1
+    for _step in range(LARGER):
+        if most >= LARGEST:
+            return
+        _, most = bounds_of(most + 1)
+        found = _class(most, int(SHARED * most), grid.shape, kind.turned, uneven, decisions.cell, memory, OPTIONS.get())
+        if found is None or found.vertices < kind.vertices:
+            continue
+        # Of all that decides about bits there is room for what the mesh has.
+        plan, own = found.plan, kind.plan
+        if (
+            plan.region_shares >= decisions.region_shares
+            and plan.cell_shares >= decisions.cell_shares
+            and plan.levels_left_out >= decisions.levels_left_out
+            and plan.list_bricks_below == own.list_bricks_below
+        ):
+            yield found
 
 
 def _decided(faces: int, shape: tuple[int, int, int], gpu: bool, options: PlanOptions) -> Decisions:

@@ -8,15 +8,20 @@ vertex for each two edges of its rim. The recording for open meshes serves close
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
 from sdm.engine.capacity.class_calls import ClassMap, class_call, class_key, open_class_call
-from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
+from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass, larger_classes
 from sdm.engine.capacity.open_boundary import OpenBoundary
-from sdm.kernels.dense.plan import Decisions
+from sdm.kernels.dense.plan import Decisions, memory_of
+from sdm.kernels.topology.boundary_loops import WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
 from sdm.runtime import graphs
+from sdm.runtime.torch_warp import warp_name
 from sdm.topology import guesses
 from sdm.topology.cap_triangles import remember_joined
 from sdm.topology.face_pairing import Pairing, remember, remember_closed
@@ -24,11 +29,15 @@ from sdm.topology.face_pairing import Pairing, remember, remember_closed
 # Twice the vertices less the faces: of closed meshes 4 for each part, and 4 less for each handle. A mesh with more is
 # more likely one with holes, whose edges add up to that.
 MOST_OF_CLOSED = 12
+# Calls that a larger class serves before its own is recorded: idle room takes a GPU some 50 us, a recording the host
+# 3 ms.
+PATIENCE = 60
 
 
 def looks_closed(faces: int, vertices: int) -> bool:
     """True if a mesh of so many faces and vertices is more likely closed than not."""
-    return faces % 2 == 0 and 2 * vertices - faces <= MOST_OF_CLOSED
+    open_by = 2 * vertices - faces
+    return open_by % 4 == 0 and open_by <= MOST_OF_CLOSED
 
 
 def has_room(numbers: guesses.Guess) -> bool:
@@ -44,25 +53,50 @@ def class_map(
     None if there is no recording for it, or if it is none that these serve. Else its topology is remembered.
     """
     # What recordings read by address.
-    vertices, given = vertices.contiguous(), faces.contiguous()
-    if looks_closed(faces.shape[0], vertices.shape[0]):
-        found, said = graphs.attempt_by_table(class_call(kind, decisions, vertices, given, grid))
+    count, device, given = vertices.shape[0], faces.device, (vertices.contiguous(), faces.contiguous(), grid)
+    edges = min(2 * count - faces.shape[0], MOST_EDGES)
+    few = kind.few_edges(device.type)
+    rooms = (few, MOST_EDGES) if few else (MOST_EDGES,)
+    if looks_closed(faces.shape[0], count):
+        found, said = _attempt(class_call, kind, decisions, 0, given)
         if found is not None:
-            remember_closed(faces, vertices.shape[0], found.neighbours)
+            remember_closed(faces, count, found.neighbours)
             return found.values, None
         # Flags of `class_call`.
-        if said and (said[0] or said[1] or said[2] > MOST_EDGES):
+        if said and (said[0] or said[1]):
             return None
-        if not said and not graphs.is_recorded(faces.device, class_key(kind, is_open=True)):
+        if not said and not any(graphs.is_recorded(device, class_key(kind, room)) for room in rooms):
             # Neither is made for one that is not due.
             return None
-    found, said = graphs.attempt_by_table(open_class_call(kind, decisions, vertices, given, grid))
-    if found is None:
-        return None
-    return found.values, _remember(vertices.shape[0], faces, found, *said[-2:])
+        edges = said[2] if said else 0
+    for room in rooms:
+        if edges > room:
+            continue
+        found, said = _attempt(partial(open_class_call, room=room), kind, decisions, room, given)
+        if found is not None:
+            return found.values, _remember(count, faces, found, room, *said[-2:])
+        edges = max([room + 1, *said[-2:]])
+        if said and (said[WRONG_VERTEX] or not (said[WRONG_UNMATCHED] or said[WRONG_EDGES])):
+            return None
+    return None
 
 
-def _remember(vertices: int, faces: Tensor, found: ClassMap, rows: int, edges: int) -> Tensor | None:
+def _attempt(
+    make: Any, kind: CapacityClass, decisions: Decisions, room: int, given: tuple[Tensor, Tensor, Grid]
+) -> tuple[ClassMap | None, list[int]]:
+    """What a class's recording gives; that of a larger class, if there is one, until its own is worth the time."""
+    device, others = given[0].device, []
+    if not graphs.is_recorded(device, class_key(kind, room)):
+        memory = memory_of(warp_name(device))
+        larger = larger_classes(kind, decisions, given[2], memory)
+        others = [other for other in larger if graphs.is_recorded(device, class_key(other, room))]
+    found, said = graphs.attempt_by_table(make(kind, decisions, *given, later=PATIENCE if others else 0))
+    if not said and others:
+        found, said = graphs.attempt_by_table(make(others[0], decisions, *given))
+    return found, said
+
+
+def _remember(vertices: int, faces: Tensor, found: ClassMap, room: int, rows: int, edges: int) -> Tensor | None:
     """Remember the topology of faces that were just found open, and give the ambiguous voxels."""
     if rows == 0 or found.unmatched is None or found.boundary is None:
         remember_closed(faces, vertices, found.neighbours)
@@ -72,7 +106,7 @@ def _remember(vertices: int, faces: Tensor, found: ClassMap, rows: int, edges: i
         ready.record(torch.cuda.current_stream(faces.device))
     pairing = Pairing(found.unmatched[:rows], found.neighbours, ready=ready)
     remember(faces, vertices, pairing)
-    boundary = OpenBoundary.of_memory(found.boundary)
+    boundary = OpenBoundary.of_memory(found.boundary, room)
     remember_joined(pairing, boundary.edges[:edges], boundary.caps[:edges])
     guesses.remember_numbers(faces, vertices, guesses.Guess(rows, edges))
     return found.ambiguous if edges else None

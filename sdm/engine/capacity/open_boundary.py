@@ -7,13 +7,13 @@ triangles of one point, which fill the room. So an open mesh that turns out to b
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from sdm.engine.capacity.classes import MOST_EDGES
 from sdm.kernels.bvh.tree import PART_SIZE, coarser
 from sdm.kernels.launch import set_array
 from sdm.kernels.topology import boundary_loops
@@ -23,16 +23,19 @@ from sdm.kernels.winding.cap_tree import build_caps
 from sdm.kernels.winding.winding_number import Winding
 from sdm.runtime.torch_warp import as_warp, on_current_stream, repeated_row, workspace
 
-_SIZES = {
-    "numbers": (NUMBERS,),
-    "ambiguous": (2,),
-    "parts": (2 * PART_SIZE,),
-    "edges": (MOST_EDGES, 2),
-    "caps": (MOST_EDGES + 1, 3),
-}
-_LENGTH = sum(math.prod(size) for size in _SIZES.values())
-# Flags of the join that the host reads, and numbers behind them.
+# Numbers behind the flags of the join that the host reads.
 TOLD = NUMBERS - boundary_loops.FLAGS
+
+
+@lru_cache(maxsize=16)
+def _sizes(room: int) -> dict[str, tuple[int, ...]]:
+    return {
+        "numbers": (NUMBERS,),
+        "ambiguous": (2,),
+        "parts": (2 * PART_SIZE,),
+        "edges": (room, 2),
+        "caps": (room + 1, 3),
+    }
 
 
 class OpenBoundary(NamedTuple):
@@ -43,8 +46,8 @@ class OpenBoundary(NamedTuple):
         numbers: (NUMBERS,) as `boundary_loops.join_edges` fills them.
         ambiguous: (2,) of both meshes.
         parts: (2 * PART_SIZE,) of the caps' tree.
-        edges: (MOST_EDGES, 2) boundary edges; those that there are come first.
-        caps: (MOST_EDGES + 1, 3) caps, in the same way.
+        edges: (room, 2) boundary edges; those that there are come first.
+        caps: (room + 1, 3) caps, in the same way.
     """
 
     memory: Tensor
@@ -55,26 +58,32 @@ class OpenBoundary(NamedTuple):
     caps: Tensor
 
     @classmethod
-    def of_memory(cls, memory: Tensor) -> OpenBoundary:
-        """The tensors in a piece of memory."""
-        pieces = memory.split([torch.Size(size).numel() for size in _SIZES.values()])
-        return cls(memory, *(piece.view(size) for piece, size in zip(pieces, _SIZES.values(), strict=True)))
+    def of_memory(cls, memory: Tensor, room: int) -> OpenBoundary:
+        """The tensors in a piece of memory, with room for so many boundary edges."""
+        sizes = _sizes(room).values()
+        pieces = memory.split([math.prod(size) for size in sizes])
+        return cls(memory, *(piece.view(size) for piece, size in zip(pieces, sizes, strict=True)))
 
     @staticmethod
-    def length() -> int:
+    def length(room: int) -> int:
         """Numbers in that memory."""
-        return _LENGTH
+        return sum(math.prod(size) for size in _sizes(room).values())
 
     @classmethod
-    def empty(cls, device: torch.device) -> OpenBoundary:
+    def empty(cls, device: torch.device, room: int) -> OpenBoundary:
         """New tensors."""
-        return cls.of_memory(torch.zeros(_LENGTH, dtype=torch.int32, device=device))
+        return cls.of_memory(torch.zeros(cls.length(room), dtype=torch.int32, device=device), room)
+
+    @property
+    def room(self) -> int:
+        """The edges, unmatched or of the boundary, that there is room for."""
+        return self.edges.shape[0]
 
     def queue_joining(self, unmatched: Tensor, found: Tensor, vertices: Tensor) -> None:
         """Queue the kernels that fill numbers, edges and caps from the pairing of the faces of `vertices` (V,3)."""
         with on_current_stream(vertices, vertices):
             boundary_loops.join_edges(
-                as_warp(unmatched[:MOST_EDGES], wp.int32),
+                as_warp(unmatched[: self.room], wp.int32),
                 as_warp(found, wp.int32),
                 as_warp(vertices[None], wp.vec3),
                 as_warp(self.edges, wp.int32),
@@ -84,23 +93,30 @@ class OpenBoundary(NamedTuple):
                 in_room=True,
             )
 
-    def queue_caps(self, view: Any, vertices: Tensor, bounds: wp.array, empty: Any) -> Any:
-        """Queue kernels that fill boundary and caps of a structure's `view`, whose tree is there: what they fill."""
+    def winding(self, view: Any) -> Any:
+        """What winding numbers are found by, in a structure's `view`: filled by `queue_winding`."""
         winding: Any = Winding()
         for name in ("ends", "lattice"):
             set_array(winding.boundary, name, getattr(view.winding.boundary, name))
         set_array(winding.boundary, "counted", as_warp(self.numbers[ALL_EDGES : ALL_EDGES + 1], wp.int32))
         set_array(winding.boundary, "parts", as_warp(self.parts, wp.int32))
-        winding.boundary.count, winding.boundary.in_room = MOST_EDGES, 1
+        winding.boundary.count, winding.boundary.in_room = self.room, 1
         winding.caps.tree = coarser(view.winding.caps.tree, 0)
         set_array(winding.caps.tree, "parts", as_warp(self.parts, wp.int32))
         winding.caps.tree.meshes = 2
         set_array(winding.caps, "moments", view.winding.caps.moments)
         winding.kind = view.winding.kind
+        return winding
+
+    def queue_winding(
+        self, winding: Any, tree: Any, vertices: Tensor, bounds: wp.array, empty: Any, edges_alone: bool
+    ) -> None:
+        """Queue kernels that fill `winding`, whose `tree` is there: of `edges_alone` without caps."""
         corners = as_warp(vertices[None], wp.vec3)
-        gather_boundary(winding.boundary, view.tree, corners, as_warp(self.edges, wp.int32))
+        gather_boundary(winding.boundary, tree, corners, as_warp(self.edges, wp.int32))
+        if edges_alone:
+            return
         room = 2 * self.caps.shape[0]
         keys, slots = empty(room, wp.int64), empty(room, wp.int32)
         caps = as_warp(self.caps, wp.int32)
         build_caps(winding.caps, repeated_row(corners, 2), caps, bounds, keys, slots, fillers=True)
-        return winding

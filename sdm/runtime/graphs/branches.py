@@ -19,8 +19,8 @@ from sdm.runtime.torch_warp import on_current_stream, warp_stream
 Join: TypeAlias = Callable[[], None]
 
 
-# Branches that a graph may have beside each other.
-BRANCHES = 3
+# Branches that a graph may have beside each other, and the one of winding numbers.
+BRANCHES, WINDING = 4, 3
 
 
 @cache
@@ -64,12 +64,12 @@ def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> 
 
 
 @contextmanager
-def kernels_beside(tensor: Tensor, branch: int = 0) -> Iterator[Join]:
+def kernels_beside(tensor: Tensor, branch: int = 0, after: Join | None = None) -> Iterator[Join]:
     """`beside`, for Warp's kernels on `tensor`'s device, whose current stream is Warp's already."""
     if not is_recording(tensor.device):
         yield _nothing
         return
-    with beside(tensor.device, branch) as join, on_current_stream(tensor):
+    with beside(tensor.device, branch, after) as join, on_current_stream(tensor):
         yield join
 
 

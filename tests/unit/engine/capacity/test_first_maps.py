@@ -11,7 +11,7 @@ from sdm.bench.common.dirty_meshes.by_code import torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
 from sdm.engine.capacity.class_calls import class_key
-from sdm.engine.capacity.classes import class_of
+from sdm.engine.capacity.classes import MOST_EDGES, class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError
 from sdm.runtime import graphs
@@ -51,7 +51,8 @@ def went(monkeypatch):
 
 
 def _recorded(monkeypatch, *names):
-    keys = {(name, kind) for name in names for kind in _classes()}
+    rooms = {CLOSED: (0,), OPEN: (MOST_EDGES,)}
+    keys = {(name, kind, room) for name in names for room in rooms[name] for kind in _classes()}
     monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key in keys)
 
 
@@ -129,7 +130,7 @@ def test_what_has_no_room_is_settled_and_not_tried_again(went, monkeypatch):
     soup[::7] += 0.01
     loose = torch.arange(len(soup), dtype=torch.int32).reshape(-1, 3)
     kind, _ = class_of(len(loose), len(soup), GRID, None)
-    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, is_open=True))
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key == class_key(kind, MOST_EDGES))
     _map((soup, loose))
     assert went == [OPEN, "settle"]
     _map((soup, loose.clone()))

@@ -10,11 +10,13 @@ import sdm
 from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.bench.dense.launch_counts import as_on_a_gpu
+from sdm.engine.capacity import open_boundary
 from sdm.engine.capacity.class_calls import open_class_call
-from sdm.engine.capacity.classes import MOST_EDGES, class_of
+from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.topology.boundary_loops import FLAGS, TANGLED, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.winding.rims import every_voxel
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import neighbours, pairing_of
 from tests.helpers.by_table import by_table
@@ -70,16 +72,16 @@ def _grid(vertices, turned=False):
     return sdm.Grid(low - 0.07 * (high - low).max(), (high - low).max() / 20 * np.ones(3), (24, 20, 27), direction)
 
 
-def _class_map(vertices, faces, grid):
+def _class_map(vertices, faces, grid, room=MOST_EDGES):
     kind, decisions = class_of(faces.shape[0], vertices.shape[0], grid, None)
-    found, numbers, told = by_table(open_class_call(kind, decisions, vertices, faces, grid))
+    found, numbers, told = by_table(open_class_call(kind, decisions, vertices, faces, grid, room=room))
     assert told == len(numbers) - FLAGS
-    return found, OpenBoundary.of_memory(found.boundary), numbers
+    return found, OpenBoundary.of_memory(found.boundary, room), numbers
 
 
-def _same(mesh, grid):
+def _same(mesh, grid, room=MOST_EDGES):
     vertices, faces = (torch.from_numpy(np.ascontiguousarray(array)) for array in mesh)
-    found, boundary, numbers = _class_map(vertices, faces, grid)
+    found, boundary, numbers = _class_map(vertices, faces, grid, room)
     expected = sdm.MeshIndex((vertices, faces), "cpu", warn=False).signed_distance_map(grid)
     edges = boundary_edges(vertices, faces)
     assert numbers[:FLAGS] == [0] * FLAGS
@@ -99,6 +101,21 @@ def test_the_same_bits(name, turned):
     mesh = MESHES[name]()
     numbers = _same(mesh, _grid(mesh[0], turned))
     assert (numbers[-1] == 0) == (name == "closed")
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_few_edges_are_added_up_at_every_voxel(monkeypatch, name, turned):
+    """As on a GPU, where a small map of a mesh with few boundary edges has neither caps nor boxes."""
+    mesh = MESHES[name]()
+    grid = _grid(mesh[0], turned)
+    edges = len(boundary_edges(*(torch.from_numpy(np.ascontiguousarray(array)) for array in mesh)))
+    room = max(LEAST_FEW, edges, len(pairing_of(torch.from_numpy(mesh[1].copy()), len(mesh[0])).unmatched)) + 3
+    monkeypatch.setitem(every_voxel.MOST_SUMS, "cpu", room * grid.size)
+    kind, _ = class_of(len(mesh[1]), len(mesh[0]), grid, None)
+    assert kind.few_edges("cpu") == min(room, MOST_EDGES)
+    monkeypatch.setattr(open_boundary, "build_caps", None)
+    _same(mesh, grid, min(room, MOST_EDGES))
 
 
 @pytest.mark.parametrize("seed", range(6))
