@@ -26,7 +26,7 @@ import torch
 
 import sdm
 from sdm.bench.common import json_file
-from sdm.bench.common.dirty_meshes.by_code import half_spheres, torn
+from sdm.bench.common.dirty_meshes.by_code import half_spheres, sheets, torn, turned
 from sdm.bench.common.grids import cube_around
 from sdm.bench.common.machine import describe
 from sdm.bench.common.markdown import markdown_table
@@ -48,8 +48,11 @@ CHECKED = 256
 REPEATED = 14
 # A stock query that takes longer is not made again, in milliseconds.
 SLOW_MS = 1000.0
-# Sizes of the closed and torn meshes that compile the kernels.
-WARM = (500, 3000, 20_000, 150_000)
+# Sizes of the closed and torn meshes that compile and load the kernels, one of each capacity class, and about how many
+# edges of a hole the first of the torn ones has; and calls about each, of which the last is a repeated one.
+WARM = (500, 3000, 20_000, 50_000, 150_000)
+FEW_EDGES = 60
+WARM_CALLS = 2
 
 
 def new_mesh(case: Case, device: str, unused: int) -> sdm.TriangleMesh:
@@ -116,14 +119,17 @@ def stock_ms(peer: type[StockWarp], case: Case, grid: sdm.Grid, device: str) -> 
 
 
 def warm_up(device: str, resolutions: Sequence[int]) -> None:
-    """Compile and load what maps need: of closed and of torn meshes, small and large."""
+    """Compile and load what maps need: of closed and of torn meshes, sheets and turned faces, small and large."""
     cases = [load_case(f"torus-{size}") for size in WARM]
-    dirty = [torn((case.vertices, case.faces), share) for case in cases for share in (0.01, 0.2)] + [half_spheres(20)]
+    small, *_ = plain = [(case.vertices, case.faces) for case in cases]
+    dirty = [torn(mesh, share) for mesh in plain for share in (FEW_EDGES / 3 / len(mesh[1]), 0.01, 0.2)]
+    dirty += [half_spheres(20), sheets(60), turned(small, 0.5), turned(plain[1], 0.5)]
     cases += [Case("warm", vertices, faces, frozenset()) for vertices, faces in dirty]
     for case in cases if device.startswith("cuda") else cases[:2]:
         for resolution in resolutions:
-            grid = cube_around(case, resolution)
-            sdm.signed_distance_map(new_mesh(case, device, 0), grid, device=device).values.sum().item()
+            grid, mesh = cube_around(case, resolution), new_mesh(case, device, 0)
+            for _ in range(WARM_CALLS):
+                sdm.signed_distance_map(mesh, grid, device=device).values.sum().item()
     for peer in builders(device):
         stock_ms(peer, cases[0], cube_around(cases[0], 16), device)
 
@@ -134,7 +140,8 @@ def measure(
     """Rows of the meshes that are not `done`, until the budget is used up."""
     began = time.monotonic()
     warm_up(device, resolutions)
-    for unused, resolution in enumerate(resolutions):
+    # By twos, as one vertex more would make closed meshes look open.
+    for unused, resolution in zip(range(0, 2 * len(resolutions), 2), resolutions, strict=True):
         for case in meshes_of(folder, LEAST):
             if (case.name, resolution) in done:
                 continue

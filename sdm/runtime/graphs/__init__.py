@@ -9,7 +9,7 @@ that want gradients, those inside `torch.compile` or another graph's capture, an
 recorded.
 
 A recording that has to go before it was used often makes later ones wait for more calls, so that many kinds by turns
-cost little. Of each device the 24 used last of one kind are kept, and as many of those that serve many, with at most a
+cost little. Of each device the 32 used last of one kind are kept, and as many of those that serve many, with at most a
 sixteenth of its memory; they share their scratch, so the device runs one after the other, whatever streams they are
 launched on. `enable(False)`, or the environment variable `SDM_CUDA_GRAPHS=0`, turns this off, `paused()` for a while;
 `clear()` gives the memory back.

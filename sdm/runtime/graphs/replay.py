@@ -32,7 +32,7 @@ R = TypeVar("R")
 # The part of a device's memory that recordings may keep.
 SHARE = 16
 # And how many they are: a folder of meshes has a dozen capacity classes and more (`sdm.engine.capacity`).
-MOST_RECORDINGS = 24
+MOST_RECORDINGS = 32
 
 _switch = SimpleNamespace(on=os.environ.get("SDM_CUDA_GRAPHS", "1") != "0", pauses=0)
 _lock = threading.RLock()
