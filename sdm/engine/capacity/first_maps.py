@@ -27,7 +27,7 @@ from sdm.topology.cap_triangles import remember_joined
 from sdm.topology.face_pairing import Pairing, remember, remember_closed
 
 # Twice the vertices less the faces: of closed meshes 4 for each part, and 4 less for each handle. A mesh with more is
-# more likely one with holes, whose edges add up to that.
+# more likely one with holes, whose edges add up to that, and so is one with another number than a multiple of 4.
 MOST_OF_CLOSED = 12
 # Calls that a larger class serves before its own is recorded: idle room takes a GPU some 50 us, a recording the host
 # 3 ms.

@@ -10,12 +10,15 @@ import sdm
 from sdm.bench.common.dirty_meshes.by_code import torn
 from sdm.bench.common.mesh_formulas import torus
 from sdm.engine import maps
+from sdm.engine.capacity import first_maps
 from sdm.engine.capacity.class_calls import class_key
-from sdm.engine.capacity.classes import MOST_EDGES, class_of
+from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.first_maps import looks_closed
 from sdm.errors import MeshError
+from sdm.kernels.winding.rims import every_voxel
 from sdm.runtime import graphs
 from sdm.topology import guesses
+from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import is_known, pairing_of
 from tests.helpers.by_table import by_table
 
@@ -146,9 +149,59 @@ def test_a_vertex_out_of_range_is_refused(went, monkeypatch):
                 maps.mesh_map(vertices, faces, GRID)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_a_mesh_with_few_edges_goes_to_a_class_without_caps_first(went, monkeypatch, share):
+    monkeypatch.setitem(every_voxel.MOST_SUMS, "cpu", LEAST_FEW * GRID.size)
+    few = []
+    plain = first_maps.open_class_call
+    monkeypatch.setattr(
+        first_maps, "open_class_call", lambda *given, room, **more: few.append(room) or plain(*given, room=room, **more)
+    )
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
+    mesh = tuple(torch.from_numpy(array) for array in torn(torus(400), share))
+    edges = len(boundary_edges(mesh[0], mesh[1].clone()))
+    assert 2 * len(mesh[0]) - len(mesh[1]) <= LEAST_FEW
+    _map(mesh)
+    assert few == ([LEAST_FEW] if edges <= LEAST_FEW else [LEAST_FEW, MOST_EDGES])
+    assert went == len(few) * [OPEN]
+
+
+def test_a_mesh_that_is_closed_after_all_has_few_edges(went, monkeypatch):
+    monkeypatch.setitem(every_voxel.MOST_SUMS, "cpu", LEAST_FEW * GRID.size)
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: True)
+    vertices, faces = _closed()
+    _map((torch.cat([vertices, vertices[:1]]), faces))
+    assert went == [OPEN]
+
+
+@pytest.mark.parametrize("mesh", [_open, _closed])
+def test_a_larger_class_serves_until_the_own_one_is_there(went, monkeypatch, mesh):
+    found = class_of(2000, 1000, GRID, None)
+    assert found is not None
+    larger = found[0]
+    assert larger is not class_of(400, 200, GRID, None)[0]
+    monkeypatch.setattr(graphs, "is_recorded", lambda device, key: key[1] is larger)
+    later = []
+    attempt = graphs.attempt_by_table
+    monkeypatch.setattr(graphs, "attempt_by_table", lambda call: later.append(call.later) or attempt(call))
+    _map(mesh())
+    name = OPEN if mesh is _open else CLOSED
+    assert went == [f"{name} is not there", name]
+    assert later == [first_maps.PATIENCE, 0]
+
+
 @pytest.mark.parametrize(
     ("faces", "vertices", "closed"),
-    [(12, 8, True), (400, 200, True), (4000, 1980, True), (399, 200, False), (400, 240, False), (562, 299, False)],
+    [
+        (12, 8, True),
+        (400, 200, True),
+        (4000, 1980, True),
+        (399, 200, False),
+        (400, 240, False),
+        (562, 299, False),
+        # A hole of four edges.
+        (270, 138, False),
+    ],
 )
 def test_guess_by_counts(faces, vertices, closed):
     assert looks_closed(faces, vertices) == closed
