@@ -296,6 +296,7 @@ def build_tree(
     gathered: Callable[[], None] | None = None,
     *,
     fillers: bool = False,
+    is_reset: bool = False,
 ) -> None:
     """Fill `tree` (allocated as `sizes` says, `count` and `depth` set) on the arrays' device.
 
@@ -309,10 +310,12 @@ def build_tree(
         normals: (4 * slots) float32: afterwards each face's unit normal, in the order of the faces, and 0.
         gathered: Called once all is queued but the nodes' boxes.
         fillers: All meshes but the first only fill room, so that the order of their triangles does not matter.
+        is_reset: `bounds` are as `reset_bounds` leaves them.
     """
     meshes = vertices.shape[0]
     # The host's way to the first launch is short (`sdm.bench.dense.host_calls`).
-    launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
+    if not is_reset:
+        launch(_reset_bounds, 6 * meshes, [bounds], vertices.device)
     reduce_bounds(tree, vertices, faces, bounds)
     launch(_make_frames, meshes, [bounds, tree.frame], vertices.device)
     build_in_frame(tree, vertices, faces, bounds, keys, slots, normals, gathered, fillers=fillers)

@@ -59,7 +59,7 @@ def _nothing() -> None:
 class Pending(NamedTuple):
     """What has to be called before parts of a surface are looked at, if they are made beside a query's first stages."""
 
-    boundary: Callable[[], None] = _nothing  # boundary edges and caps; called where winding numbers are made
+    boundary: Callable[[], Callable[[], None]] = lambda: _nothing  # see `slab_winding`
     cones: Callable[[], None] = _nothing
     features: Callable[[], None] = _nothing
 

@@ -36,30 +36,41 @@ def _put_int(address: wp.int64, index: int, value: int): ...
 
 
 @wp.kernel
-def _take_in(
+def _copy_table(
     begin: int,
     host: wp.int64,
-    addresses_at: int,
-    counts_at: int,
     table: wp.array(dtype=wp.int64),
+    zeros: wp.array(dtype=wp.int32),
+    bounds: wp.array(dtype=wp.float32),
+):
+    i = begin + wp.tid()
+    if i < table.shape[0]:
+        table[i] = _long_at(host, i)
+    if i < zeros.shape[0]:
+        zeros[i] = 0
+    if i < bounds.shape[0]:
+        bounds[i] = float(wp.inf)
+
+
+@wp.kernel
+def _take_in(
+    begin: int,
+    addresses: wp.array(dtype=wp.int64),
+    counts: wp.array(dtype=wp.int32),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array2d(dtype=wp.int32),
     wrong: wp.array(dtype=wp.int32),
 ):
     i = begin + wp.tid()
-    if i < table.shape[0]:
-        table[i] = _long_at(host, i)
-    # From the host itself, as the other threads' copies need not be there yet.
-    counts = host + wp.int64(8 * counts_at)
-    count = _int_at(counts, FACES)
-    points = _int_at(counts, VERTICES)
+    count = counts[FACES]
+    points = counts[VERTICES]
     if i < points:
-        vertices[i] = _vector_at(_long_at(host, addresses_at + VERTICES_AT), i)
+        vertices[i] = _vector_at(addresses[VERTICES_AT], i)
     if i >= faces.shape[0]:
         return
     # Each at a vertex of its own, as far as there are enough, so that none has many.
     filler = i % points
-    given_at = _long_at(host, addresses_at + FACES_AT)
+    given_at = addresses[FACES_AT]
     for k in range(3):
         index = filler
         if i < count:
@@ -70,23 +81,32 @@ def _take_in(
         faces[i, k] = index
 
 
-def take_in(
-    host: int, addresses_at: int, counts_at: int, table: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array
-) -> None:
-    """Copy a table, and the vertices and faces of the mesh that it tells of, and put faces of no area behind these.
+def copy_table(host: int, table: wp.array, zeros: wp.array, bounds: wp.array) -> None:
+    """Copy a table, and prepare what comes after.
 
     Args:
-        host: Where the table is, in memory that the device reads: pinned, for a GPU.
-        addresses_at: Where in it, in numbers of 8 bytes, the addresses are: (ADDRESSES) int64; those of vertices
-            (V,3) float32 and faces (F,3) int32 are read.
-        counts_at: Where the counts are: (COUNTS) int32, V and F, at least one each.
+        host: Where the table is, in memory that the device reads: pinned, for a GPU. A launch of its own reads it, as
+            it takes each group of lanes some microseconds.
         table: (T) int64, filled.
+        zeros: (Z) int32, filled with zeros.
+        bounds: (6 * meshes) float32, as `sdm.kernels.bvh.build.reset_bounds` leaves them.
+    """
+    count = max(table.shape[0], zeros.shape[0], bounds.shape[0])
+    launch(_copy_table, count, [host, table, zeros, bounds], table.device)
+
+
+def take_in(addresses: wp.array, counts: wp.array, vertices: wp.array, faces: wp.array, wrong: wp.array) -> None:
+    """Copy the vertices and faces of a mesh, and put faces of no area behind these.
+
+    Args:
+        addresses: (ADDRESSES) int64; those of vertices (V,3) float32 and faces (F,3) int32 are read.
+        counts: (COUNTS) int32, V and F, at least one each.
         vertices: (room) vec3; the first V are filled.
         faces: (room,3) int32, filled: indices out of range are brought into it.
         wrong: (1) int32, set to 1 if there were any.
     """
-    count = max(vertices.shape[0], faces.shape[0], table.shape[0])
-    launch(_take_in, count, [host, addresses_at, counts_at, table, vertices, faces, wrong], faces.device)
+    count = max(vertices.shape[0], faces.shape[0])
+    launch(_take_in, count, [addresses, counts, vertices, faces, wrong], faces.device)
 
 
 @wp.kernel

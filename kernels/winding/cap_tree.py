@@ -12,9 +12,13 @@ the triangles, in float64, rounded once. `sdm.kernels.winding.cap_field` says ho
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.bvh.build import LEVELS_AT_ONCE, build_in_frame
+from sdm.kernels.bvh.build import build_in_frame
 from sdm.kernels.bvh.tree import Tree, first_triangle, node_box, tree_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES, wait_for_lanes
@@ -43,6 +47,8 @@ EDGE_ROUNDING = wp.float64(0.25 * 2.0**-24)
 # No radius or spread is too small by rounding. A node's centre is its area's middle but for so much, scaled.
 WIDER = wp.float64(1.00001)
 OFF_MIDDLE = wp.float64(2.0**-22)
+# Levels of moments that one launch makes: each takes as long as two launches.
+LEVELS_AT_ONCE = 4
 
 # The entries xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz and zzz of a symmetric tensor.
 Cubic = wp.types.vector(length=10, dtype=wp.float32)
@@ -311,6 +317,10 @@ def _join_levels(begin: int, lanes: int, caps: Caps, lowest: int, width: int, mo
         wait_for_lanes()
 
 
+def _nothing() -> None:
+    pass
+
+
 def build_caps(
     caps: Caps,
     vertices: wp.array,
@@ -320,7 +330,8 @@ def build_caps(
     slots: wp.array,
     *,
     fillers: bool = False,
-) -> None:
+    beside: Callable[[], AbstractContextManager[Callable[[], None]]] | None = None,
+) -> Callable[[], None]:
     """Fill `caps`, whose tree has the meshes' frame.
 
     Args:
@@ -331,16 +342,26 @@ def build_caps(
         keys: (2 * meshes * E) int64, workspace.
         slots: (2 * meshes * E) int32, workspace.
         fillers: See `build_tree`.
+        beside: The moments are launched in `with beside() as join:`.
+
+    Returns:
+        That `join`, to be called before moments are read.
     """
     tree, device = caps.tree, vertices.device
     # The caps' own normals have no use: they go where the moments come afterwards.
     build_in_frame(tree, vertices, triangles, bounds, keys, slots, caps.moments, fillers=fillers)
-    launch(_leaf_moments, vertices.shape[0] << tree.depth, [caps], device)
+    with beside() if beside else nullcontext(_nothing) as join:
+        _make_moments(caps, vertices.shape[0], device)
+    return join
+
+
+def _make_moments(caps: Caps, meshes: int, device: Any) -> None:
+    tree = caps.tree
+    launch(_leaf_moments, meshes << tree.depth, [caps], device)
     lanes = GPU_LANES if device.is_cuda else 1
     level = tree.depth
     while level > 0:
         # A launch costs more than a few nodes one after the other.
         lowest, levels = tree.depth + 1 - level, min(level, LEVELS_AT_ONCE)
         level -= levels
-        groups = vertices.shape[0] << level
-        launch(_join_levels, groups * lanes, [lanes, caps, lowest, 1 << level, levels], device, smallest=8)
+        launch(_join_levels, (meshes << level) * lanes, [lanes, caps, lowest, 1 << level, levels], device, smallest=8)

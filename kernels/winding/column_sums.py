@@ -32,7 +32,7 @@ wp.set_module_options({"enable_backward": False})
 # Columns for each lane from which on a triangle is shared out to many groups of lanes, into so many pieces: where most
 # triangles are small, the others would wait for one that lies under half of the grid.
 ANY = 1 << 30
-MOST_COLUMNS = {"cuda": 64, "cpu": ANY}
+MOST_COLUMNS = {"cuda": 16, "cpu": ANY}
 PIECES = 64
 # Threads of a launch that are enough to choose by: far below what is counted with 32 bits.
 MOST_THREADS = 1 << 26
@@ -198,14 +198,15 @@ def slab_winding(
     values: wp.array,
     empty: Callable[[int, Any], wp.array],
     most_columns: int | None = None,
-    before_boundary: Callable[[], None] | None = None,
+    before_boundary: Callable[[], Callable[[], None]] = lambda: _nothing,
 ) -> None:
     """Winding numbers of each mesh at each voxel of a slab, for its sign.
 
     Fills `values` (meshes, n, ny, nz) float32, or of meshes that have grids of their own all in one row, each as if it
     were closed. Where an open mesh's winding number is within a quarter of a whole number, it may be that number
     instead. `empty(length, dtype)` allocates workspace; for `most_columns` see `PlanOptions`.
-    `before_boundary` is called once all is queued that needs neither boundary nor caps.
+    `before_boundary` is called once all is queued that needs neither boundary nor caps, and what it gives before the
+    caps' moments are looked at.
     """
     device, total, meshes = values.device, values.size, slab.meshes or values.shape[0]
     flat = values.flatten()
@@ -216,23 +217,23 @@ def slab_winding(
     loose = FACES_AN_EDGE[0] * edges <= tree.count <= FACES_AN_EDGE[1] * edges
     by_edges = fast and not few and loose and edges <= MOST_EDGES[kind]
     with_caps = fast and not few and not by_edges
-    wait = before_boundary or _nothing
     if winding.kind == SOUP or (with_caps and winding.caps.are_faces):
         values.zero_()
-        wait()
+        before_moments = before_boundary()
     elif slab.turned != 0:
-        wait()
+        before_moments = before_boundary()
         launch(_count_at_voxels, total, [tree, winding.caps.tree, int(with_caps), slab, flat], device)
     else:
         values.zero_()
         counts = flat.view(wp.int32)
         scan_triangles(tree, slab, counts, meshes, empty, most_columns)
+        before_moments = before_boundary() if with_caps else _nothing
         if with_caps:
-            wait()
             scan_triangles(winding.caps.tree, slab, counts, meshes, empty, most_columns)
         launch(_sum_columns, meshes * slab.shape[1] * slab.shape[2], [slab, counts, flat], device)
         if not with_caps:
-            wait()
+            before_moments = before_boundary()
+    before_moments()
     if with_caps:
         open_caps(tree, winding.boundary, winding.caps, slab, values, empty)
     elif by_edges:

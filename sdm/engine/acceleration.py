@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import torch
@@ -20,7 +20,7 @@ from sdm.kernels.culling import normal_cones, voronoi_features
 from sdm.kernels.launch import set_array
 from sdm.kernels.winding import cap_tree, dipole_tree, winding_number
 from sdm.kernels.winding.boundary_term import gather_boundary
-from sdm.runtime.graphs.branches import Join, kernels_beside
+from sdm.runtime.graphs.branches import FRAMES, MOMENTS, Join, kernels_beside, nothing
 from sdm.runtime.torch_warp import ALIGNMENT, array_at, as_warp, on_current_stream, repeated_row, workspace
 from sdm.topology.boundary_edges import MeshTopology, boundary_edges
 from sdm.topology.cap_triangles import cap_triangles, turned_faces
@@ -335,7 +335,7 @@ def queue_build(
         bounds = torch.empty(6 * meshes, dtype=torch.float32, device=vertices.device)
         room = as_warp(bounds, wp.float32)
         fill_surface(structure.view, vertices, faces, topology.neighbours, room, join, tree_alone=tree_alone)
-        fill_boundary(structure, vertices, topology, room, for_maps=for_maps)
+        fill_boundary(structure, vertices, topology, room, for_maps=for_maps)()
     return structure
 
 
@@ -351,6 +351,7 @@ def fill_surface(
     gathered: Join | None = None,
     unjoined: list[Join] | None = None,
     fillers: bool = False,
+    is_reset: bool = False,
 ) -> None:
     """Queue the kernels that need no boundary, and fill each mesh's `bounds`, as `build_tree` does, with its options.
 
@@ -363,39 +364,53 @@ def fill_surface(
         corners = repeated_row(corners, view.tree.meshes)
     normals = empty(4 * count, wp.float32)
     keys, slots = empty(2 * count, wp.int64), empty(2 * count, wp.int32)
-    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, gathered, fillers=fillers)
-    if join is not None and (unjoined is None or tree_alone):
-        join()
+    shared, joins = as_warp(neighbours, wp.int32), []
+
+    def beside_boxes() -> None:
+        """What needs the triangles in their order, and no boxes: nothing of it fills a GPU."""
+        with kernels_beside(vertices, FRAMES) as join_frames:
+            triangle_frames.make_frames(view.tree, view.frames)
+        with kernels_beside(vertices, after=join) as join_cones:
+            normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
+        with kernels_beside(vertices, FRAMES, join) as join_features:
+            voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
+        joins.extend((join_frames, join_cones, join_features))
+        if gathered is not None:
+            gathered()
+
+    hook = gathered if tree_alone else beside_boxes
+    build_tree(view.tree, corners, triples, bounds, keys, slots, normals, hook, fillers=fillers, is_reset=is_reset)
     if tree_alone:
+        if join is not None:
+            join()
         return
-    shared = as_warp(neighbours, wp.int32)
-    # None of these fills a GPU by itself.
-    with kernels_beside(vertices, after=join) as join_cones:
-        normal_cones.make_cones(view.tree, normals, triples, shared, view.cones)
-    with kernels_beside(vertices, 2, join) as join_features:
-        voronoi_features.make_features(view.tree, corners, normals, triples, shared, view.features)
-    triangle_frames.make_frames(view.tree, view.frames)
+    join_frames, *others = joins
+    join_frames()
     if unjoined is None:
-        join_cones()
-        join_features()
+        for each in others:
+            each()
     else:
         # Branches read normals, whose memory is kept until then.
-        unjoined += [join_cones, join_features, lambda _kept=empty: None]
+        unjoined += [*others, lambda _kept=empty: None]
 
 
 def fill_boundary(
     structure: AccelerationStructure, vertices: Tensor, topology: MeshTopology, bounds: wp.array, for_maps: bool = False
-) -> None:
+) -> Join:
     """Queue the kernels that depend on a boundary, after those of `fill_surface`.
 
+    What it gives is to be called before the caps' moments are read.
     `for_maps`: the structure is for maps alone, so dipoles of a mesh with caps are left out: a launch a level.
     """
     view, meshes, kind = structure.view, structure.sizes.meshes, structure.kind
+    join: Join = nothing
     if kind in VISITING:
         empty, corners = workspace(vertices.device), as_warp(vertices, wp.vec3)
         gather_boundary(view.winding.boundary, view.tree, corners, as_warp(topology.boundary, wp.int32))
         room = 2 * structure.sizes.all_caps
         caps, keys, slots = as_warp(topology.caps, wp.int32), empty(room, wp.int64), empty(room, wp.int32)
-        cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots)
+        beside = partial(kernels_beside, vertices, MOMENTS)
+        join = cap_tree.build_caps(view.winding.caps, corners, caps, bounds, keys, slots, beside=beside)
     if kind in WITH_DIPOLES and not (for_maps and kind in VISITING):
         dipole_tree.build_moments(view.tree, view.winding.moments, meshes)
+    return join

@@ -40,11 +40,11 @@ def build_beside(
         fill_surface(structure.view, vertices, faces, topology.neighbours, room, join, unjoined=unjoined)
     cones, features, kept = unjoined
 
-    def boundary() -> None:
+    def boundary() -> Join:
         if join is not None:
             join()
         # `bounds` is kept until then, and what branches read until all are joined.
-        fill_boundary(structure, vertices, topology, as_warp(bounds, wp.float32), for_maps=True)
+        return fill_boundary(structure, vertices, topology, as_warp(bounds, wp.float32), for_maps=True)
 
     def join_features(_kept: Join = kept) -> None:
         features()

@@ -70,5 +70,5 @@ def build_first(vertices: Tensor, faces: Tensor) -> tuple[AccelerationStructure,
         else:
             structure = AccelerationStructure.in_block(sizes, device)
             structure.memory[0][: layout(without)[0]].copy_(closed.memory[0])
-        fill_boundary(structure, batch, topology, bounds, for_maps=True)
+        fill_boundary(structure, batch, topology, bounds, for_maps=True)()
     return structure, topology

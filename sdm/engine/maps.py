@@ -28,7 +28,7 @@ from sdm.engine.acceleration import (
 )
 from sdm.engine.build_beside import build_beside
 from sdm.engine.capacity.classes import class_of
-from sdm.engine.capacity.first_maps import class_map, has_room
+from sdm.engine.capacity.first_maps import class_map, has_room, looks_closed
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
@@ -100,7 +100,8 @@ def mesh_map(vertices: Tensor, faces: Tensor, grid: Grid) -> tuple[Tensor, Tenso
     if is_known(faces, count):
         return _unpacked(_known_maps(vertices[None], faces, grid))
     last, kind = guesses.last_numbers(faces, count), None
-    if USE_CLASSES and last is not None and has_room(last):
+    # Also of one that has as many as a mesh without room had, but looks closed.
+    if USE_CLASSES and ((last is not None and has_room(last)) or looks_closed(faces.shape[0], count)):
         kind = class_of(faces.shape[0], count, grid, memory_of(warp_name(faces.device)))
     if kind is not None:
         replayed = class_map(*kind, vertices, faces, grid)

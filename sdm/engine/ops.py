@@ -220,8 +220,7 @@ def _slab_distances(
     options = OPTIONS.get()
     if structure.device.type == "cpu":
         # Nothing is beside anything else.
-        for each in pending:
-            each()
+        pending.boundary()
         pending = dense.MADE
     query = partial(_query_slices, origin, direction, options, signed, pending)
     # Of a GPU's meshes the host does not know how large they are.

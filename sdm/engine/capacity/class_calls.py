@@ -18,15 +18,15 @@ from sdm.core.grid import Grid
 from sdm.engine.acceleration import AccelerationStructure, Sizes, fill_surface
 from sdm.engine.capacity.classes import MOST_EDGES, CapacityClass
 from sdm.engine.capacity.open_boundary import TOLD, OpenBoundary
-from sdm.engine.capacity.tables import ADDRESSES_AT, COUNTS_AT, TABLE, both_slabs, split_table, write_table
+from sdm.engine.capacity.tables import TABLE, both_slabs, split_table, write_table
 from sdm.kernels.bvh.tree import coarser
 from sdm.kernels.dense.plan import Decisions
 from sdm.kernels.dense.query import Pending, Surface, Target, output_of, run_stages
 from sdm.kernels.launch import set_array
-from sdm.kernels.topology.filler_faces import VALUES_AT, take_in, tell, tell_ambiguous
+from sdm.kernels.topology.filler_faces import VALUES_AT, copy_table, take_in, tell, tell_ambiguous
 from sdm.kernels.winding.column_sums import slab_winding
 from sdm.runtime.graphs import TableCall, Verify
-from sdm.runtime.graphs.branches import WINDING, Join, beside, kernels_beside
+from sdm.runtime.graphs.branches import WINDING, Join, beside, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
@@ -112,38 +112,44 @@ def _later(grid: Grid) -> int:
 
 
 class _Mesh(NamedTuple):
-    """A mesh in a recording's own memory, and the table's parts."""
+    """A mesh in a recording's own memory, room for the bounds of both, and the table's parts."""
 
     vertices: Tensor  # (room,3) float32
     faces: Tensor  # (room,3) int32
+    bounds: Tensor  # (12,) float32
     rows: Tensor
     addresses: Tensor
     counts: Tensor
     parts: Tensor
 
 
-def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, wrong: Tensor) -> _Mesh:
-    """Queue the copies of the table and of the mesh that it tells of; `wrong` (1,) is set if an index is."""
+def _take_in(kind: CapacityClass, device: torch.device, host: Tensor, zeros: Tensor) -> _Mesh:
+    """Queue the copies of the table and of the mesh that it tells of; the first of `zeros` is set if an index is wrong.
+
+    They are zero before, as is the rest of them.
+    """
     table = torch.empty(host.shape, dtype=host.dtype, device=device)
     rows, addresses, counts, parts = split_table(table)
     vertices = torch.empty((kind.vertices, 3), dtype=torch.float32, device=device)
     faces = torch.empty((kind.faces, 3), dtype=torch.int32, device=device)
+    bounds = torch.empty(12, dtype=torch.float32, device=device)
     with on_current_stream(table, table):
+        wrong = as_warp(zeros, wp.int32)
+        copy_table(host.data_ptr(), as_warp(table.view(torch.int64), wp.int64), wrong, as_warp(bounds, wp.float32))
         take_in(
-            host.data_ptr(),
-            ADDRESSES_AT,
-            COUNTS_AT,
-            as_warp(table.view(torch.int64), wp.int64),
+            as_warp(addresses, wp.int64),
+            as_warp(counts, wp.int32),
             as_warp(vertices, wp.vec3),
             as_warp(faces, wp.int32),
-            as_warp(wrong, wp.int32),
+            wrong,
         )
-    return _Mesh(vertices, faces, rows, addresses, counts, parts)
+    return _Mesh(vertices, faces, bounds, rows, addresses, counts, parts)
 
 
 def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify, table: Tensor) -> None:
-    wrong, ambiguous = torch.zeros(3, dtype=torch.int32, device=device).split([1, 2])
-    mesh = _take_in(kind, device, table, wrong)
+    zeros = torch.empty(3, dtype=torch.int32, device=device)
+    wrong, ambiguous = zeros.split([1, 2])
+    mesh = _take_in(kind, device, table, zeros)
     with beside(device) as join:
         found, _, neighbours = queue_pairing(mesh.faces, kind.vertices)
     with beside(device, TELLING, join) as told:
@@ -157,7 +163,7 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
 def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify: Verify, table: Tensor) -> None:
     boundary = OpenBoundary.empty(device, room)
     # The first flag is that of a vertex out of range.
-    mesh = _take_in(kind, device, table, boundary.numbers[:1])
+    mesh = _take_in(kind, device, table, boundary.memory)
     with beside(device) as join:
         found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices)
     with beside(device, TELLING, join) as joined:
@@ -192,7 +198,6 @@ def _queue_map(
     # Typed for meshes that share faces, but only these attributes are looked at.
     sizes = kind.sizes if boundary is None else kind.open_sizes(boundary.room)
     structure = AccelerationStructure.in_block(cast(Sizes, sizes), device)
-    bounds = torch.empty(12, dtype=torch.float32, device=device)
     # Of winding numbers: the distances go elsewhere.
     values = torch.empty((1, *kind.shape), dtype=torch.float32, device=device)
     address = as_warp(mesh.addresses[VALUES_AT : VALUES_AT + 1], wp.int64)
@@ -201,20 +206,23 @@ def _queue_map(
         set_array(tree, "parts", as_warp(mesh.parts, wp.int32))
         tree.meshes = 2
         view, empty = structure.view._replace(tree=tree), workspace(device)
-        box: Any = as_warp(bounds, wp.float32)
+        box: Any = as_warp(mesh.bounds, wp.float32)
         # What the first stages need comes before the neighbours are waited for.
         unjoined: list[Join] = []
-        fill_surface(view, vertices[None], mesh.faces, neighbours, box, join, fillers=True, unjoined=unjoined)
+        fill_surface(
+            view, vertices[None], mesh.faces, neighbours, box, join, unjoined=unjoined, fillers=True, is_reset=True
+        )
         target = Target(as_warp(values, wp.float32), as_warp(ambiguous, wp.int32), address)
         slab, winding = both_slabs(kind, mesh.rows), view.winding
         if boundary is not None:
             winding = boundary.winding(view)
 
-        def before_boundary() -> None:
-            if boundary is not None and joined is not None:
-                joined()
-                few = boundary.room <= kind.few_edges(device.type)
-                boundary.queue_winding(winding, view.tree, vertices, box, empty, few)
+        def before_boundary() -> Join:
+            if boundary is None or joined is None:
+                return nothing
+            joined()
+            few = boundary.room <= kind.few_edges(device.type)
+            return boundary.queue_winding(winding, view.tree, vertices, box, empty, few)
 
         with kernels_beside(values, WINDING) as join_winding:
             slab_winding(tree, winding, slab, target.values, empty, kind.plan.most_columns, before_boundary)

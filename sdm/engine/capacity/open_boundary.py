@@ -7,7 +7,7 @@ triangles of one point, which fill the room. So an open mesh that turns out to b
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import torch
@@ -21,6 +21,7 @@ from sdm.kernels.topology.boundary_loops import ALL_EDGES, NUMBERS
 from sdm.kernels.winding.boundary_term import gather_boundary
 from sdm.kernels.winding.cap_tree import build_caps
 from sdm.kernels.winding.winding_number import Winding
+from sdm.runtime.graphs.branches import MOMENTS, Join, kernels_beside, nothing
 from sdm.runtime.torch_warp import as_warp, on_current_stream, repeated_row, workspace
 
 # Numbers behind the flags of the join that the host reads.
@@ -71,8 +72,8 @@ class OpenBoundary(NamedTuple):
 
     @classmethod
     def empty(cls, device: torch.device, room: int) -> OpenBoundary:
-        """New tensors."""
-        return cls.of_memory(torch.zeros(cls.length(room), dtype=torch.int32, device=device), room)
+        """New tensors, not zero yet."""
+        return cls.of_memory(torch.empty(cls.length(room), dtype=torch.int32, device=device), room)
 
     @property
     def room(self) -> int:
@@ -110,13 +111,19 @@ class OpenBoundary(NamedTuple):
 
     def queue_winding(
         self, winding: Any, tree: Any, vertices: Tensor, bounds: wp.array, empty: Any, edges_alone: bool
-    ) -> None:
-        """Queue kernels that fill `winding`, whose `tree` is there: of `edges_alone` without caps."""
+    ) -> Join:
+        """Queue kernels that fill `winding`, whose `tree` is there: of `edges_alone` without caps.
+
+        What it gives is to be called before the caps' moments are read.
+        """
         corners = as_warp(vertices[None], wp.vec3)
         gather_boundary(winding.boundary, tree, corners, as_warp(self.edges, wp.int32))
         if edges_alone:
-            return
+            return nothing
         room = 2 * self.caps.shape[0]
         keys, slots = empty(room, wp.int64), empty(room, wp.int32)
         caps = as_warp(self.caps, wp.int32)
-        build_caps(winding.caps, repeated_row(corners, 2), caps, bounds, keys, slots, fillers=True)
+        beside = partial(kernels_beside, vertices, MOMENTS)
+        return build_caps(
+            winding.caps, repeated_row(corners, 2), caps, bounds, keys, slots, fillers=True, beside=beside
+        )

@@ -33,7 +33,6 @@ from sdm.runtime.torch_warp import as_warp
 # The table, in numbers of 8 bytes: both slabs' rows, the addresses, then the counts and both meshes' parts as whole
 # numbers, two in the room of one.
 _ROWS = 2 * SLAB_ROW
-ADDRESSES_AT, COUNTS_AT = _ROWS, _ROWS + ADDRESSES
 _NUMBERS = COUNTS + 2 * PART_SIZE
 TABLE = _ROWS + ADDRESSES + -(-_NUMBERS // 2)
 _FORMAT = struct.Struct(f"={_ROWS}d{ADDRESSES}q{_NUMBERS}i")

@@ -116,7 +116,7 @@ class RaggedStructure:
             vertices = self.meshes[mesh].vertices.detach()[None]
             with on_current_stream(vertices, vertices, *tensors, self.bounds, *topology):
                 bounds = as_warp(self.bounds[6 * mesh :][:6], wp.float32)
-                fill_boundary(structure, vertices, topology, bounds, for_maps=for_maps)
+                fill_boundary(structure, vertices, topology, bounds, for_maps=for_maps)()
         return structure
 
     @cached_property

@@ -19,8 +19,8 @@ from sdm.runtime.torch_warp import on_current_stream, warp_stream
 Join: TypeAlias = Callable[[], None]
 
 
-# Branches that a graph may have beside each other, and the one of winding numbers.
-BRANCHES, WINDING = 4, 3
+# Branches that a graph may have beside each other; those of frames, winding numbers, and caps' moments for these.
+BRANCHES, FRAMES, WINDING, MOMENTS = 5, 2, 3, 4
 
 
 @cache
@@ -46,7 +46,7 @@ def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> 
         after: What of another branch comes before it.
     """
     if not is_recording(device):
-        yield _nothing
+        yield nothing
         return
     main = torch.cuda.current_stream(device.index)
     side = side_streams(main.device_index)[branch]
@@ -67,7 +67,7 @@ def beside(device: torch.device, branch: int = 0, after: Join | None = None) -> 
 def kernels_beside(tensor: Tensor, branch: int = 0, after: Join | None = None) -> Iterator[Join]:
     """`beside`, for Warp's kernels on `tensor`'s device, whose current stream is Warp's already."""
     if not is_recording(tensor.device):
-        yield _nothing
+        yield nothing
         return
     with beside(tensor.device, branch, after) as join, on_current_stream(tensor):
         yield join
@@ -78,5 +78,5 @@ def is_recording(device: torch.device) -> bool:
     return device.type == "cuda" and torch.cuda.is_current_stream_capturing()
 
 
-def _nothing() -> None:
-    pass
+def nothing() -> None:
+    """A `Join` that waits for nothing."""
