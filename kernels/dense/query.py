@@ -57,7 +57,7 @@ def _nothing() -> None:
 
 
 class Pending(NamedTuple):
-    """What has to be called before parts of a surface are looked at, if they are made beside a query's first stages."""
+    """Calls before parts of a surface are looked at, where those are made beside a query's first stages."""
 
     boundary: Callable[[], Callable[[], None]] = lambda: _nothing  # see `slab_winding`
     cones: Callable[[], None] = _nothing

@@ -12,7 +12,6 @@ import warp as wp
 from torch import Tensor
 
 from sdm.engine.acceleration import (
-    MOST_BOUNDARY_EDGES,
     AccelerationStructure,
     Sizes,
     closed_by_faces,
@@ -22,6 +21,7 @@ from sdm.engine.acceleration import (
     layout,
     topology_for,
 )
+from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES
 from sdm.runtime.torch_warp import as_warp, on_current_stream
 from sdm.topology import guesses
 from sdm.topology.boundary_edges import MeshTopology

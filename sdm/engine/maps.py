@@ -26,12 +26,12 @@ from sdm.engine.acceleration import (
     kind_of,
     topology_for,
 )
-from sdm.engine.build_beside import build_beside
 from sdm.engine.capacity.classes import class_of
 from sdm.engine.capacity.first_maps import class_map, has_room, looks_closed
 from sdm.engine.first_build import build_first
 from sdm.engine.ops import map_slab, structure_slab
 from sdm.engine.plan_override import OPTIONS
+from sdm.engine.structure.build_beside import build_beside
 from sdm.errors import GridError
 from sdm.kernels.dense.cost_model import THINNEST_SLAB
 from sdm.kernels.dense.plan import memory_of

@@ -18,8 +18,9 @@ from torch import Tensor
 from sdm.core.grid import Grid
 from sdm.core.mesh import TriangleMesh
 from sdm.core.voxel_points import voxel_points
-from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, AccelerationStructure, build
+from sdm.engine.acceleration import AccelerationStructure, build
 from sdm.engine.ops import points_winding
+from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES
 from sdm.inspect.duplicates import first_copies
 from sdm.inspect.positions import first_at_position
 from sdm.topology.boundary_edges import boundary_edges

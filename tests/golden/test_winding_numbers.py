@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import cube
 
 VERTICES, FACES = cube()
@@ -22,7 +22,7 @@ def _winding(faces: np.ndarray, points: list[list[float]], vertices: np.ndarray 
 def way(request, monkeypatch):
     """Both ways in which open meshes are counted; the second is good to 4e-4 here."""
     if request.param == "dipoles":
-        monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+        monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
         return 2e-3
     return 1e-6
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import generated_names, load_case
 from tests.helpers import oracle
 from tests.helpers.exactness import ROUNDING, assert_exact, scale_of
@@ -85,7 +85,7 @@ def test_maps(name):
 
 @pytest.mark.parametrize("edges", [0, 1024])
 def test_batches(monkeypatch, edges):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", edges)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", edges)
     rng = np.random.default_rng(5)
     vertices = rng.normal(size=(5, 60, 3)).astype(np.float32)
     faces = rng.integers(0, 60, (120, 3)).astype(np.int32)

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import cube, sphere
 from tests.helpers import strategies
 from tests.helpers.exactness import assert_exact, assert_winding
@@ -29,7 +29,7 @@ def test_points(mesh, seed):
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=strategies.anywhere(strategies.soups(40)), seed=strategies.seeds)
 def test_soups(monkeypatch, mesh, seed):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
     points = strategies.points_about(mesh, seed)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
     assert_exact(mesh.vertices, mesh.faces, points, index.signed_distance(points))
@@ -38,8 +38,8 @@ def test_soups(monkeypatch, mesh, seed):
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds, shape=st.tuples(*[st.integers(1, 20)] * 3))
 def test_many_boundary_edges(monkeypatch, mesh, seed, shape):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
-    monkeypatch.setattr(sdm.engine.acceleration, "FEWEST_FACES_AN_EDGE", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "FEWEST_FACES_AN_EDGE", 0)
     points = strategies.points_about(mesh, seed)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cuda")
     assert_exact(mesh.vertices, mesh.faces, points, index.signed_distance(points))

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from tests.helpers import strategies
 from tests.helpers.exactness import assert_exact, assert_winding
 
@@ -19,7 +19,7 @@ meshes = st.one_of(strategies.soups(), strategies.slivers(), strategies.closed()
 @settings(max_examples=3000, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mesh=strategies.anywhere(meshes), seed=strategies.seeds)
 def test_points(monkeypatch, edges, mesh, seed):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", edges)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", edges)
     points = strategies.points_about(mesh, seed)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     assert_exact(mesh.vertices, mesh.faces, points, index.signed_distance(points))

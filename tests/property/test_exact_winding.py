@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from tests.helpers import oracle, strategies
 from tests.helpers.exactness import ROUNDING, assert_exact, assert_winding, scale_of
 
@@ -31,7 +31,7 @@ def test_closed_and_open(mesh, seed):
 @given(mesh=strategies.anywhere(st.one_of(strategies.soups(40), strategies.slivers(40))), seed=strategies.seeds)
 def test_soup(monkeypatch: pytest.MonkeyPatch, mesh, seed):
     """The tree of dipoles: within 4e-4 near 0.25, 0.5 and 0.75, elsewhere on the right side of them."""
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
     points = strategies.points_about(mesh, seed)
     index = sdm.MeshIndex(sdm.TriangleMesh(*mesh), "cpu")
     found = index.winding_number(points).double().numpy()
@@ -53,7 +53,7 @@ def test_soup_of_many_triangles():
     rng = np.random.default_rng(2)
     points = rng.uniform(-1.5, 1.5, (1500, 3)).astype(np.float32)
     index = sdm.MeshIndex(sdm.TriangleMesh(case.vertices, case.faces), "cpu")
-    assert len(case) * 3 > sdm.engine.acceleration.MOST_BOUNDARY_EDGES
+    assert len(case) * 3 > sdm.engine.structure.sizes.MOST_BOUNDARY_EDGES
     found = index.winding_number(points).double().numpy()
     expected = oracle.winding_number(case.vertices, case.faces, points)
     for threshold in (0.25, 0.5, 0.75):

@@ -14,8 +14,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from sdm.core.grid import IDENTITY, Grid
-from sdm.engine.acceleration import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.engine.plan_override import OPTIONS
+from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_large_leaves, shares_of, uneven_room
 from sdm.kernels.dense.plan import Decisions, Plan, Workload, decide, joint_plan, make_plan

@@ -95,7 +95,7 @@ class OpenBoundary(NamedTuple):
             )
 
     def winding(self, view: Any) -> Any:
-        """What winding numbers are found by, in a structure's `view`: filled by `queue_winding`."""
+        """Winding data in a structure's `view`, which `queue_winding` fills."""
         winding: Any = Winding()
         for name in ("ends", "lattice"):
             set_array(winding.boundary, name, getattr(view.winding.boundary, name))

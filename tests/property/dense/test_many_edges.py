@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import load_case
 from sdm.kernels.winding import winding_number as kinds
 from tests.helpers import strategies
@@ -24,8 +24,8 @@ shared = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @pytest.fixture
 def many(monkeypatch):
     """Every open mesh counts as one with many boundary edges."""
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
-    monkeypatch.setattr(sdm.engine.acceleration, "FEWEST_FACES_AN_EDGE", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "FEWEST_FACES_AN_EDGE", 0)
 
 
 @settings(shared, max_examples=60)
@@ -58,8 +58,8 @@ def test_signs_are_those_of_the_tree_of_dipoles(monkeypatch):
     assert index._structure.kind == kinds.MANY
     values = index.signed_distance_map(grid)
     at = grid.points().reshape(-1, 3)
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_FOR_VOXELS", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_FOR_GROUPS", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_FOR_VOXELS", 0)
     other = sdm.MeshIndex(mesh, "cpu")
     assert other._structure.kind == kinds.SOUP
     winding = other.winding_number(at).reshape(grid.shape)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.bench.common.oracles.brute_force import Brute
 from sdm.kernels.winding import column_sums, open_caps
@@ -114,8 +114,8 @@ def test_the_same_bits_and_as_many_ambiguous_voxels(mesh, shape, turned, last, s
 def test_the_faces_themselves_for_caps(mesh, shape, turned, last, seed):
     """As meshes with many boundary edges have them, if those are more than the faces."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
-        patch.setattr(sdm.engine.acceleration, "MOST_FOR_GROUPS", 0)
+        patch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
+        patch.setattr(sdm.engine.structure.sizes, "MOST_FOR_GROUPS", 0)
         patch.setitem(open_caps.SUMMED, "cpu", ((last, np.inf, np.inf),) if last > 0 else ())
         patch.setitem(edge_boxes.MOST_EDGES, "cpu", np.inf if last == 3 else 0)
         patch.setattr(column_sums, "FACES_AN_EDGE", (0, np.inf))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdm
-import sdm.engine.acceleration
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import load_case
 from tests.helpers import oracle, strategies
 from tests.helpers.exactness import ROUNDING, scale_of
@@ -89,7 +89,7 @@ def test_batch_and_single(mesh, count, seed):
 
 @pytest.mark.parametrize("boundary", [0, 1024])
 def test_a_batch_of_soups(monkeypatch, boundary):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", boundary)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", boundary)
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(4, 30, 3)).astype(np.float32)
     faces = rng.integers(0, 30, (50, 3)).astype(np.int32)

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import sdm
-import sdm.engine.acceleration
 import sdm.engine.ops
+import sdm.engine.structure.sizes
 from sdm.bench.common.meshes import sphere
 from sdm.engine.acceleration import build
 
@@ -67,7 +67,7 @@ def _check_maps(case: tuple[bool, bool, int], meshes: int, direction: list[float
 
 
 def test_soup(monkeypatch):
-    monkeypatch.setattr(sdm.engine.acceleration, "MOST_BOUNDARY_EDGES", 0)
+    monkeypatch.setattr(sdm.engine.structure.sizes, "MOST_BOUNDARY_EDGES", 0)
     vertices, faces, tensors, kind = _inputs(True, True, 3)
     leaf = vertices[0].detach().requires_grad_()
     torch.library.opcheck(torch.ops.sdm.closest.default, (leaf, faces, _points(True), tensors, kind))

@@ -1,0 +1,1 @@
+"""Sizes of an acceleration structure, and its build beside a map."""
