@@ -280,7 +280,7 @@ def fill_surface(
     shared, joins = as_warp(neighbours, wp.int32), []
 
     def beside_boxes() -> None:
-        """What needs the triangles in their order, and no boxes: nothing of it fills a GPU."""
+        """Launches that need the triangles in their order, and no boxes: none of them fills a GPU."""
         with kernels_beside(vertices, FRAMES) as join_frames:
             triangle_frames.make_frames(view.tree, view.frames)
         with kernels_beside(vertices, after=join) as join_cones:

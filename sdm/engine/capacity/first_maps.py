@@ -84,7 +84,7 @@ def class_map(
 def _attempt(
     make: Any, kind: CapacityClass, decisions: Decisions, room: int, given: tuple[Tensor, Tensor, Grid]
 ) -> tuple[ClassMap | None, list[int]]:
-    """What a class's recording gives; that of a larger class, if there is one, until its own is worth the time."""
+    """Result of a class's recording; of that of a larger class, if there is one, until its own is worth the time."""
     device, others = given[0].device, []
     if not graphs.is_recorded(device, class_key(kind, room)):
         memory = memory_of(warp_name(device))
