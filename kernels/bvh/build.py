@@ -42,8 +42,9 @@ from sdm.kernels.primitives.vector_loads import read4, write4
 
 wp.set_module_options({"enable_backward": False})
 
-# Levels of boxes that one launch makes, and triangles that each lane looks at for the mesh's.
-LEVELS_AT_ONCE, RUN = 8, 8
+# Most levels of boxes that one launch makes; and triangles that each lane looks at for the mesh's, of few and of many.
+LEVELS_AT_ONCE, FEW_RUN, RUN = 8, 2, 8
+FEW_TRIANGLES = 1 << 15
 LARGEST_SCALE = wp.float64(2.0**126)
 # Bytes of a triangle's corners on the lattice.
 _LATTICE_SIZE = 24
@@ -281,8 +282,9 @@ def reduce_bounds(tree: Tree, vertices: wp.array, faces: wp.array, bounds: wp.ar
     """
     device: Any = vertices.device
     meshes, lanes = vertices.shape[0], GPU_LANES if device.is_cuda else 1
-    groups = meshes * -(-tree.count // (RUN * lanes))
-    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, RUN, bounds], device)
+    run = FEW_RUN if tree.count <= FEW_TRIANGLES else RUN
+    groups = meshes * -(-tree.count // (run * lanes))
+    launch(_reduce_bounds, groups * lanes, [lanes, tree, vertices, faces, run, bounds], device)
 
 
 def build_tree(
@@ -350,9 +352,10 @@ def build_in_frame(
     if gathered is not None:
         gathered()
     level = tree.depth + 1
+    # A launch costs more than a few boxes one after the other; of several each takes about as many.
+    at_once = -(-level // -(-level // LEVELS_AT_ONCE))
     while level > 0:
-        # A launch costs more than a few boxes one after the other.
-        lowest, levels = tree.depth + 1 - level, min(level, LEVELS_AT_ONCE)
+        lowest, levels = tree.depth + 1 - level, min(level, at_once)
         level -= levels
         inputs = [lanes, tree, lowest, 1 << level, levels]
         launch(_bound_levels, (meshes << level) * lanes, inputs, device, smallest=8)
