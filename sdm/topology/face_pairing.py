@@ -13,6 +13,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from sdm.errors import MeshError
 from sdm.kernels.topology.edge_pairing import FLAGS, pair_edges
+from sdm.kernels.topology.edge_table import pair_by_table
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 
 # Of faces seen before, with the state in which they were seen: a stream asks about the same ones for every batch.
@@ -118,13 +119,15 @@ def _remember(faces: Tensor, state: tuple[int, int] | None, pairing: Pairing) ->
         _numbers = {id(other) for other in list(_known)}
 
 
-def queue_pairing(faces: Tensor, count: int, within: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+def queue_pairing(
+    faces: Tensor, count: int, within: Tensor | None = None, *, by_table: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
     """The pairing by `sdm.kernels.topology.edge_pairing` of contiguous faces, once the device gets there.
 
     Returns:
         The flags (FLAGS,), the unmatched edges (3 * F, 3), of which the flags tell how many, and (F,4) what
         `neighbours` returns: all int32. No index out of range does harm here, and in `within` (F,3), if it is given,
-        the faces are written without any: each is brought into it.
+        the faces are written without any: each is brought into it. `by_table`: by `edge_table`, of faces without any.
     """
     total = faces.numel()
     counts = torch.empty(count + FLAGS, dtype=torch.int32, device=faces.device)
@@ -137,15 +140,12 @@ def queue_pairing(faces: Tensor, count: int, within: Tensor | None = None) -> tu
     unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
     around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):
-        pair_edges(
-            as_warp(faces, wp.int32),
-            as_warp(first, wp.int32),
-            as_warp(flags, wp.int32),
-            as_warp(unmatched, wp.int32),
-            as_warp(around, wp.int32),
-            workspace(faces.device),
-            None if within is None else as_warp(within, wp.int32),
-        )
+        arrays: Any = [as_warp(tensor, wp.int32) for tensor in (faces, first, flags, unmatched, around)]
+        if by_table:
+            pair_by_table(*arrays, workspace(faces.device))
+        else:
+            given = None if within is None else as_warp(within, wp.int32)
+            pair_edges(*arrays, workspace(faces.device), given)
     return flags, unmatched, around
 
 

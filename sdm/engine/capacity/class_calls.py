@@ -151,7 +151,7 @@ def _queue_closed_map(kind: CapacityClass, device: torch.device, verify: Verify,
     wrong, ambiguous = zeros.split([1, 2])
     mesh = _take_in(kind, device, table, zeros)
     with beside(device) as join:
-        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices)
+        found, _, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
     with beside(device, TELLING, join) as told:
         verify(torch.cat([wrong, found]))
         none = found[:0]
@@ -165,7 +165,7 @@ def _queue_open_map(kind: CapacityClass, room: int, device: torch.device, verify
     # The first flag is that of a vertex out of range.
     mesh = _take_in(kind, device, table, boundary.memory)
     with beside(device) as join:
-        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices)
+        found, unmatched, neighbours = queue_pairing(mesh.faces, kind.vertices, by_table=True)
     with beside(device, TELLING, join) as joined:
         boundary.queue_joining(unmatched, found, mesh.vertices)
     with beside(device, TELLING) as told:

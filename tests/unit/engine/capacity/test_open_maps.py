@@ -16,6 +16,7 @@ from sdm.engine.capacity.classes import LEAST_FEW, MOST_EDGES, class_of
 from sdm.engine.capacity.open_boundary import OpenBoundary
 from sdm.engine.plan_override import plan_override
 from sdm.kernels.topology.boundary_loops import FLAGS, TANGLED, WRONG_EDGES, WRONG_UNMATCHED, WRONG_VERTEX
+from sdm.kernels.topology.edge_table import MOST_ALIKE
 from sdm.kernels.winding.rims import every_voxel
 from sdm.topology.boundary_edges import boundary_edges
 from sdm.topology.face_pairing import neighbours, pairing_of
@@ -153,9 +154,16 @@ def test_what_does_not_fit_is_told():
     # 40 triangles at one edge: each of it is a loop through the same two vertices.
     fan = torch.cat([faces[:-1], faces[:1].expand(40, 3)]).contiguous()
     assert _class_map(vertices, fan, grid)[2][TANGLED] != 0
-    times = torch.cat([faces[:-1], faces[:1].expand(MOST_EDGES, 3)]).contiguous()
-    more = _class_map(vertices, times, grid)[2]
-    assert more[WRONG_EDGES] == 3 * MOST_EDGES + 3 - MOST_EDGES
+    # Three of each triangle of a few, so that edges count three times.
+    some = torch.cat(3 * [faces[::8]]).contiguous()
+    rows = len(pairing_of(some, len(vertices)).unmatched)
+    more = _class_map(vertices, some, grid)[2]
+    assert rows <= MOST_EDGES
+    assert more[WRONG_UNMATCHED] == 0
+    assert more[WRONG_EDGES] == len(boundary_edges(vertices, some)) - MOST_EDGES > 0
+    # With more of one edge than its list is looked through for, whoever asks has to sort.
+    times = torch.cat([faces[:-1], faces[:1].expand(MOST_ALIKE + 1, 3)]).contiguous()
+    assert _class_map(vertices, times, grid)[2][WRONG_VERTEX] != 0
 
 
 def test_what_has_no_room_leaves_no_index_out_of_range():
