@@ -140,12 +140,15 @@ def queue_pairing(
     unmatched = torch.empty(total, 3, dtype=torch.int32, device=faces.device)
     around = torch.empty(faces.shape[0], 4, dtype=torch.int32, device=faces.device)
     with on_current_stream(faces, faces):
-        arrays: Any = [as_warp(tensor, wp.int32) for tensor in (faces, first, flags, unmatched, around)]
+        empty = workspace(faces.device)
+        given, firsts, found, rows, beside = (
+            as_warp(each, wp.int32) for each in (faces, first, flags, unmatched, around)
+        )
         if by_table:
-            pair_by_table(*arrays, workspace(faces.device))
+            pair_by_table(given, firsts, found, rows, beside, empty)
         else:
-            given = None if within is None else as_warp(within, wp.int32)
-            pair_edges(*arrays, workspace(faces.device), given)
+            brought = None if within is None else as_warp(within, wp.int32)
+            pair_edges(given, firsts, found, rows, beside, empty, brought)
     return flags, unmatched, around
 
 
