@@ -30,7 +30,7 @@ from sdm.kernels.winding.settled_boxes import is_sure, is_whole, opened
 wp.set_module_options({"enable_backward": False})
 
 # Edges times voxels that are added up on a GPU in the time that boxes take; and threads that fill one.
-MOST_SUMS = {"cuda": 3e7, "cpu": 0.0}
+MOST_SUMS = {"cuda": 4.5e7, "cpu": 0.0}
 THREADS = 1 << 18
 
 
