@@ -93,13 +93,13 @@ def is_known(faces: Tensor, count: int) -> bool:
     return known is not None and now is not None and known[0] == now
 
 
-def remember_closed(faces: Tensor, count: int, around: Tensor) -> None:
+def remember_closed(faces: Tensor, count: int, around: Tensor, ready: torch.cuda.Event | None = None) -> None:
     """Remember of faces that none of their edges is unmatched, and their neighbours (F,4).
 
-    The neighbours may still be under way on the current stream of their device: other streams wait when they ask.
+    The neighbours may still be under way on the current stream of their device: other streams wait when they ask, for
+    `ready` if there is such an event.
     """
-    ready = None
-    if around.is_cuda:
+    if ready is None and around.is_cuda:
         ready = torch.cuda.Event()
         ready.record(torch.cuda.current_stream(around.device))
     remember(faces, count, Pairing(faces.new_empty((0, 3)), around, ready=ready))

@@ -22,4 +22,4 @@ def by_table(call: TableCall) -> tuple[Any, list[int], int]:
         told = count
 
     call.work(verify, table)
-    return results, said, told
+    return results if call.launched is None else call.launched(results), said, told

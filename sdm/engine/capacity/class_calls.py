@@ -94,17 +94,24 @@ def open_class_call(
     """
     device, count = faces.device, faces.shape[0]
 
-    def fill(table: Any) -> ClassMap:
+    lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
+
+    def fill(table: Any) -> tuple[Tensor, Tensor]:
         values = torch.empty(kind.shape, dtype=torch.float32, device=device)
-        lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
         told = torch.empty(sum(lengths), dtype=torch.int32, device=device)
+        at = told.data_ptr()
+        places = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), at + 4 * sum(lengths[:-1]), at
+        write_table(table, kind, decisions, count, vertices.shape[0], grid, places)
+        return values, told
+
+    def launched(filled: tuple[Tensor, Tensor]) -> ClassMap:
+        values, told = filled
         neighbours, unmatched, boundary, ambiguous = told.split(lengths)
-        at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), ambiguous.data_ptr(), told.data_ptr()
-        write_table(table, kind, decisions, count, vertices.shape[0], grid, at)
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(room, 3), boundary)
 
     key, work = class_key(kind, room), partial(_queue_open_map, kind, room, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid) + later)
+    later += _later(grid)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, launched)
 
 
 def _later(grid: Grid) -> int:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from sdm.core.grid import Grid
@@ -60,7 +59,7 @@ def class_map(
     if looks_closed(faces.shape[0], count):
         found, said = _attempt(class_call, kind, decisions, 0, given)
         if found is not None:
-            remember_closed(faces, count, found.neighbours)
+            remember_closed(faces, count, found.neighbours, graphs.last_launch(device))
             return found.values, None
         # Flags of `class_call`.
         if said and (said[0] or said[1]):
@@ -98,15 +97,12 @@ def _attempt(
 
 def _remember(vertices: int, faces: Tensor, found: ClassMap, room: int, rows: int, edges: int) -> Tensor | None:
     """Remember the topology of faces that were just found open, and give the ambiguous voxels."""
+    ready = graphs.last_launch(faces.device)
     if rows == 0 or found.unmatched is None or found.boundary is None:
-        remember_closed(faces, vertices, found.neighbours)
+        remember_closed(faces, vertices, found.neighbours, ready)
         return None
-    ready = torch.cuda.Event() if faces.is_cuda else None
-    if ready is not None:
-        ready.record(torch.cuda.current_stream(faces.device))
     pairing = Pairing(found.unmatched[:rows], found.neighbours, ready=ready)
     remember(faces, vertices, pairing)
-    boundary = OpenBoundary.of_memory(found.boundary, room)
-    remember_joined(pairing, boundary.edges[:edges], boundary.caps[:edges])
+    remember_joined(pairing, *OpenBoundary.joined(found.boundary, room, edges))
     guesses.remember_numbers(faces, vertices, guesses.Guess(rows, edges))
     return found.ambiguous if edges else None

@@ -66,6 +66,17 @@ class OpenBoundary(NamedTuple):
         return cls(memory, *(piece.view(size) for piece, size in zip(pieces, sizes, strict=True)))
 
     @staticmethod
+    def joined(memory: Tensor, room: int, count: int) -> tuple[Tensor, Tensor]:
+        """Boundary edges (count,2) and caps (count,3) in such a piece of memory."""
+        before = 0
+        found = {}
+        for name, size in _sizes(room).items():
+            if name in ("edges", "caps"):
+                found[name] = memory[before : before + count * size[1]].view(count, size[1])
+            before += math.prod(size)
+        return found["edges"], found["caps"]
+
+    @staticmethod
     def length(room: int) -> int:
         """Numbers in that memory."""
         return sum(math.prod(size) for size in _sizes(room).values())

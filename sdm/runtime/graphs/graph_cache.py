@@ -11,6 +11,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
 
+import torch
+
 from sdm.runtime.graphs.captured_call import CapturedCall, Recording, Work
 from sdm.runtime.graphs.memory_pool import MemoryPool
 
@@ -60,6 +62,11 @@ class GraphCache:
     def needed(self) -> int:
         """Calls of one kind until they are recorded."""
         return self._needed[False]
+
+    @property
+    def last_launch(self) -> torch.cuda.Event | None:
+        """Event after the last launch of a recording."""
+        return self._pool.last_launch
 
     def __len__(self) -> int:
         return len(self._captured)

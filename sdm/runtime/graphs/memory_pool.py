@@ -58,6 +58,11 @@ class MemoryPool:
         """
         return self._last is not None and self._last.by_default
 
+    @property
+    def last_launch(self) -> torch.cuda.Event | None:
+        """Event after the last launch."""
+        return self._last.event if self._last else None
+
     def begin_launch(self, stream: torch.cuda.Stream) -> None:
         """Make a stream wait for the launch before."""
         if self._last is None:
