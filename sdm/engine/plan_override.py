@@ -10,9 +10,9 @@ from typing import Any
 
 from sdm.kernels.plan_options import PlanOptions
 
-_USUAL = PlanOptions()
+USUAL = PlanOptions()
 # Read as a call is planned. Recordings of calls are told apart by it.
-OPTIONS: ContextVar[PlanOptions] = ContextVar("OPTIONS", default=_USUAL)
+OPTIONS: ContextVar[PlanOptions] = ContextVar("OPTIONS", default=USUAL)
 
 
 @contextmanager

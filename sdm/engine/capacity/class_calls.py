@@ -7,8 +7,9 @@ which know nothing of boundaries.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import torch
 import warp as wp
@@ -30,6 +31,8 @@ from sdm.runtime.graphs.branches import WINDING, Join, beside, kernels_beside, n
 from sdm.runtime.torch_warp import as_warp, on_current_stream, workspace
 from sdm.topology.face_pairing import queue_pairing
 
+# See `TableCall`.
+Instead: TypeAlias = Callable[[], "TableCall[ClassMap] | None"]
 # The branch of what is told of a mesh's faces: nothing of a closed mesh's map waits for it.
 TELLING = 1
 # Bytes of maps that gain little by a recording, which keeps as much memory again: of a single one none is made.
@@ -60,23 +63,28 @@ def class_key(kind: CapacityClass, room: int = 0) -> tuple[str, CapacityClass, i
 
 
 def class_call(
-    kind: CapacityClass, decisions: Decisions, vertices: Tensor, faces: Tensor, grid: Grid, later: int = 0
+    kind: CapacityClass,
+    decisions: Decisions,
+    vertices: Tensor,
+    faces: Tensor,
+    grid: Grid,
+    instead: Instead | None = None,
 ) -> TableCall[ClassMap]:
     """The call that makes the map of a mesh, if it is closed: `vertices` (V,3) and `faces` (F,3) are contiguous.
 
-    The flags are of a vertex out of range, twice, and the number of unmatched edges. `later`: of a `TableCall`.
+    The flags are of a vertex out of range, twice, and the number of unmatched edges. `instead`: of a `TableCall`.
     """
     device = faces.device
 
     def fill(table: Any) -> ClassMap:
-        values = torch.empty(kind.shape, dtype=torch.float32, device=device)
-        neighbours = torch.empty((faces.shape[0], 4), dtype=torch.int32, device=device)
+        # Of the inputs' types and device: fewer words for torch to read.
+        values, neighbours = vertices.new_empty(kind.shape), faces.new_empty((faces.shape[0], 4))
         at = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), 0, neighbours.data_ptr()
         write_table(table, kind, decisions, faces.shape[0], vertices.shape[0], grid, at)
         return ClassMap(values, neighbours)
 
     key, work = class_key(kind), partial(_queue_closed_map, kind, device)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid) + later)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid), instead)
 
 
 def open_class_call(
@@ -85,7 +93,7 @@ def open_class_call(
     vertices: Tensor,
     faces: Tensor,
     grid: Grid,
-    later: int = 0,
+    instead: Instead | None = None,
     room: int = MOST_EDGES,
 ) -> TableCall[ClassMap]:
     """The same of a mesh that is open by up to `room` unmatched and boundary edges, or by none.
@@ -97,8 +105,7 @@ def open_class_call(
     lengths = [4 * count, 3 * room, OpenBoundary.length(room), 1]
 
     def fill(table: Any) -> tuple[Tensor, Tensor]:
-        values = torch.empty(kind.shape, dtype=torch.float32, device=device)
-        told = torch.empty(sum(lengths), dtype=torch.int32, device=device)
+        values, told = vertices.new_empty(kind.shape), faces.new_empty(sum(lengths))
         at = told.data_ptr()
         places = vertices.data_ptr(), faces.data_ptr(), values.data_ptr(), at + 4 * sum(lengths[:-1]), at
         write_table(table, kind, decisions, count, vertices.shape[0], grid, places)
@@ -110,8 +117,7 @@ def open_class_call(
         return ClassMap(values, neighbours.view(count, 4), ambiguous, unmatched.view(room, 3), boundary)
 
     key, work = class_key(kind, room), partial(_queue_open_map, kind, room, device)
-    later += _later(grid)
-    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], later, launched)
+    return TableCall(key, work, device, TABLE, fill, (vertices, faces), key[0], _later(grid), instead, launched)
 
 
 def _later(grid: Grid) -> int:

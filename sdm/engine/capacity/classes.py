@@ -11,10 +11,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sdm.core.grid import IDENTITY, Grid
-from sdm.engine.plan_override import OPTIONS
+from sdm.engine.plan_override import OPTIONS, USUAL
 from sdm.engine.structure.sizes import MOST_BOUNDARY_EDGES, MeshKind
 from sdm.kernels.bvh.tree import TRIANGLES_PER_LEAF, depth_for
 from sdm.kernels.dense.cost_model import UNEVEN, leaves_are_long, levels_of_large_leaves, shares_of, uneven_room
@@ -126,17 +126,33 @@ def class_of(faces: int, vertices: int, grid: Grid, memory: int | None) -> tuple
     options, turned = OPTIONS.get(), grid.direction is not IDENTITY and grid.direction != IDENTITY
     uneven = uneven_room(grid.spacing, turned) > 1
     least, most = bounds_of(faces)
-    decisions = _of_all(least, most, grid.shape, memory is not None, options)
-    if decisions is None:
-        # All that decides about bits, and no more: a plan takes the host as long as some launches.
-        decisions = _decided(faces, grid.shape, memory is not None, options)
     room = int(SHARED * most)
     if vertices > room:
         room = int(LOOSE * most)
+    key = most, room, grid.shape, turned, uneven, memory
+    if options is USUAL and key in _usual:
+        return _usual[key] if vertices <= room else None
+    decisions = _of_all(least, most, grid.shape, memory is not None, options)
+    for_all = decisions is not None
+    if decisions is None:
+        # All that decides about bits, and no more: a plan takes the host as long as some launches.
+        decisions = _decided(faces, grid.shape, memory is not None, options)
     if vertices > room or decisions.method != "cells":
         return None
-    found = _class(most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
-    return None if found is None else (found, decisions)
+    kind = _class(most, room, grid.shape, turned, uneven, decisions.cell, memory, options)
+    if kind is None:
+        return None
+    if for_all and options is USUAL:
+        # To hash the options takes the host longer than all else here.
+        if len(_usual) >= MOST_KEPT:
+            _usual.clear()
+        _usual[key] = kind, decisions
+    return kind, decisions
+
+
+# Classes by the usual options, with decisions that are those about all their meshes.
+_usual: dict[tuple[Any, ...], tuple[CapacityClass, Decisions]] = {}
+MOST_KEPT = 256
 
 
 def larger_classes(

@@ -28,9 +28,6 @@ from sdm.topology.face_pairing import Pairing, remember, remember_closed
 # Twice the vertices less the faces: of closed meshes 4 for each part, and 4 less for each handle. A mesh with more is
 # more likely one with holes, whose edges add up to that, and so is one with another number than a multiple of 4.
 MOST_OF_CLOSED = 12
-# Calls that a larger class serves before its own is recorded: idle room takes a GPU some 50 us, a recording the host
-# 3 ms.
-PATIENCE = 60
 
 
 def looks_closed(faces: int, vertices: int) -> bool:
@@ -84,15 +81,15 @@ def _attempt(
     make: Any, kind: CapacityClass, decisions: Decisions, room: int, given: tuple[Tensor, Tensor, Grid]
 ) -> tuple[ClassMap | None, list[int]]:
     """Result of a class's recording; of that of a larger class, if there is one, until its own is worth the time."""
-    device, others = given[0].device, []
-    if not graphs.is_recorded(device, class_key(kind, room)):
-        memory = memory_of(warp_name(device))
-        larger = larger_classes(kind, decisions, given[2], memory)
-        others = [other for other in larger if graphs.is_recorded(device, class_key(other, room))]
-    found, said = graphs.attempt_by_table(make(kind, decisions, *given, later=PATIENCE if others else 0))
-    if not said and others:
-        found, said = graphs.attempt_by_table(make(others[0], decisions, *given))
-    return found, said
+
+    def of_larger() -> Any:
+        device = given[0].device
+        for larger in larger_classes(kind, decisions, given[2], memory_of(warp_name(device))):
+            if graphs.is_recorded(device, class_key(larger, room)):
+                return make(larger, decisions, *given)
+        return None
+
+    return graphs.attempt_by_table(make(kind, decisions, *given, instead=of_larger))
 
 
 def _remember(vertices: int, faces: Tensor, found: ClassMap, room: int, rows: int, edges: int) -> Tensor | None:
