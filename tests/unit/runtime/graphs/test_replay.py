@@ -339,3 +339,57 @@ def test_closed_faces_are_remembered():
     other[0] = other[1]
     assert not face_pairing.is_known(other, count)
     assert np.array_equal(boundary_edges(vertices, other), boundary_edges(vertices, other.clone()))
+
+
+class TableStub(replay.TableRecording):
+    """A recording by table that notes its launches."""
+
+    def __init__(self, pool, work, table):
+        self.lock, self.launches = replay.threading.Lock(), 0
+
+    def launch(self, fill, reads):
+        """The results, without a launch."""
+        self.launches += 1
+        return fill(None)
+
+    def guessed_right(self):
+        """As if nothing was guessed."""
+        return True, [self.launches]
+
+
+@pytest.fixture
+def tables(monkeypatch, cache):
+    """A cache of `TableStub`s, in place of a GPU's."""
+    monkeypatch.setattr(replay, "TableRecording", TableStub)
+    monkeypatch.setattr(replay, "_cache_of", lambda device: cache)
+    monkeypatch.setitem(replay._caches, torch.device("cpu"), cache)
+    cache._pool.nbytes = 0
+    return cache
+
+
+def _table_call(key, **more):
+    work, device = (lambda verify, table: None), torch.device("cpu")
+    return graphs.TableCall(key, work, device, 1, lambda table: key, (), "family", **more)
+
+
+def test_another_recording_serves_until_a_call_came_often(tables):
+    graphs.attempt_by_table(_table_call("large"))
+    asked = []
+
+    def call():
+        return _table_call("small", instead=lambda: asked.append(1) or _table_call("large"))
+
+    for _ in range(replay.PATIENCE):
+        assert graphs.attempt_by_table(call())[0] == "large"
+        assert "small" not in tables
+    for _ in range(2):
+        assert graphs.attempt_by_table(call())[0] == "small"
+    assert len(asked) == replay.PATIENCE + 1
+
+
+def test_without_another_recording_the_first_call_is_recorded(tables):
+    assert graphs.attempt_by_table(_table_call("small", instead=lambda: None)) == ("small", [1])
+
+
+def test_results_are_made_of_what_was_filled(tables):
+    assert graphs.attempt_by_table(_table_call("a", launched=lambda filled: filled + "b"))[0] == "ab"
