@@ -15,6 +15,9 @@ from sdm.stream import SDMStream
 from sdm.surrogate.networks.cochlea_grid import GRID
 
 
+HARDNESS = 3.0
+
+
 class Replay:
     """The latest `capacity` maps of a stream, as float16 on its device (0.4 MB each).
 
@@ -33,6 +36,8 @@ class Replay:
         device = stream.device
         self.theta = torch.empty((capacity, 4), device=device)
         self.maps = torch.empty((capacity, 1, *GRID.shape), dtype=torch.float16, device=device)
+        # How much of the Dice coefficient each map lost when it was last trained on.
+        self.lost = torch.ones(capacity, device=device)
         self.count = self.made = 0
         self._batches = iter(stream)
 
@@ -49,6 +54,7 @@ class Replay:
             rows = len(theta[part])
             self.theta[begin : begin + rows] = theta[part]
             self.maps[begin : begin + rows] = maps[part]
+            self.lost[begin : begin + rows] = self.lost.mean()
         self.made += len(theta)
         self.count = min(self.made, self.capacity)
 
@@ -63,8 +69,19 @@ class Replay:
             if progress is not None:
                 progress(self.count)
 
-    def draw(self, count: int, step: int) -> tuple[Tensor, Tensor]:
-        """Parameters (count,4) and maps (count,1,80,64,40) float32, a function of what is stored, seed and step."""
+    def draw(self, count: int, step: int, hard: int = 0) -> Tensor:
+        """Rows (count,) of the store, a function of what is stored, seed and step.
+
+        The last `hard` are drawn among the maps that lost much, by the power HARDNESS of what they lost.
+        """
         random = generator(self.seed, "surrogate batch", step)
         rows = to_device(torch.randint(self.count, (count,), generator=random), self.theta.device)
+        if hard:
+            random = generator(self.seed, "hard cases of a surrogate batch", step, device=rows.device)
+            weights = self.lost[: self.count] ** HARDNESS
+            rows[-hard:] = torch.multinomial(weights, hard, replacement=True, generator=random)
+        return rows
+
+    def at(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Parameters (B,4) and maps (B,1,80,64,40) float32 of rows (B,)."""
         return self.theta[rows], self.maps[rows].float()

@@ -51,6 +51,9 @@ class Settings(TrainingSettings):
         rate: Largest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
         dice: Weight of what is lost of the Dice coefficient, the root mean square over the shapes of a batch.
+        flips: Weight of the voxels on the wrong side of the surface, as a share of those inside; likewise.
+        hard: Share of a batch that is drawn among the maps that had most such voxels when they were last trained on.
+        float32: Train in float32 on a GPU too, where bfloat16 is usual.
         coarse: Weight of the error of the coarse maps of SDMNN+, so that they are of use on their own.
         eikonal: Weight of | |grad f| - 1 |; loss "mse" leaves it out, and the next term.
         sobolev: Weight of the root of the squared error of d(map)/d(theta).
@@ -77,6 +80,9 @@ class Settings(TrainingSettings):
     rate: float = 1e-3
     surface: float = 1.0
     dice: float = 0.0
+    flips: float = 0.0
+    hard: float = 0.0
+    float32: bool = False
     coarse: float = 0.1
     eikonal: float = 0.01
     sobolev: float = 0.05
@@ -93,9 +99,9 @@ class Settings(TrainingSettings):
         check_choice("loss", self.loss, ("mse", "surface"))
         for name in ("steps", "batch_size", "store", "modes", "channels", "sobolev_every"):
             check_number(name, getattr(self, name), least=1)
-        for name in ("fresh", "rate", "surface", "dice", "coarse", "eikonal", "sobolev"):
+        for name in ("fresh", "rate", "surface", "dice", "flips", "coarse", "eikonal", "sobolev"):
             check_number(name, getattr(self, name), least=0)
-        for name in ("fill_share", "warm_share"):
+        for name in ("fill_share", "warm_share", "hard"):
             check_number(name, getattr(self, name), least=0, most=1)
         check_number("ema", self.ema, least=0, most=1)
         maps = STATIC if self.recipe == "static" else self.store

@@ -19,7 +19,7 @@ from sdm.shapes import make_family
 from sdm.stream import SDMStream
 from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.networks.sdmnn_plus import SDMNNPlus
-from sdm.surrogate.train.losses import dice_lost, eikonal, sobolev, surface_weighted
+from sdm.surrogate.train.losses import dice_lost, eikonal, flips, sobolev, surface_weighted
 from sdm.surrogate.train.map_buffer import Replay
 from sdm.surrogate.train.settings import RECIPES, STATIC, Settings, begin
 from sdm.surrogate.train.validation import validation_batches, validation_theta
@@ -141,9 +141,11 @@ class Trainer:
             group["lr"] = settings.rate * group["share"] * warmup_cosine(share) * linear_warmup(self.step + 1, RISE)
         if self._fresh:
             self.replay.renew()
-        theta, exact = self.replay.draw(settings.batch_size, self.step)
-        with bfloat16(self.device, self.device.type == "cuda"):
-            loss = self._fast(theta, exact)
+        rows = self.replay.draw(settings.batch_size, self.step, round(settings.hard * settings.batch_size))
+        theta, exact = self.replay.at(rows)
+        with bfloat16(self.device, self.device.type == "cuda" and not settings.float32):
+            loss, lost = self._fast(theta, exact)
+        self.replay.lost[rows] = lost
         if settings.sobolev and settings.loss != "mse" and self.step % settings.sobolev_every == 0:
             random = generator(settings.seed, "surrogate directions", self.step)
             loss = loss + settings.sobolev * sobolev(self.model, self.family, theta[:4], random).sqrt()
@@ -154,10 +156,12 @@ class Trainer:
         self.ema.update_parameters(self.model)
         return loss
 
-    def _loss(self, theta: Tensor, exact: Tensor) -> Tensor:
+    def _loss(self, theta: Tensor, exact: Tensor) -> tuple[Tensor, Tensor]:
+        """The loss of a batch, and how much each shape (B,) loses of the Dice coefficient."""
         settings = self.settings
         if settings.loss == "mse":
-            return nn.functional.mse_loss(self.model(theta), exact)
+            predicted = self.model(theta)
+            return nn.functional.mse_loss(predicted, exact), flips(predicted, exact).detach()
         if isinstance(self.model, SDMNNPlus):
             coarse, predicted = self.model.both(theta)
             loss = settings.coarse * (coarse.flatten(1) - self.model.coarse_of(exact)).abs().mean()
@@ -167,7 +171,11 @@ class Trainer:
         if settings.dice:
             # The root mean square: shapes that lose much count for more.
             loss = loss + settings.dice * dice_lost(predicted, exact).square().mean().sqrt()
-        return loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
+        lost = flips(predicted, exact)
+        if settings.flips:
+            loss = loss + settings.flips * lost.square().mean().sqrt()
+        loss = loss + settings.eikonal * eikonal(predicted, exact) if settings.eikonal else loss
+        return loss, lost.detach()
 
     @torch.no_grad()
     def _look(self, loss: Tensor | None, share: float) -> None:

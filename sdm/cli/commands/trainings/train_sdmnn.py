@@ -30,6 +30,9 @@ def sdmnn(
     learning_rate: float = 1e-3,
     surface: float = 1.0,
     dice: float = 0.0,
+    flips: float = 0.0,
+    hard: float = 0.0,
+    float32: bool = False,
     eikonal: float = 0.01,
     sobolev: float = 0.05,
     start: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")] = None,
@@ -70,6 +73,9 @@ def sdmnn(
         learning_rate: The highest learning rate.
         surface: Weight of the error at the surface, beside that of all voxels.
         dice: Weight of what is lost of the Dice coefficient; shapes that lose much count for more.
+        flips: Weight of the voxels on the wrong side of the surface; likewise.
+        hard: Share of a batch that is drawn among the shapes that had most of these.
+        float32: Train in float32 on a GPU too: slower than bfloat16, for the end of a training.
         eikonal: Weight of the slope's distance from 1.
         sobolev: Weight of the error of the derivatives by the parameters.
         start: Weights to go on from, for example the shipped ones; their sizes replace --modes and --channels.
@@ -106,6 +112,9 @@ def sdmnn(
         rate=learning_rate,
         surface=surface,
         dice=0.0 if plain else dice,
+        flips=0.0 if plain else flips,
+        hard=hard,
+        float32=float32,
         eikonal=0.0 if plain else eikonal,
         sobolev=0.0 if plain else sobolev,
         start=None if start is None else str(start),

@@ -9,7 +9,7 @@ from sdm.stream import SDMStream
 from sdm.stream.held_out import is_held_out
 from sdm.surrogate.networks.cochlea_grid import GRID
 from sdm.surrogate.train.end_sampler import Ends
-from sdm.surrogate.train.losses import dice_lost
+from sdm.surrogate.train.losses import dice_lost, flips
 
 
 def unit_values(count: int) -> torch.Tensor:
@@ -51,3 +51,22 @@ def test_dice_lost_is_the_volume_between_the_surfaces():
     wanted = torch.tensor([3 * 0.03 / (2 * 1.5), 3 * 0.04 / (2 * 2.5)])
     torch.testing.assert_close(dice_lost(found, exact), wanted, rtol=0.1, atol=0)
     assert torch.equal(dice_lost(exact, exact), torch.zeros(2))
+
+
+def test_flips_counts_voxels_on_the_wrong_side():
+    exact = torch.full((2, 1, 4, 4, 4), 0.5)
+    exact[:, :, :2, :2, :2] = -0.5
+    found = exact.clone()
+    found[0, 0, 3, 3, 3] = -0.1
+    # One of eight inside has a twin outside; 1 - Dice is 1 / 17, by the volume of the exact inside alone 1 / 16.
+    torch.testing.assert_close(flips(found, exact), torch.tensor([1 / 16, 0.0]))
+
+
+def test_voxels_on_the_surface_are_outside():
+    exact = torch.full((1, 1, 2, 2, 2), 0.0)
+    exact[0, 0, 0] = -0.3
+    found = exact.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(flips(found, exact).sum(), found)
+    # A step down the slope moves the four on the surface outward.
+    assert (slope[0, 0, 1] < -1).all()
+    assert slope[0, 0, 0].abs().max() < 1e-3

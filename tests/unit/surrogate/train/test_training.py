@@ -89,7 +89,7 @@ def test_a_training_that_diverges_says_so_and_keeps_its_checkpoint(tmp_path, mon
     train(2, checkpoint=file)
     good = file.read_bytes()
     right = Trainer._loss
-    monkeypatch.setattr(Trainer, "_loss", lambda *given: right(*given) * float("nan"))
+    monkeypatch.setattr(Trainer, "_loss", lambda *given: tuple(x * math.nan for x in right(*given)))
     with pytest.raises(SDMError, match="lower the learning rate"):
         train(4, checkpoint=file)
     assert file.read_bytes() == good
@@ -171,9 +171,21 @@ def test_the_store_keeps_the_latest_maps():
     latest = stream.sample([3, 1, 2])
     torch.testing.assert_close(replay.theta, latest.theta)
     assert (replay.maps.float() - latest.sdm).abs().max() < 0.005
-    once, again, other = replay.draw(4, 7)[0], replay.draw(4, 7)[0], replay.draw(4, 8)[0]
+    once, again, other = (replay.at(replay.draw(4, step))[0] for step in (7, 7, 8))
     assert torch.equal(once, again)
     assert not torch.equal(once, other)
+
+
+def test_what_lost_most_is_drawn_more_often():
+    stream = SDMStream(Cochlea(500), GRID, 4, sampler="uniform", device="cpu", rank=0, world_size=1)
+    replay = Replay(stream, 4)
+    replay.fill()
+    replay.lost.copy_(torch.tensor([0.0, 0.01, 0.04, 0.0]))
+    rows = replay.draw(200, 1, hard=100)[100:]
+    assert set(rows.tolist()) <= {1, 2}
+    assert (rows == 2).sum() > 80
+    replay.renew()
+    assert torch.allclose(replay.lost, torch.full((4,), 0.0125))
 
 
 def test_losses_are_zero_for_exact_maps_alone():
