@@ -14,7 +14,6 @@ from sdm.runtime.torch_warp import to_device
 from sdm.stream import SDMStream
 from sdm.surrogate.networks.cochlea_grid import GRID
 
-
 HARDNESS = 3.0
 
 
