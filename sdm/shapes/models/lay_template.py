@@ -37,8 +37,8 @@ STIFFER, STIFFEST, FADING = 4.0, 1000.0, 0.7
 HALVES = 4
 # Steps keep the cosine between a face's normal and that of its turned rest above this; below 0 it is turned over.
 MARGIN = 0.05
-# Turns of smoothing where faces are turned over at the end.
-SMOOTHINGS = 256
+# Patches that are tried around faces that are turned over at the end, and steps that rotations spread into one.
+PATCHES, SPREADS = 12, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +109,40 @@ class TemplateLayer:
         return self._judged(self._turned_back(x, rest), rest, target, points)
 
     def _turned_back(self, x: Tensor, rest: Tensor) -> Tensor:
-        """x with the neighbourhoods of faces that turned over smoothed until none is left, or for some turns."""
-        a, b = self._edges.unbind(1)
-        corners = self.faces.long().reshape(-1)
-        ones = torch.ones(2 * len(self._edges), device=self.device)
-        degree = torch.zeros(len(x), device=self.device).index_add(0, self._edges.reshape(-1), ones)
-        touched = torch.zeros_like(degree)
-        for turn in range(SMOOTHINGS):
-            bad = self._turned(x, rest, self._local_rotations(rest, x))
+        """x with faces that turned over put right: a patch around each is what its surroundings make of the rest."""
+        for rings in range(1, PATCHES + 1):
+            turns = self._local_rotations(rest, x)
+            bad = self._turned(x, rest, turns)
             if not bool(bad.any()):
                 break
-            touched = touched.index_add(0, corners, bad.repeat_interleave(3) * 1.0).clamp_max(1)
-            if turn % 8 == 7:
-                # What does not come right by itself needs a wider neighbourhood.
-                touched = touched.index_add(0, a, touched[b]).index_add(0, b, touched[a]).clamp_max(1)
-            middle = torch.zeros_like(x).index_add(0, a, x[b]).index_add(0, b, x[a]) / degree[:, None]
-            x = torch.where(touched[:, None] > 0, (x + middle) / 2, x)
+            patch = torch.zeros(len(x), dtype=torch.bool, device=self.device)
+            patch[self.faces.long()[bad].reshape(-1)] = True
+            x = self._patched(x, rest, turns, self._wider(patch, rings))
         return x
+
+    def _wider(self, mask: Tensor, rings: int) -> Tensor:
+        """A mask (V,) of vertices and of those within so many edges of them."""
+        a, b = self._edges.unbind(1)
+        for _ in range(rings):
+            count = mask.float()
+            mask = count.index_add(0, a, count[b]).index_add(0, b, count[a]) > 0
+        return mask
+
+    def _patched(self, x: Tensor, rest: Tensor, turns: Tensor, patch: Tensor) -> Tensor:
+        """x whose vertices of the patch (V,) lie as its rim asks: the rim's rotations spread in, then the rest's edges."""
+        a, b = self._edges.unbind(1)
+        for _ in range(SPREADS):
+            middle = torch.zeros_like(turns).index_add(0, a, turns[b]).index_add(0, b, turns[a])
+            turns = torch.where(patch[:, None, None], middle / middle.flatten(1).norm(dim=1).clamp_min(1e-20)[:, None, None], turns)
+        turns = torch.where(patch[:, None, None], _nearest_rotations(turns), turns)
+        wanted = torch.einsum("ni,nij->nj", rest[a] - rest[b], (turns[a] + turns[b]) / 2)
+        inside = patch[:, None].float()
+
+        def scattered(per_edge: Tensor) -> Tensor:
+            return inside * torch.zeros_like(x).index_add(0, a, per_edge).index_add(0, b, -per_edge)
+
+        right = scattered(wanted - (x[a] - x[b]))
+        return x + _conjugate_gradients(lambda v: scattered(v[a] - v[b]), right, 2 * SOLVES)
 
     def placed(self, mesh: TriangleMesh, *, seed: int = 0) -> Tensor:
         """Vertices (V,3) of the template moved, turned and scaled as a whole onto a mesh."""
@@ -154,9 +171,7 @@ class TemplateLayer:
         outer = (rest[a] - rest[b])[:, :, None] * (x[a] - x[b])[:, None, :]
         covariance = torch.zeros(len(rest), 3, 3, device=self.device)
         covariance = covariance.index_add(0, a, outer).index_add(0, b, outer)
-        u, _, vt = torch.linalg.svd(covariance)
-        sign = torch.linalg.det(u @ vt).sign()
-        return torch.cat([u[:, :, :2], u[:, :, 2:] * sign[:, None, None]], 2) @ vt
+        return _nearest_rotations(covariance)
 
     def _step(
         self,
@@ -265,6 +280,13 @@ def _conjugate_gradients(product: Callable[[Tensor], Tensor], right: Tensor, ste
         fresh = (r * r).sum()
         p, rr = r + fresh / rr.clamp_min(1e-30) * p, fresh
     return x
+
+
+def _nearest_rotations(matrices: Tensor) -> Tensor:
+    """Rotations (N,3,3) nearest to matrices (N,3,3)."""
+    u, _, vt = torch.linalg.svd(matrices)
+    sign = torch.linalg.det(u @ vt).sign()
+    return torch.cat([u[:, :, :2], u[:, :, 2:] * sign[:, None, None]], 2) @ vt
 
 
 def _unit(v: Tensor) -> Tensor:
