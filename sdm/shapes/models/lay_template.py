@@ -133,7 +133,9 @@ class TemplateLayer:
         a, b = self._edges.unbind(1)
         for _ in range(SPREADS):
             middle = torch.zeros_like(turns).index_add(0, a, turns[b]).index_add(0, b, turns[a])
-            turns = torch.where(patch[:, None, None], middle / middle.flatten(1).norm(dim=1).clamp_min(1e-20)[:, None, None], turns)
+            turns = torch.where(
+                patch[:, None, None], middle / middle.flatten(1).norm(dim=1).clamp_min(1e-20)[:, None, None], turns
+            )
         turns = torch.where(patch[:, None, None], _nearest_rotations(turns), turns)
         wanted = torch.einsum("ni,nij->nj", rest[a] - rest[b], (turns[a] + turns[b]) / 2)
         inside = patch[:, None].float()

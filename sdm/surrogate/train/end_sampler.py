@@ -13,12 +13,13 @@ from sdm.stream.held_out import held_out_rows
 
 
 class Ends(Chebyshev):
-    """Of four samples two as "chebyshev" has them, one nearer to the ends, one nearer to the smallest shapes.
+    """Of four samples two as "chebyshev" has them, one nearer to the ends, one nearer to the hardest shapes.
 
     Nearer to the ends: sin^2(pi/2 u) of the unit value u of each parameter, once more than "chebyshev" does it, so that
-    a twentieth of the samples has all four parameters within a twentieth of an end. The smallest shapes, whose few
-    voxels inside make a Dice coefficient low, have the least radius and the quickest decay: there `a` is folded to its
-    lower end and `b` to its upper one. No sample is a corner of the box.
+    a twentieth of the samples has all four parameters within a twentieth of an end. The hardest shapes are small ones,
+    whose few voxels inside make a Dice coefficient low: half of the last quarter has the least radius and the quickest
+    decay (`a` is folded to its lower end and `b` to its upper one), half of it the least radius and the highest wave,
+    where turns crowd each other, whatever the others are. No sample is a corner of the box.
     """
 
     def theta(self, family: Family, seed: int, index: Tensor) -> Tensor:
@@ -28,11 +29,18 @@ class Ends(Chebyshev):
         width = torch.tensor([p.high for p in family.parameters], dtype=torch.float64, device="cpu") - low
         unit = torch.sin(math.pi / 2 * (theta.double() - low) / width).square()
         names = [p.name for p in family.parameters]
-        small = index % 4 == 3
-        for name, end in (("a", torch.minimum), ("b", torch.maximum)):
+        small, crowded = index % 8 == 3, index % 8 == 7
+        for name, end, where in (
+            ("a", torch.minimum, small | crowded),
+            ("b", torch.maximum, small),
+            ("alpha", torch.maximum, crowded),
+        ):
             if name in names:
                 own = unit[:, names.index(name)]
-                own[small] = end(own, 1 - own)[small]
+                own[where] = end(own, 1 - own)[where]
+        for k, name in enumerate(names):
+            if name not in ("a", "alpha"):
+                unit[crowded, k] = ((theta.double() - low) / width)[crowded, k]
         nearer = torch.where((index % 2 == 1)[:, None], (low + unit * width).float(), theta)
         nearer = torch.minimum(torch.maximum(nearer, low.float()), (low + width).float())
         # Validation shapes stay out, and corners, which validation sets have.
