@@ -129,13 +129,11 @@ class TemplateLayer:
         return mask
 
     def _patched(self, x: Tensor, rest: Tensor, turns: Tensor, patch: Tensor) -> Tensor:
-        """x whose vertices of the patch (V,) lie as its rim asks: the rim's rotations spread in, then the rest's edges."""
+        """x with a patch (V,) laid anew from its rim: the rim's rotations spread into it and turn the rest's edges."""
         a, b = self._edges.unbind(1)
         for _ in range(SPREADS):
-            middle = torch.zeros_like(turns).index_add(0, a, turns[b]).index_add(0, b, turns[a])
-            turns = torch.where(
-                patch[:, None, None], middle / middle.flatten(1).norm(dim=1).clamp_min(1e-20)[:, None, None], turns
-            )
+            sums = torch.zeros_like(turns).index_add(0, a, turns[b]).index_add(0, b, turns[a])
+            turns = torch.where(patch[:, None, None], _unit(sums.flatten(1)).reshape(sums.shape), turns)
         turns = torch.where(patch[:, None, None], _nearest_rotations(turns), turns)
         wanted = torch.einsum("ni,nij->nj", rest[a] - rest[b], (turns[a] + turns[b]) / 2)
         inside = patch[:, None].float()
