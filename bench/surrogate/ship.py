@@ -2,7 +2,8 @@
 
     python -m sdm.bench.surrogate.ship RUN/sdmnn-plus.safetensors --results bench/results/surrogate-cuda.json
 
-The results are those of `python -m sdm.bench.surrogate --parts accuracy` for this very file; the card states them.
+The results are those of `python -m sdm.bench.surrogate --parts accuracy` for this very file, and of `python -m
+sdm.bench.surrogate.worst`; the card states them.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("weights", type=Path, help="NAME.safetensors, with NAME.json beside it")
     parser.add_argument("--results", type=Path, default=results_folder() / "surrogate-cuda.json")
+    parser.add_argument("--worst", type=Path, default=results_folder() / "surrogate-worst.json")
     parser.add_argument("--to", type=Path, default=WEIGHTS, help="folder of the package's weights")
     options = parser.parse_args()
     measured = json.loads(options.results.read_text())["accuracy"]
@@ -46,19 +48,32 @@ def main() -> None:
         key: row[key] for key in row if isinstance(row[key], float) and key not in ("seconds", "file_mb")
     }
     facts["validation"] = measured["validation"]
+    search = json.loads(options.worst.read_text())
+    if search["training"] != facts.get("training"):
+        raise SystemExit(f"{options.worst} is about another training than {options.weights}: search its worst case")
     name = facts["model"]
     write(options.to / f"{name}.json", facts)
-    put(options.to / "README.md", card(facts, len(data), measured["machine"], options.results))
+    put(options.to / "README.md", card(facts, len(data), measured["machine"], options.results, search))
     with replacing(options.to / f"{name}.safetensors") as part:
         part.write_bytes(data)
     print(f"{options.to / name}.safetensors, {len(data) / 1e6:.2f} MB")
 
 
-def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Path) -> str:
+def card(facts: dict[str, Any], size: int, machine: dict[str, Any], results: Path, search: dict[str, Any]) -> str:
     """The model card."""
     errors, training = facts["errors"], facts["training"]
     box = "\n".join(f"| {name} | {low:g} | {high:g} | {unit} |" for name, low, high, unit in facts["parameters"])
-    before = f"It went on from weights of {made_by(facts['started_from'])}.\n" if "started_from" in facts else ""
+    chain = [training]
+    while "started_from" in (last := facts if len(chain) == 1 else chain[-1]):
+        chain.append(last["started_from"])
+    before = "".join(f"It went on from weights of {made_by(one)}.\n" for one in chain[1:])
+    saw = [one for one in chain if one["recipe"] == "mostly-online"]
+    corners = "which no training saw"
+    if saw:
+        steps = f"{sum(one['step'] for one in saw):,} of {sum(one['step'] for one in chain):,} steps"
+        corners = f"which were 3 in 100 samples of the first {steps}" if saw != chain else "3 in 100 training samples"
+    worst = search["worst"][0]
+    place = ", ".join(f"{name} = {value:g}" for name, value in worst["theta"].items())
     source = within_checkout(results)
     lines = "\n".join(f"| {label} | {errors[key]:.4f} |" for key, label in COLUMNS.items())
     return f"""# Model card: {facts["model"]}
@@ -79,10 +94,10 @@ the exact engine (`sdm predict --exact`), which the surrogate imitates.
 ## Errors
 
 On the fixed validation set `{facts["validation"]}` (984 uniform shapes that no training has, and
-the 16 corners of the box, which the training saw: 3 of its samples in 100), against exact maps; lengths in mm, "near"
-is within 0.5 mm of the surface. Means over shapes; "max" and "worst" over all. Between these shapes errors may be
-larger: of the network of commit b24e530, whose worst Dice here was 0.9705, a search of the box found 0.958
-(`python -m sdm.bench.surrogate.worst`).
+the 16 corners of the box, {corners}), against exact maps; lengths in mm, "near" is within 0.5 mm
+of the surface. Means over shapes; "max" and "worst" over all. Between these shapes errors may be larger: the worst Dice
+that a search of the box found, among {search["shapes"]:,} shapes, is {worst["dice"]:.4f}, at {place}
+(`python -m sdm.bench.surrogate.worst`). Voxels on the surface, as on the flat base of every shape, count as outside.
 The surface's distances are read from voxels: exact maps themselves have not quite zero there (`{source}`).
 
 | measure | value |
@@ -105,7 +120,10 @@ def made_by(training: dict[str, Any]) -> str:
     usual = asdict(Settings())
     asked = {key: value for key, value in training.items() if key in usual and value not in (None, usual[key])}
     names = {"rate": "learning-rate"}
-    options = [f"--{names.get(key, key).replace('_', '-')} {value}" for key, value in asked.items()]
+    options = [
+        f"--{names.get(key, key).replace('_', '-')}" + ("" if value is True else f" {value}")
+        for key, value in asked.items()
+    ]
     return (
         f"`sdm train sdmnn {' '.join(options)}`, {training['step']:,} steps of {training['batch_size']} maps in "
         f"{training['seconds']:g} s"
