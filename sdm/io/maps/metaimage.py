@@ -151,13 +151,24 @@ def _values(fields: dict[str, str], begin: int, shape: tuple[int, ...], path: Pa
     data = path.read_bytes()[begin:] if fields[END] == "LOCAL" else _beside(fields[END], path)
     size = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
     if fields.get("CompressedData", "False") == "True":
-        data = zlib.decompressobj().decompress(data, size)
+        data = _unpacked(data, size, path)
     elif fields[END] != "LOCAL":
         # The values are the file's end, whatever comes before.
         data = data[-size:] if fields.get("HeaderSize") == "-1" else data[int(fields.get("HeaderSize", "0")) :]
     if len(data) < size:
         raise FormatError(f"{path} is cut off: it has {len(data)} bytes of values, not {size}")
     return np.frombuffer(data, dtype, int(np.prod(shape, dtype=np.int64))).reshape(shape, order="F")
+
+
+def _unpacked(packed: bytes, size: int, path: Path) -> bytes:
+    """As many bytes as the header declares, to the end of the stream, where its checksum is."""
+    unpacker = zlib.decompressobj()
+    data = unpacker.decompress(packed, size + 1)
+    if len(data) > size:
+        raise FormatError(f"{path} is damaged: its values unpack to more than the voxels that its header declares")
+    if not unpacker.eof:
+        raise FormatError(f"{path} is cut off: its compressed values have no end")
+    return data
 
 
 def _beside(said: str, path: Path) -> bytes:

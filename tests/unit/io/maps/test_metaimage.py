@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 
@@ -74,3 +76,31 @@ def test_damage(tmp_path):
         (tmp_path / name).write_text(text)
         with pytest.raises(sdm.SDMError, match=message):
             sdm.io.grid_like(tmp_path / name)
+
+
+def test_compressed_values_are_held_against_their_checksum(tmp_path):
+    """A file of another program, which has no record of ours: the stream ends where the header says."""
+    values = np.random.default_rng(0).integers(0, 60, 120).astype(np.uint8)
+    head, packed = (
+        HEADER.replace("CompressedData = False", "CompressedData = True").encode(),
+        zlib.compress(bytes(values)),
+    )
+    path = tmp_path / "scan.mha"
+    path.write_bytes(head + packed)
+    assert np.array_equal(sdm.load(path).numpy().ravel(order="F"), values)
+    for place in range(len(packed)):
+        for bit in range(8):
+            data = bytearray(packed)
+            data[place] ^= 1 << bit
+            path.write_bytes(head + data)
+            try:
+                found = sdm.load(path).numpy().ravel(order="F")
+            except sdm.SDMError:
+                continue
+            assert np.array_equal(found, values)
+    path.write_bytes(head + zlib.compress(bytes(values) + b"\0"))
+    with pytest.raises(sdm.FormatError, match="unpack to more than the voxels that its header declares"):
+        sdm.load(path)
+    path.write_bytes(head + packed[:-2])
+    with pytest.raises(sdm.FormatError, match="cut off"):
+        sdm.load(path)
