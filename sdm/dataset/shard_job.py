@@ -165,16 +165,17 @@ class Job:
         begin, end = rows_of(self.manifest, number)
         theta = maker.theta(_numbers(begin, end))
         maps = HostRows((end - begin, *self.grid.shape), self.dtype, maker.device)
-        for first, batch in self._batches(begin, end, maker):
+        for first, batch in self._batches(begin, theta, maker):
             maps.put(first - begin, batch.sdm[:, 0])
         transform = self.family.sample_transforms(theta)
         return _Shard(number, theta.numpy(), None if transform is None else transform.numpy(), maps)
 
-    def _batches(self, begin: int, end: int, maker: Maker) -> Iterator[tuple[int, Batch]]:
-        size = maker.at_once
+    def _batches(self, begin: int, theta: Tensor, maker: Maker) -> Iterator[tuple[int, Batch]]:
+        size, end = maker.at_once, begin + len(theta)
 
         def make(several: list[int]) -> list[Batch]:
-            return [maker.make(_numbers(first, min(first + size, end))) for first in several]
+            parts = [(first, min(first + size, end)) for first in several]
+            return [maker.make(_numbers(*part), theta[part[0] - begin : part[1] - begin]) for part in parts]
 
         return prefetch(make, iter(range(begin, end, size)), maker.device, 1)
 

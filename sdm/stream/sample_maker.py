@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -133,28 +133,38 @@ class Maker:
         """Parameters (B,P) float32 on the host for global numbers (B,) int64 on the host."""
         return self.sampler.theta(self.family, self.seed, index)
 
-    def make(self, index: Tensor) -> Batch:
+    def draw(self, index: Tensor) -> Tensor:
+        """`theta`, whatever the caller has turned on."""
+        with self._as_ever():
+            return self.theta(index)
+
+    def make(self, index: Tensor, drawn: Tensor | None = None) -> Batch:
         """The samples with these global numbers (B,) int64 on the host: fresh tensors, queued on the current stream.
 
-        Never waits for the device. What the caller has turned on (autocast, gradients, inference mode) changes nothing.
+        `drawn` is their `theta`, where that is known. Never waits for the device. What the caller has turned on
+        (autocast, gradients, inference mode) changes nothing.
         """
         with self._as_ever():
-            host = self.theta(index)
+            host = self.theta(index) if drawn is None else drawn
             theta = to_device(host, self.device)
             return Batch(theta, self._maps(theta, host), index)
 
-    def make_several(self, indices: Sequence[Tensor]) -> list[Batch]:
-        """A batch for each of `indices`, as `make` gives them, by one call, which a GPU takes less time for.
+    def make_several(self, index: Tensor, drawn: Tensor | None = None) -> list[Batch]:
+        """A batch for each row of `index` (S,B), as `make` gives them, by one call, which a GPU takes less time for.
 
-        Each is memory of its own, so that one of them can be kept without the others.
+        `drawn` (S,B,P) is their `theta`. Each batch's maps are memory of their own, so that one of them can be kept
+        without the others; the parameters, a few kilobytes, are not.
         """
-        if len(indices) == 1:
-            return [self.make(indices[0])]
-        whole = self.make(torch.cat(tuple(indices)))
-        sizes = [len(index) for index in indices]
-        parts = zip(whole.theta.split(sizes), whole.sdm.split(sizes), indices, strict=True)
+        whole = self.make(index.reshape(-1), None if drawn is None else drawn.flatten(0, 1))
+        count, size = index.shape
+        if count == 1:
+            return [whole]
         with self._as_ever():
-            return [Batch(theta.clone(), maps.clone(), index) for theta, maps, index in parts]
+            parts = list(whole.sdm.split(size))
+            maps = [torch.empty_like(part) for part in parts]
+            # One launch instead of one for each.
+            torch._foreach_copy_(maps, parts)
+            return [Batch(whole.theta[at * size : (at + 1) * size], maps[at], index[at]) for at in range(count)]
 
     @contextmanager
     def _as_ever(self) -> Iterator[None]:

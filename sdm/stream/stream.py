@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import torch
@@ -17,6 +18,7 @@ from sdm.errors import SDMError
 from sdm.runtime.prefetch import prefetch
 from sdm.shapes import Family
 from sdm.stream.batch import Batch
+from sdm.stream.drawn_ahead import DrawnAhead
 from sdm.stream.ranks import in_process_group, rank_and_size
 from sdm.stream.sample_maker import FIRST_DRAWS, FIRST_SIGN, Maker, refuse_fork
 from sdm.stream.samplers import Sampler
@@ -161,7 +163,9 @@ class SDMStream(IterableDataset[Batch]):
         begin, end = self._position, self.stop
         steps = iter(itertools.count(begin, stride) if end is None else range(begin, end, stride))
         together = max(1, self._maker.at_once // self.batch_size)
-        batches = prefetch(self._make, steps, self.device, self._prefetched, together)
+        drawn = DrawnAhead(self._maker.draw, self.batch_size, self.rank * self.batch_size, stride, end)
+        make = partial(self._make, drawn)
+        batches = prefetch(make, steps, self.device, self._prefetched, together)
         return self._count(batches, stride)
 
     def _take_rank(self, rank: int | None, world_size: int | None) -> None:
@@ -188,9 +192,8 @@ class SDMStream(IterableDataset[Batch]):
             yield batch
             del batch
 
-    def _make(self, steps: list[int]) -> list[Batch]:
-        first = [step + self.rank * self.batch_size for step in steps]
-        return self._maker.make_several([torch.arange(at, at + self.batch_size, device="cpu") for at in first])
+    def _make(self, drawn: DrawnAhead, steps: list[int]) -> list[Batch]:
+        return self._maker.make_several(*drawn.take(steps))
 
     def sample(self, index: int | list[int] | torch.Tensor) -> Batch:
         """The samples with these global numbers, as the stream gives them, whatever its position."""

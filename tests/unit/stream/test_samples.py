@@ -143,7 +143,7 @@ def test_batches_are_fresh_memory(family):
 
 def test_several_batches_by_one_call_are_the_same_batches(family):
     maker = stream(family).maker
-    indices = [torch.tensor([0, 1, 2]), torch.tensor([7]), torch.tensor([3, 1])]
+    indices = torch.tensor([[0, 1], [7, 2], [3, 1]])
     with torch.inference_mode():
         found = maker.make_several(indices)
     for batch, index in zip(found, indices, strict=True):
