@@ -109,6 +109,26 @@ def tree_of(tree: Tree, mesh: int):
     return one
 
 
+@wp.func
+def of_shared_faces(tree: Tree):
+    """The hierarchy of meshes that share their faces, for a kernel that takes no others.
+
+    A compiler then leaves out what is read for meshes that differ, which costs registers also where there are none.
+    """
+    one = Tree()
+    one.corners = tree.corners
+    one.lattice = tree.lattice
+    one.face = tree.face
+    one.boxes = tree.boxes
+    one.frame = tree.frame
+    one.count = tree.count
+    one.depth = tree.depth
+    one.below = tree.below
+    one.meshes = 0
+    one.alone = 0
+    return one
+
+
 @wp.func_native(
     snippet=f"""
     if (tree.meshes == 0) return slot / tree.count;

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, tree_of
+from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, of_shared_faces, tree_of
 from sdm.kernels.culling.leaf_filter import box_matters
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness, write_witness
@@ -28,7 +28,7 @@ from sdm.kernels.dense.counters import NEXT_CELL
 from sdm.kernels.dense.region_grid import RegionGrid, own_shares
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION_SHARES, Slab, slab_of
+from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION_SHARES, Slab, of_shared_grid, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 
@@ -38,9 +38,9 @@ wp.set_module_options({"enable_backward": False})
 CELL_BLOCKS_PER_SM = 6
 
 
-@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
-def _list_cells(
-    begin: int,
+@wp.func
+def list_own_cells(
+    lane: int,
     lanes: int,
     tree: Tree,
     frames: wp.array(dtype=wp.float32),
@@ -53,7 +53,7 @@ def _list_cells(
     cells: CandidateLists,
     share_witnesses: wp.array(dtype=wp.float32),
 ):
-    lane = (begin + wp.tid()) % lanes
+    """List one cell's leaves after the other, as long as there are any."""
     item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
     while item < 8 * grid.count * cells.shares:
         number = item / cells.shares
@@ -104,6 +104,57 @@ def _list_cells(
         item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
 
 
+@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
+def _list_cells(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    cones: Cones,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
+    cells: CandidateLists,
+    share_witnesses: wp.array(dtype=wp.float32),
+):
+    lane = (begin + wp.tid()) % lanes
+    list_own_cells(lane, lanes, tree, frames, cones, slab, grid, cache, pool, regions, cells, share_witnesses)
+
+
+@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
+def _list_cells_alike(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    cones: Cones,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    pool: ChunkPool,
+    regions: CandidateLists,
+    cells: CandidateLists,
+    share_witnesses: wp.array(dtype=wp.float32),
+):
+    lane = (begin + wp.tid()) % lanes
+    list_own_cells(
+        lane,
+        lanes,
+        of_shared_faces(tree),
+        frames,
+        cones,
+        of_shared_grid(slab),
+        grid,
+        cache,
+        pool,
+        regions,
+        cells,
+        share_witnesses,
+    )
+
+
 def list_cells(
     tree: Tree,
     frames: wp.array,
@@ -124,4 +175,5 @@ def list_cells(
     groups of lanes are at work.
     """
     inputs = [lanes, tree, frames, cones, slab, grid, cache, pool, regions, cells, share_witnesses]
-    launch(_list_cells, workers * lanes, inputs, frames.device, smallest=1)
+    kernel = _list_cells if tree.meshes or slab.meshes else _list_cells_alike
+    launch(kernel, workers * lanes, inputs, frames.device, smallest=1)

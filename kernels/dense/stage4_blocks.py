@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, slots_of, tree_of
+from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, of_shared_faces, slots_of, tree_of
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, read_witness, remember, write_witness
 from sdm.kernels.dense.block_schedule import BlockSchedule, share_out
@@ -20,7 +20,7 @@ from sdm.kernels.dense.counters import NEXT_CELL_TO_SCHEDULE
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid, brick_number, brick_start, is_coarse, make_cell
 from sdm.kernels.dense.stage1_witnesses import seen_from
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab, slab_of
+from sdm.kernels.geometry.voxel_grid import Slab, of_shared_grid, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.vector_loads import load4
@@ -106,9 +106,9 @@ def store_bricks(
         o = o + lanes
 
 
-@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
-def _schedule_blocks(
-    begin: int,
+@wp.func
+def schedule_own_blocks(
+    lane: int,
     lanes: int,
     split_length: int,
     tree: Tree,
@@ -122,7 +122,7 @@ def _schedule_blocks(
     cache: CellCache,
     schedule: BlockSchedule,
 ):
-    lane = (begin + wp.tid()) % lanes
+    """Schedule one cell's blocks after the other, as long as there are any."""
     number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
     while number < 8 * grid.count:
         place = cached_box(cache, number)
@@ -150,6 +150,62 @@ def _schedule_blocks(
         number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
 
 
+@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
+def _schedule_blocks(
+    begin: int,
+    lanes: int,
+    split_length: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
+    share_witnesses: wp.array(dtype=wp.float32),
+    cache: CellCache,
+    schedule: BlockSchedule,
+):
+    lane = (begin + wp.tid()) % lanes
+    schedule_own_blocks(
+        lane, lanes, split_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule
+    )
+
+
+@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
+def _schedule_blocks_alike(
+    begin: int,
+    lanes: int,
+    split_length: int,
+    tree: Tree,
+    frames: wp.array(dtype=wp.float32),
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    pool: ChunkPool,
+    cells: CandidateLists,
+    share_witnesses: wp.array(dtype=wp.float32),
+    cache: CellCache,
+    schedule: BlockSchedule,
+):
+    lane = (begin + wp.tid()) % lanes
+    schedule_own_blocks(
+        lane,
+        lanes,
+        split_length,
+        of_shared_faces(tree),
+        frames,
+        features,
+        of_shared_grid(slab),
+        grid,
+        pool,
+        cells,
+        share_witnesses,
+        cache,
+        schedule,
+    )
+
+
 def schedule_blocks(
     tree: Tree,
     frames: wp.array,
@@ -171,4 +227,5 @@ def schedule_blocks(
     surface points that were found for them from `share_witnesses`.
     """
     inputs = [lanes, split_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule]
-    launch(_schedule_blocks, workers * lanes, inputs, frames.device, smallest=1)
+    kernel = _schedule_blocks if tree.meshes or slab.meshes else _schedule_blocks_alike
+    launch(kernel, workers * lanes, inputs, frames.device, smallest=1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree
+from sdm.kernels.bvh.tree import Tree, of_shared_faces
 from sdm.kernels.culling.leaf_filter import push
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.feature_setup import (
@@ -46,7 +46,7 @@ from sdm.kernels.dense.counters import COARSE, NEXT_BLOCK
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.dense.stage5_select import block_of
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Output, Slab, slab_of
+from sdm.kernels.geometry.voxel_grid import Output, Slab, of_shared_grid, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
@@ -253,6 +253,41 @@ def _measure_blocks(
     )
 
 
+@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+def _measure_blocks_alike(
+    begin: int,
+    lanes: int,
+    tree: Tree,
+    features: Features,
+    slab: Slab,
+    grid: RegionGrid,
+    cache: CellCache,
+    schedule: BlockSchedule,
+    pool: ChunkPool,
+    blocks: CandidateLists,
+    scratch: wp.array(dtype=wp.float32),
+    stacks: wp.array(dtype=wp.int32),
+    out: Output,
+):
+    thread = begin + wp.tid()
+    measure_scheduled(
+        thread,
+        lanes,
+        of_shared_faces(tree),
+        features,
+        of_shared_grid(slab),
+        grid,
+        cache,
+        schedule,
+        pool,
+        blocks,
+        scratch,
+        stacks,
+        out,
+        NO_WINNERS,
+    )
+
+
 # In a module of its own, so that who does not ask for closest points does not wait until it is compiled.
 @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM), enable_backward=False, module="unique")
 def _measure_winners(
@@ -318,5 +353,8 @@ def measure_blocks(
     then no list may be cut into splits. `kernel`, with `more` inputs, measures in the place of those here.
     """
     inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, *more]
-    chosen = kernel or (_measure_winners if out.winners.shape[0] else _measure_blocks)
+    alike = not (tree.meshes or slab.meshes)
+    chosen = kernel or (
+        _measure_winners if out.winners.shape[0] else _measure_blocks_alike if alike else _measure_blocks
+    )
     launch(chosen, workers * lanes, inputs, out.values.device, smallest=1)

@@ -83,6 +83,21 @@ def slab_of(slab: Slab, mesh: int):
     return one
 
 
+@wp.func
+def of_shared_grid(slab: Slab):
+    """The slab of meshes that share their grid, as all of a kernel's do: a compiler leaves out what is for others."""
+    one = Slab()
+    one.origin = slab.origin
+    one.spacing = slab.spacing
+    one.axes = slab.axes
+    one.turned = slab.turned
+    one.shape = slab.shape
+    one.first = slab.first
+    one.meshes = 0
+    one.alone = 0
+    return one
+
+
 @wp.func_native(
     snippet=f"""
     int low = 0, high = slab.meshes;
