@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.bvh.tree import (
+    BY_FACES,
     DIAGONAL,
     FRAME_SIZE,
     LATTICE,
@@ -235,39 +236,46 @@ def bound_leaf(tree: Tree, mesh: int, leaf: int):
     write_box(tree, nodes_of(tree, mesh) + leaves + leaf, low, high)
 
 
-@wp.kernel
-def _bound_levels(begin: int, lanes: int, tree: Tree, lowest: int, width: int, most: int):
-    """Boxes of up to `most` levels, the lowest of them so many above the leaves: a group of lanes for a node of the
-    highest and what is below it, and `width` groups for each mesh.
+def _bound_levels_kernel(of_faces: Any) -> Any:
+    @wp.kernel
+    def _bound_levels(begin: int, lanes: int, given_tree: Tree, lowest: int, width: int, most: int):
+        """Boxes of up to `most` levels, the lowest of them so many above the leaves: a group of lanes for a node of the
+        highest and what is below it, and `width` groups for each mesh.
 
-    From the children's below them, or from the triangles.
-    """
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    group = thread / lanes
-    mesh = group / width
-    one = tree_of(tree, mesh)
-    levels = wp.min(one.depth - lowest + 1, most)
-    highest = one.depth - lowest + 1 - levels
-    top = (1 << highest) + group - mesh * width
-    # Of meshes that differ, one with fewer levels takes fewer groups.
-    if levels <= 0 or top >= 2 << highest:
-        return
-    leaves = 1 << one.depth
-    base = nodes_of(one, mesh)
-    for back in range(levels):
-        down = levels - 1 - back
-        node = (top << down) + lane
-        while node < (top + 1) << down:
-            if node >= leaves:
-                bound_leaf(one, mesh, node - leaves)
-            else:
-                left = 2 * (base + 2 * node)
-                low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
-                high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
-                write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
-            node = node + lanes
-        wait_for_lanes()
+        From the children's below them, or from the triangles.
+        """
+        tree = of_faces(given_tree)
+        thread = begin + wp.tid()
+        lane = thread % lanes
+        group = thread / lanes
+        mesh = group / width
+        one = tree_of(tree, mesh)
+        levels = wp.min(one.depth - lowest + 1, most)
+        highest = one.depth - lowest + 1 - levels
+        top = (1 << highest) + group - mesh * width
+        # Of meshes that differ, one with fewer levels takes fewer groups.
+        if levels <= 0 or top >= 2 << highest:
+            return
+        leaves = 1 << one.depth
+        base = nodes_of(one, mesh)
+        for back in range(levels):
+            down = levels - 1 - back
+            node = (top << down) + lane
+            while node < (top + 1) << down:
+                if node >= leaves:
+                    bound_leaf(one, mesh, node - leaves)
+                else:
+                    left = 2 * (base + 2 * node)
+                    low = wp.min(read4(tree.boxes, left), read4(tree.boxes, left + 2))
+                    high = wp.max(read4(tree.boxes, left + 1), read4(tree.boxes, left + 3))
+                    write_box(tree, base + node, wp.vec3(low[0], low[1], low[2]), wp.vec3(high[0], high[1], high[2]))
+                node = node + lanes
+            wait_for_lanes()
+
+    return _bound_levels
+
+
+_BOUND_LEVELS = [_bound_levels_kernel(own) for own in BY_FACES]
 
 
 def reset_bounds(bounds: wp.array) -> None:
@@ -358,4 +366,4 @@ def build_in_frame(
         lowest, levels = tree.depth + 1 - level, min(level, at_once)
         level -= levels
         inputs = [lanes, tree, lowest, 1 << level, levels]
-        launch(_bound_levels, (meshes << level) * lanes, inputs, device, smallest=8)
+        launch(_BOUND_LEVELS[not tree.meshes], (meshes << level) * lanes, inputs, device, smallest=8)

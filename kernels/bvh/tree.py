@@ -110,11 +110,14 @@ def tree_of(tree: Tree, mesh: int):
 
 
 @wp.func
-def of_shared_faces(tree: Tree):
-    """The hierarchy of meshes that share their faces, for a kernel that takes no others.
+def of_any_faces(tree: Tree):
+    """A kernel's hierarchy, as it is."""
+    return tree
 
-    A compiler then leaves out what is read for meshes that differ, which costs registers also where there are none.
-    """
+
+@wp.func
+def of_shared_faces(tree: Tree):
+    """A kernel's hierarchy of meshes that share their faces, see `BY_FACES`."""
     one = Tree()
     one.corners = tree.corners
     one.lattice = tree.lattice
@@ -127,6 +130,12 @@ def of_shared_faces(tree: Tree):
     one.meshes = 0
     one.alone = 0
     return one
+
+
+# Kernels that every map waits for come twice, for meshes that differ and, by [True], for those that share their faces:
+# from these a compiler leaves out what is read for others, which costs registers also where there are none. That is a
+# tenth of the time of candidate lists (bench/decisions/0049-kernels-of-meshes-alike.md).
+BY_FACES = of_any_faces, of_shared_faces
 
 
 @wp.func_native(

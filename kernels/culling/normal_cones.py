@@ -24,9 +24,11 @@ of d from a double cone is |d - (d.n) n| cos T - |d.n| sin T.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, mesh_of_slot, nodes_of, rows_before, slots_of, tree_of
+from sdm.kernels.bvh.tree import BY_FACES, Tree, first_triangle, mesh_of_slot, nodes_of, rows_before, slots_of, tree_of
 from sdm.kernels.geometry.voxel_box import VoxelBox
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.fast_math import about_root
@@ -151,38 +153,47 @@ def sine2_around_corner(
     return NONE
 
 
-@wp.kernel
-def _cones_of_triangles(
-    begin: int,
-    tree: Tree,
-    normals: wp.array(dtype=wp.float32),
-    faces: wp.array2d(dtype=wp.int32),
-    neighbours: wp.array2d(dtype=wp.int32),
-    cones: Cones,
-):
-    slot = begin + wp.tid()
-    mesh = mesh_of_slot(tree, slot)
-    one = tree_of(tree, mesh)
-    face = rows_before(tree, mesh) + tree.face[slot]
-    base = slots_of(one, mesh) - rows_before(tree, mesh)
-    around = load_row(neighbours, face)
-    owned = around[3]
-    axis = normal_of(normals, base, face)
-    most = float(0.0)
-    if wp.dot(axis, axis) < 0.5:
-        most = NONE
-    for k in range(3):
-        if (owned >> (k + 3)) & 1 and most < NONE:
-            end = faces[face, (k + 1) % 3]
-            most = wp.max(most, sine2_over_edge(normals, faces, base, axis, end, around[k]))
-    for k in range(3):
-        if (owned >> k) & 1 and most < NONE:
-            index = faces[face, k]
-            most = wp.max(most, sine2_around_corner(normals, faces, neighbours, base, face, axis, k, index, around[k]))
-    sine = float(1.0)
-    if most < NONE:
-        sine = wp.min(wp.sqrt(most) + ANGLE_ROOM, 1.0)
-    write4(cones.triangles, slot, axis[0], axis[1], axis[2], sine)
+def _cones_of_triangles_kernel(of_faces: Any) -> Any:
+    @wp.kernel
+    def _cones_of_triangles(
+        begin: int,
+        given_tree: Tree,
+        normals: wp.array(dtype=wp.float32),
+        faces: wp.array2d(dtype=wp.int32),
+        neighbours: wp.array2d(dtype=wp.int32),
+        cones: Cones,
+    ):
+        tree = of_faces(given_tree)
+        slot = begin + wp.tid()
+        mesh = mesh_of_slot(tree, slot)
+        one = tree_of(tree, mesh)
+        face = rows_before(tree, mesh) + tree.face[slot]
+        base = slots_of(one, mesh) - rows_before(tree, mesh)
+        around = load_row(neighbours, face)
+        owned = around[3]
+        axis = normal_of(normals, base, face)
+        most = float(0.0)
+        if wp.dot(axis, axis) < 0.5:
+            most = NONE
+        for k in range(3):
+            if (owned >> (k + 3)) & 1 and most < NONE:
+                end = faces[face, (k + 1) % 3]
+                most = wp.max(most, sine2_over_edge(normals, faces, base, axis, end, around[k]))
+        for k in range(3):
+            if (owned >> k) & 1 and most < NONE:
+                index = faces[face, k]
+                most = wp.max(
+                    most, sine2_around_corner(normals, faces, neighbours, base, face, axis, k, index, around[k])
+                )
+        sine = float(1.0)
+        if most < NONE:
+            sine = wp.min(wp.sqrt(most) + ANGLE_ROOM, 1.0)
+        write4(cones.triangles, slot, axis[0], axis[1], axis[2], sine)
+
+    return _cones_of_triangles
+
+
+_CONES_OF_TRIANGLES = [_cones_of_triangles_kernel(own) for own in BY_FACES]
 
 
 @wp.func
@@ -225,35 +236,42 @@ def cone_of_leaf(tree: Tree, cones: Cones, mesh: int, leaf: int):
     return cone
 
 
-@wp.kernel
-def _cones_of_levels(begin: int, lanes: int, tree: Tree, width: int, cones: Cones):
-    """Cones of the lowest levels: a group of lanes for a node of the highest and what is below it, `width` a mesh."""
-    thread = begin + wp.tid()
-    lane = thread % lanes
-    group = thread / lanes
-    mesh = group / width
-    one = tree_of(tree, mesh)
-    highest = wp.max(one.depth - LEVELS, 0)
-    levels = one.depth - highest + 1
-    top = (1 << highest) + group - mesh * width
-    # Of meshes that differ, one with fewer levels takes fewer groups.
-    if top >= 2 << highest:
-        return
-    leaves = 1 << one.depth
-    base = nodes_of(one, mesh)
-    for back in range(levels):
-        down = levels - 1 - back
-        node = (top << down) + lane
-        while node < (top + 1) << down:
-            cone = wp.vec4()
-            if node >= leaves:
-                cone = cone_of_leaf(one, cones, mesh, node - leaves)
-            else:
-                left = base + 2 * node
-                cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
-            write4(cones.nodes, base + node, cone[0], cone[1], cone[2], cone[3])
-            node = node + lanes
-        wait_for_lanes()
+def _cones_of_levels_kernel(of_faces: Any) -> Any:
+    @wp.kernel
+    def _cones_of_levels(begin: int, lanes: int, given_tree: Tree, width: int, cones: Cones):
+        """Cones of the lowest levels: a group of lanes for each node of the highest, and `width` groups a mesh."""
+        tree = of_faces(given_tree)
+        thread = begin + wp.tid()
+        lane = thread % lanes
+        group = thread / lanes
+        mesh = group / width
+        one = tree_of(tree, mesh)
+        highest = wp.max(one.depth - LEVELS, 0)
+        levels = one.depth - highest + 1
+        top = (1 << highest) + group - mesh * width
+        # Of meshes that differ, one with fewer levels takes fewer groups.
+        if top >= 2 << highest:
+            return
+        leaves = 1 << one.depth
+        base = nodes_of(one, mesh)
+        for back in range(levels):
+            down = levels - 1 - back
+            node = (top << down) + lane
+            while node < (top + 1) << down:
+                cone = wp.vec4()
+                if node >= leaves:
+                    cone = cone_of_leaf(one, cones, mesh, node - leaves)
+                else:
+                    left = base + 2 * node
+                    cone = merged(read4(cones.nodes, left), read4(cones.nodes, left + 1))
+                write4(cones.nodes, base + node, cone[0], cone[1], cone[2], cone[3])
+                node = node + lanes
+            wait_for_lanes()
+
+    return _cones_of_levels
+
+
+_CONES_OF_LEVELS = [_cones_of_levels_kernel(own) for own in BY_FACES]
 
 
 @wp.func
@@ -269,8 +287,8 @@ def make_cones(tree: Tree, normals: wp.array, faces: wp.array, neighbours: wp.ar
     """Fill `cones` from a built tree, the faces' `normals` (see there) and their neighbours (F,4)."""
     device, slots = normals.device, normals.shape[0] // 4
     meshes = tree.meshes or slots // tree.count
-    launch(_cones_of_triangles, slots, [tree, normals, faces, neighbours, cones], device)
+    launch(_CONES_OF_TRIANGLES[not tree.meshes], slots, [tree, normals, faces, neighbours, cones], device)
     lanes = GPU_LANES if device.is_cuda else 1
     top = max(tree.depth - int(LEVELS), 0)
     inputs = [lanes, tree, 1 << top, cones]
-    launch(_cones_of_levels, (meshes << top) * lanes, inputs, device, smallest=8)
+    launch(_CONES_OF_LEVELS[not tree.meshes], (meshes << top) * lanes, inputs, device, smallest=8)

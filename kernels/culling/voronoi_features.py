@@ -21,9 +21,21 @@ nearest.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.bvh.tree import FRAME_SIZE, SCALE, Tree, load_corners, mesh_of_slot, rows_before, slots_of, tree_of
+from sdm.kernels.bvh.tree import (
+    BY_FACES,
+    FRAME_SIZE,
+    SCALE,
+    Tree,
+    load_corners,
+    mesh_of_slot,
+    rows_before,
+    slots_of,
+    tree_of,
+)
 from sdm.kernels.culling.witness_bound import (
     Witness,
     bulge_of_edge,
@@ -279,67 +291,76 @@ def end_of_further_edge(
     return faces[following / 3, (following % 3 + 2) % 3]
 
 
-@wp.kernel
-def _make_features(
-    begin: int,
-    tree: Tree,
-    vertices: wp.array2d(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.float32),
-    faces: wp.array2d(dtype=wp.int32),
-    neighbours: wp.array2d(dtype=wp.int32),
-    features: Features,
-):
-    slot = begin + wp.tid()
-    mesh = mesh_of_slot(tree, slot)
-    one = tree_of(tree, mesh)
-    scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
-    face = rows_before(tree, mesh) + tree.face[slot]
-    base = slots_of(one, mesh) - rows_before(tree, mesh)
-    around = load_row(neighbours, face)
-    at_a = faces[face, 0]
-    at_b = faces[face, 1]
-    at_c = faces[face, 2]
-    a, b, c, _normal = load_corners(tree, slot)
-    inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, base, scale, a, b, at_b, around[0], c)
-    inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, base, scale, b, c, at_c, around[1], a)
-    inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, base, scale, c, a, at_a, around[2], b)
-    first = int(-1)
-    for k in range(3):
-        if first < 0 and (around[3] & (CORNER << k)) != 0:
-            first = k
-    further = wp.vec3()
-    if first >= 0:
-        vertex = wp.where(first == 0, at_a, wp.where(first == 1, at_b, at_c))
-        crossed = wp.where(first == 0, around[0], wp.where(first == 1, around[1], around[2]))
-        end = end_of_further_edge(faces, neighbours, vertex, crossed)
-        if end < 0:
-            first = -1
-        else:
-            further = scale * vertices[mesh, end]
-    total = tree.face.shape[0]
-    rows = floats_at(features.rows)
-    record = begin_record(rows, 4 * _FLOATS, slot)
-    put4(record, 0, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
-    put4(record, 1, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
-    put4(record, 2, inward_ca[0], inward_ca[1], inward_ca[2], 0.0)
-    put4(record, 3, beyond_ab[0], beyond_ab[1], beyond_ab[2], further[0])
-    put4(record, 4, beyond_bc[0], beyond_bc[1], beyond_bc[2], further[1])
-    put4(record, 5, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
-    end_record(rows, record, 4 * _FLOATS, slot, total)
-    middle = (a + b + c) * (1.0 / 3.0)
-    radius = about_root(wp.max(wp.length_sq(a - middle), wp.max(wp.length_sq(b - middle), wp.length_sq(c - middle))))
-    # A little more than rounding can take from it.
-    write4(features.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
-    ab = wp.vec3d(b) - wp.vec3d(a)
-    bc = wp.vec3d(c) - wp.vec3d(b)
-    ca = wp.vec3d(a) - wp.vec3d(c)
-    inverses = doubles_at(features.inverses)
-    record = begin_record(inverses, 8 * INVERSES, slot)
-    put_double(record, 0, inverse_length(ab))
-    put_double(record, 1, inverse_length(bc))
-    put_double(record, 2, inverse_length(ca))
-    put_double(record, 3, inverse_length(wp.cross(ab, -ca)))
-    end_record(inverses, record, 8 * INVERSES, slot, total)
+def _make_features_kernel(of_faces: Any) -> Any:
+    @wp.kernel
+    def _make_features(
+        begin: int,
+        given_tree: Tree,
+        vertices: wp.array2d(dtype=wp.vec3),
+        normals: wp.array(dtype=wp.float32),
+        faces: wp.array2d(dtype=wp.int32),
+        neighbours: wp.array2d(dtype=wp.int32),
+        features: Features,
+    ):
+        tree = of_faces(given_tree)
+        slot = begin + wp.tid()
+        mesh = mesh_of_slot(tree, slot)
+        one = tree_of(tree, mesh)
+        scale = float(tree.frame[mesh * FRAME_SIZE + SCALE])
+        face = rows_before(tree, mesh) + tree.face[slot]
+        base = slots_of(one, mesh) - rows_before(tree, mesh)
+        around = load_row(neighbours, face)
+        at_a = faces[face, 0]
+        at_b = faces[face, 1]
+        at_c = faces[face, 2]
+        a, b, c, _normal = load_corners(tree, slot)
+        inward_ab, beyond_ab = across_edge(vertices, normals, faces, mesh, base, scale, a, b, at_b, around[0], c)
+        inward_bc, beyond_bc = across_edge(vertices, normals, faces, mesh, base, scale, b, c, at_c, around[1], a)
+        inward_ca, beyond_ca = across_edge(vertices, normals, faces, mesh, base, scale, c, a, at_a, around[2], b)
+        first = int(-1)
+        for k in range(3):
+            if first < 0 and (around[3] & (CORNER << k)) != 0:
+                first = k
+        further = wp.vec3()
+        if first >= 0:
+            vertex = wp.where(first == 0, at_a, wp.where(first == 1, at_b, at_c))
+            crossed = wp.where(first == 0, around[0], wp.where(first == 1, around[1], around[2]))
+            end = end_of_further_edge(faces, neighbours, vertex, crossed)
+            if end < 0:
+                first = -1
+            else:
+                further = scale * vertices[mesh, end]
+        total = tree.face.shape[0]
+        rows = floats_at(features.rows)
+        record = begin_record(rows, 4 * _FLOATS, slot)
+        put4(record, 0, inward_ab[0], inward_ab[1], inward_ab[2], float(around[3]))
+        put4(record, 1, inward_bc[0], inward_bc[1], inward_bc[2], float(first))
+        put4(record, 2, inward_ca[0], inward_ca[1], inward_ca[2], 0.0)
+        put4(record, 3, beyond_ab[0], beyond_ab[1], beyond_ab[2], further[0])
+        put4(record, 4, beyond_bc[0], beyond_bc[1], beyond_bc[2], further[1])
+        put4(record, 5, beyond_ca[0], beyond_ca[1], beyond_ca[2], further[2])
+        end_record(rows, record, 4 * _FLOATS, slot, total)
+        middle = (a + b + c) * (1.0 / 3.0)
+        radius = about_root(
+            wp.max(wp.length_sq(a - middle), wp.max(wp.length_sq(b - middle), wp.length_sq(c - middle)))
+        )
+        # A little more than rounding can take from it.
+        write4(features.balls, slot, middle[0], middle[1], middle[2], 1.000001 * radius)
+        ab = wp.vec3d(b) - wp.vec3d(a)
+        bc = wp.vec3d(c) - wp.vec3d(b)
+        ca = wp.vec3d(a) - wp.vec3d(c)
+        inverses = doubles_at(features.inverses)
+        record = begin_record(inverses, 8 * INVERSES, slot)
+        put_double(record, 0, inverse_length(ab))
+        put_double(record, 1, inverse_length(bc))
+        put_double(record, 2, inverse_length(ca))
+        put_double(record, 3, inverse_length(wp.cross(ab, -ca)))
+        end_record(inverses, record, 8 * INVERSES, slot, total)
+
+    return _make_features
+
+
+_MAKE_FEATURES = [_make_features_kernel(own) for own in BY_FACES]
 
 
 def make_features(
@@ -352,4 +373,4 @@ def make_features(
 ) -> None:
     """Fill `features` from a built tree, its meshes, their normals, and the neighbours of their faces (F,4)."""
     inputs = [tree, vertices, normals, faces, neighbours, features]
-    launch(_make_features, tree.face.shape[0], inputs, vertices.device)
+    launch(_MAKE_FEATURES[not tree.meshes], tree.face.shape[0], inputs, vertices.device)

@@ -6,9 +6,11 @@ many, each would be tested for every cell, and a leaf's box and cone tell nearly
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, node_box, nodes_of, of_shared_faces, tree_of
+from sdm.kernels.bvh.tree import BY_FACES, Tree, node_box, nodes_of, tree_of
 from sdm.kernels.culling.leaf_filter import box_matters
 from sdm.kernels.culling.normal_cones import Cones
 from sdm.kernels.culling.witness_bound import read_witness, write_witness
@@ -28,7 +30,7 @@ from sdm.kernels.dense.counters import NEXT_CELL
 from sdm.kernels.dense.region_grid import RegionGrid, own_shares
 from sdm.kernels.dense.stage1_witnesses import nearer_of_leaves
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import CELL_SHARES, REGION_SHARES, Slab, of_shared_grid, slab_of
+from sdm.kernels.geometry.voxel_grid import BY_GRID, CELL_SHARES, REGION_SHARES, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 
@@ -38,121 +40,78 @@ wp.set_module_options({"enable_backward": False})
 CELL_BLOCKS_PER_SM = 6
 
 
-@wp.func
-def list_own_cells(
-    lane: int,
-    lanes: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    cones: Cones,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    pool: ChunkPool,
-    regions: CandidateLists,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-):
-    """List one cell's leaves after the other, as long as there are any."""
-    item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
-    while item < 8 * grid.count * cells.shares:
-        number = item / cells.shares
-        place = cached_box(cache, number)
-        # The chains of its region that are this share's; none beyond the mesh's own shares.
-        share = item % cells.shares
-        shares = own_shares(slab, place.mesh, CELL_SHARES, cells.shares)
-        chains = own_shares(slab, place.mesh, REGION_SHARES, regions.shares) / shares
-        first = (number / 8) * regions.shares + share * chains
-        if share >= shares:
-            chains = 0
-        if is_within(slab_of(slab, place.mesh), place.start):
-            mesh = place.mesh
-            # Read again wherever it is needed, as registers are few.
-            leaves = 1 << tree_of(tree, mesh).depth
-            base = nodes_of(tree_of(tree, mesh), mesh)
-            cell = place.box
-            radius = wp.sqrt(cell.half2)
-            known = read_witness(cache.witnesses, grid.count + number)
-            chain = Chain()
-            chain.chunk = pool.chunks
-            head = grid.count * regions.shares + item
-            reader = Reader()
-            if list_length(regions, first, chains) >= 0:
-                reader = start_reading(regions, first, chains)
-                chain.chunk = head
-            # Each batch is read while the one before is tested.
-            upcoming = read_entry(pool, reader, lane)
-            while reader.left > 0 and chain.chunk < pool.chunks:
-                leaf = upcoming
-                reader = read_on(pool, regions, reader, lanes)
-                upcoming = read_entry(pool, reader, lane)
-                # Read once, for both that follows.
-                low = wp.vec3()
-                high = wp.vec3()
-                if leaf >= 0:
-                    low, high = node_box(tree, base + leaves + leaf)
-                one = tree_of(tree, mesh)
-                known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
-                keep = False
-                if leaf >= 0:
-                    keep = box_matters(cell, radius, known, one, cones, base, leaves + leaf, low, high)
-                chain = append(pool, chain, keep, leaf, lane)
-            if lane == 0:
-                write_witness(share_witnesses, item, known)
-                cells.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
-                cells.lengths[item] = chain.length
+def _list_cells_kernel(of_faces: Any, of_grid: Any) -> Any:
+    @wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
+    def _list_cells(
+        begin: int,
+        lanes: int,
+        given_tree: Tree,
+        frames: wp.array(dtype=wp.float32),
+        cones: Cones,
+        given_slab: Slab,
+        grid: RegionGrid,
+        cache: CellCache,
+        pool: ChunkPool,
+        regions: CandidateLists,
+        cells: CandidateLists,
+        share_witnesses: wp.array(dtype=wp.float32),
+    ):
+        tree = of_faces(given_tree)
+        slab = of_grid(given_slab)
+        lane = (begin + wp.tid()) % lanes
         item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
+        while item < 8 * grid.count * cells.shares:
+            number = item / cells.shares
+            place = cached_box(cache, number)
+            # The chains of its region that are this share's; none beyond the mesh's own shares.
+            share = item % cells.shares
+            shares = own_shares(slab, place.mesh, CELL_SHARES, cells.shares)
+            chains = own_shares(slab, place.mesh, REGION_SHARES, regions.shares) / shares
+            first = (number / 8) * regions.shares + share * chains
+            if share >= shares:
+                chains = 0
+            if is_within(slab_of(slab, place.mesh), place.start):
+                mesh = place.mesh
+                # Read again wherever it is needed, as registers are few.
+                leaves = 1 << tree_of(tree, mesh).depth
+                base = nodes_of(tree_of(tree, mesh), mesh)
+                cell = place.box
+                radius = wp.sqrt(cell.half2)
+                known = read_witness(cache.witnesses, grid.count + number)
+                chain = Chain()
+                chain.chunk = pool.chunks
+                head = grid.count * regions.shares + item
+                reader = Reader()
+                if list_length(regions, first, chains) >= 0:
+                    reader = start_reading(regions, first, chains)
+                    chain.chunk = head
+                # Each batch is read while the one before is tested.
+                upcoming = read_entry(pool, reader, lane)
+                while reader.left > 0 and chain.chunk < pool.chunks:
+                    leaf = upcoming
+                    reader = read_on(pool, regions, reader, lanes)
+                    upcoming = read_entry(pool, reader, lane)
+                    # Read once, for both that follows.
+                    low = wp.vec3()
+                    high = wp.vec3()
+                    if leaf >= 0:
+                        low, high = node_box(tree, base + leaves + leaf)
+                    one = tree_of(tree, mesh)
+                    known = nearer_of_leaves(one, frames, mesh, leaf, low, high, cell.centre, known, lane)
+                    keep = False
+                    if leaf >= 0:
+                        keep = box_matters(cell, radius, known, one, cones, base, leaves + leaf, low, high)
+                    chain = append(pool, chain, keep, leaf, lane)
+                if lane == 0:
+                    write_witness(share_witnesses, item, known)
+                    cells.heads[item] = wp.where(chain.chunk < pool.chunks, head, -1)
+                    cells.lengths[item] = chain.length
+            item = fetch_add_once(pool.counters, NEXT_CELL, 1, lane)
+
+    return _list_cells
 
 
-@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
-def _list_cells(
-    begin: int,
-    lanes: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    cones: Cones,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    pool: ChunkPool,
-    regions: CandidateLists,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-):
-    lane = (begin + wp.tid()) % lanes
-    list_own_cells(lane, lanes, tree, frames, cones, slab, grid, cache, pool, regions, cells, share_witnesses)
-
-
-@wp.kernel(launch_bounds=(128, CELL_BLOCKS_PER_SM))
-def _list_cells_alike(
-    begin: int,
-    lanes: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    cones: Cones,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    pool: ChunkPool,
-    regions: CandidateLists,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-):
-    lane = (begin + wp.tid()) % lanes
-    list_own_cells(
-        lane,
-        lanes,
-        of_shared_faces(tree),
-        frames,
-        cones,
-        of_shared_grid(slab),
-        grid,
-        cache,
-        pool,
-        regions,
-        cells,
-        share_witnesses,
-    )
+_LIST_CELLS = [_list_cells_kernel(*own) for own in zip(BY_FACES, BY_GRID, strict=True)]
 
 
 def list_cells(
@@ -175,5 +134,5 @@ def list_cells(
     groups of lanes are at work.
     """
     inputs = [lanes, tree, frames, cones, slab, grid, cache, pool, regions, cells, share_witnesses]
-    kernel = _list_cells if tree.meshes or slab.meshes else _list_cells_alike
-    launch(kernel, workers * lanes, inputs, frames.device, smallest=1)
+    alike = not (tree.meshes or slab.meshes)
+    launch(_LIST_CELLS[alike], workers * lanes, inputs, frames.device, smallest=1)

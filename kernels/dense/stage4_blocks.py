@@ -8,9 +8,11 @@ when some of the device has nothing to do, are short.
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, first_triangle, node_distance2, nodes_of, of_shared_faces, slots_of, tree_of
+from sdm.kernels.bvh.tree import BY_FACES, Tree, first_triangle, node_distance2, nodes_of, slots_of, tree_of
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.culling.witness_bound import Witness, agree, moved, no_witness, read_witness, remember, write_witness
 from sdm.kernels.dense.block_schedule import BlockSchedule, share_out
@@ -20,7 +22,7 @@ from sdm.kernels.dense.counters import NEXT_CELL_TO_SCHEDULE
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid, brick_number, brick_start, is_coarse, make_cell
 from sdm.kernels.dense.stage1_witnesses import seen_from
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Slab, of_shared_grid, slab_of
+from sdm.kernels.geometry.voxel_grid import BY_GRID, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add_once
 from sdm.kernels.primitives.vector_loads import load4
@@ -106,104 +108,56 @@ def store_bricks(
         o = o + lanes
 
 
-@wp.func
-def schedule_own_blocks(
-    lane: int,
-    lanes: int,
-    split_length: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    pool: ChunkPool,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-    cache: CellCache,
-    schedule: BlockSchedule,
-):
-    """Schedule one cell's blocks after the other, as long as there are any."""
-    number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
-    while number < 8 * grid.count:
-        place = cached_box(cache, number)
-        mesh = place.mesh
-        cell = place.box
-        one = tree_of(tree, mesh)
-        if is_within(slab_of(slab, mesh), place.start):
-            length = list_length(cells, number * cells.shares, cells.shares)
-            known = no_witness()
-            if length > 0:
-                known = nearest_of_cell(share_witnesses, cells.shares, number)
-            if is_coarse(cell):
-                store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
-            else:
-                if length > 0:
-                    known = nearest_in_list(
-                        one, frames, features, pool, cells, number, mesh, cell.centre, known, lane, lanes
-                    )
-                if lane == 0:
-                    write_witness(cache.witnesses, grid.count + number, known)
-                if grid.cell > BLOCK:
-                    store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
-            if lane == 0:
-                share_out(schedule, not is_coarse(cell), number, length, split_length)
+def _schedule_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
+    @wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
+    def _schedule_blocks(
+        begin: int,
+        lanes: int,
+        split_length: int,
+        given_tree: Tree,
+        frames: wp.array(dtype=wp.float32),
+        features: Features,
+        given_slab: Slab,
+        grid: RegionGrid,
+        pool: ChunkPool,
+        cells: CandidateLists,
+        share_witnesses: wp.array(dtype=wp.float32),
+        cache: CellCache,
+        schedule: BlockSchedule,
+    ):
+        tree = of_faces(given_tree)
+        slab = of_grid(given_slab)
+        lane = (begin + wp.tid()) % lanes
         number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
+        while number < 8 * grid.count:
+            place = cached_box(cache, number)
+            mesh = place.mesh
+            cell = place.box
+            one = tree_of(tree, mesh)
+            if is_within(slab_of(slab, mesh), place.start):
+                length = list_length(cells, number * cells.shares, cells.shares)
+                known = no_witness()
+                if length > 0:
+                    known = nearest_of_cell(share_witnesses, cells.shares, number)
+                if is_coarse(cell):
+                    store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
+                else:
+                    if length > 0:
+                        known = nearest_in_list(
+                            one, frames, features, pool, cells, number, mesh, cell.centre, known, lane, lanes
+                        )
+                    if lane == 0:
+                        write_witness(cache.witnesses, grid.count + number, known)
+                    if grid.cell > BLOCK:
+                        store_bricks(one, slab, grid, cache, number, place, known, lane, lanes)
+                if lane == 0:
+                    share_out(schedule, not is_coarse(cell), number, length, split_length)
+            number = fetch_add_once(pool.counters, NEXT_CELL_TO_SCHEDULE, 1, lane)
+
+    return _schedule_blocks
 
 
-@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
-def _schedule_blocks(
-    begin: int,
-    lanes: int,
-    split_length: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    pool: ChunkPool,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-    cache: CellCache,
-    schedule: BlockSchedule,
-):
-    lane = (begin + wp.tid()) % lanes
-    schedule_own_blocks(
-        lane, lanes, split_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule
-    )
-
-
-@wp.kernel(launch_bounds=(128, SCHEDULE_BLOCKS_PER_SM))
-def _schedule_blocks_alike(
-    begin: int,
-    lanes: int,
-    split_length: int,
-    tree: Tree,
-    frames: wp.array(dtype=wp.float32),
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    pool: ChunkPool,
-    cells: CandidateLists,
-    share_witnesses: wp.array(dtype=wp.float32),
-    cache: CellCache,
-    schedule: BlockSchedule,
-):
-    lane = (begin + wp.tid()) % lanes
-    schedule_own_blocks(
-        lane,
-        lanes,
-        split_length,
-        of_shared_faces(tree),
-        frames,
-        features,
-        of_shared_grid(slab),
-        grid,
-        pool,
-        cells,
-        share_witnesses,
-        cache,
-        schedule,
-    )
+_SCHEDULE_BLOCKS = [_schedule_blocks_kernel(*own) for own in zip(BY_FACES, BY_GRID, strict=True)]
 
 
 def schedule_blocks(
@@ -227,5 +181,5 @@ def schedule_blocks(
     surface points that were found for them from `share_witnesses`.
     """
     inputs = [lanes, split_length, tree, frames, features, slab, grid, pool, cells, share_witnesses, cache, schedule]
-    kernel = _schedule_blocks if tree.meshes or slab.meshes else _schedule_blocks_alike
-    launch(kernel, workers * lanes, inputs, frames.device, smallest=1)
+    alike = not (tree.meshes or slab.meshes)
+    launch(_SCHEDULE_BLOCKS[alike], workers * lanes, inputs, frames.device, smallest=1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from sdm.kernels.bvh.tree import Tree, of_shared_faces
+from sdm.kernels.bvh.tree import BY_FACES, Tree
 from sdm.kernels.culling.leaf_filter import push
 from sdm.kernels.culling.voronoi_features import Features
 from sdm.kernels.dense.block.feature_setup import (
@@ -46,7 +46,7 @@ from sdm.kernels.dense.counters import COARSE, NEXT_BLOCK
 from sdm.kernels.dense.region_grid import BLOCK, RegionGrid
 from sdm.kernels.dense.stage5_select import block_of
 from sdm.kernels.geometry.voxel_box import is_within
-from sdm.kernels.geometry.voxel_grid import Output, Slab, of_shared_grid, slab_of
+from sdm.kernels.geometry.voxel_grid import BY_GRID, Output, Slab, slab_of
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.atomics import fetch_add, fetch_add_once
 from sdm.kernels.primitives.lanes import BLOCKS_PER_SM, wait_for_lanes
@@ -218,74 +218,47 @@ def measure_scheduled(
         item = fetch_add_once(schedule.counters, NEXT_BLOCK, 1, lane)
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _measure_blocks(
-    begin: int,
-    lanes: int,
-    tree: Tree,
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    schedule: BlockSchedule,
-    pool: ChunkPool,
-    blocks: CandidateLists,
-    scratch: wp.array(dtype=wp.float32),
-    stacks: wp.array(dtype=wp.int32),
-    out: Output,
-):
-    thread = begin + wp.tid()
-    measure_scheduled(
-        thread,
-        lanes,
-        tree,
-        features,
-        slab,
-        grid,
-        cache,
-        schedule,
-        pool,
-        blocks,
-        scratch,
-        stacks,
-        out,
-        NO_WINNERS,
-    )
+def _measure_blocks_kernel(of_faces: Any, of_grid: Any) -> Any:
+    @wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
+    def _measure_blocks(
+        begin: int,
+        lanes: int,
+        given_tree: Tree,
+        features: Features,
+        given_slab: Slab,
+        grid: RegionGrid,
+        cache: CellCache,
+        schedule: BlockSchedule,
+        pool: ChunkPool,
+        blocks: CandidateLists,
+        scratch: wp.array(dtype=wp.float32),
+        stacks: wp.array(dtype=wp.int32),
+        out: Output,
+    ):
+        tree = of_faces(given_tree)
+        slab = of_grid(given_slab)
+        thread = begin + wp.tid()
+        measure_scheduled(
+            thread,
+            lanes,
+            tree,
+            features,
+            slab,
+            grid,
+            cache,
+            schedule,
+            pool,
+            blocks,
+            scratch,
+            stacks,
+            out,
+            NO_WINNERS,
+        )
+
+    return _measure_blocks
 
 
-@wp.kernel(launch_bounds=(128, BLOCKS_PER_SM))
-def _measure_blocks_alike(
-    begin: int,
-    lanes: int,
-    tree: Tree,
-    features: Features,
-    slab: Slab,
-    grid: RegionGrid,
-    cache: CellCache,
-    schedule: BlockSchedule,
-    pool: ChunkPool,
-    blocks: CandidateLists,
-    scratch: wp.array(dtype=wp.float32),
-    stacks: wp.array(dtype=wp.int32),
-    out: Output,
-):
-    thread = begin + wp.tid()
-    measure_scheduled(
-        thread,
-        lanes,
-        of_shared_faces(tree),
-        features,
-        of_shared_grid(slab),
-        grid,
-        cache,
-        schedule,
-        pool,
-        blocks,
-        scratch,
-        stacks,
-        out,
-        NO_WINNERS,
-    )
+_MEASURE_BLOCKS = [_measure_blocks_kernel(*own) for own in zip(BY_FACES, BY_GRID, strict=True)]
 
 
 # In a module of its own, so that who does not ask for closest points does not wait until it is compiled.
@@ -354,7 +327,5 @@ def measure_blocks(
     """
     inputs = [lanes, tree, features, slab, grid, cache, schedule, pool, blocks, scratch, stacks, out, *more]
     alike = not (tree.meshes or slab.meshes)
-    chosen = kernel or (
-        _measure_winners if out.winners.shape[0] else _measure_blocks_alike if alike else _measure_blocks
-    )
+    chosen = kernel or (_measure_winners if out.winners.shape[0] else _MEASURE_BLOCKS[alike])
     launch(chosen, workers * lanes, inputs, out.values.device, smallest=1)

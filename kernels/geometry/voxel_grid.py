@@ -84,8 +84,14 @@ def slab_of(slab: Slab, mesh: int):
 
 
 @wp.func
+def of_any_grid(slab: Slab):
+    """A kernel's slab, as it is."""
+    return slab
+
+
+@wp.func
 def of_shared_grid(slab: Slab):
-    """The slab of meshes that share their grid, as all of a kernel's do: a compiler leaves out what is for others."""
+    """A kernel's slab of meshes that share their grid, see `BY_FACES` in `bvh.tree`."""
     one = Slab()
     one.origin = slab.origin
     one.spacing = slab.spacing
@@ -96,6 +102,9 @@ def of_shared_grid(slab: Slab):
     one.meshes = 0
     one.alone = 0
     return one
+
+
+BY_GRID = of_any_grid, of_shared_grid
 
 
 @wp.func_native(

@@ -163,7 +163,7 @@ class Maker:
             parts = list(whole.sdm.split(size))
             maps = [torch.empty_like(part) for part in parts]
             # One launch instead of one for each.
-            torch._foreach_copy_(maps, parts)
+            torch._foreach_copy_(maps, parts)  # pyright: ignore[reportPrivateImportUsage]
             return [Batch(whole.theta[at * size : (at + 1) * size], maps[at], index[at]) for at in range(count)]
 
     @contextmanager
