@@ -71,5 +71,18 @@ def _kept(strides: tuple[int, ...], shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(min(stride, LARGEST_STRIDE) for stride in strides)
 
 
-# Keys of no more bits are sorted as int32, where they stay positive: a GPU sorts twice as many of these in one block.
+# Keys of no more bits may be int32, where they stay positive.
 SHORT_BITS = 31
+# Pairs of an int64 and an int32, and of two int32, that a GPU sorts in one block; and so many that bytes decide.
+_ONE_LONG_BLOCK, _ONE_SHORT_BLOCK, _MANY = 2304, 4864, 600_000
+
+
+def short_keys(count: int, bits: int, on_gpu: bool) -> bool:
+    """True if so many keys of so many bits are sorted more quickly as int32 than as int64.
+
+    Between a block and many keys a GPU has more blocks of the longer ones, which take a tenth less for it
+    (bench/decisions/0049-kernels-of-meshes-alike.md).
+    """
+    if bits > SHORT_BITS:
+        return False
+    return not on_gpu or _ONE_LONG_BLOCK < count <= _ONE_SHORT_BLOCK or count >= _MANY
