@@ -35,7 +35,7 @@ from sdm.kernels.bvh.tree import (
 from sdm.kernels.geometry.hilbert import COARSE_BITS, FEW, FINE_BITS, curve_bits, curve_code
 from sdm.kernels.geometry.triangle_distance import unit_normal
 from sdm.kernels.launch import LIGHT_SHARE, launch
-from sdm.kernels.launches.arrays import array_at, short_keys
+from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
 from sdm.kernels.primitives.atomics import lessen
 from sdm.kernels.primitives.coalesced_stores import begin_record, end_record, pairs_at, put_pair
 from sdm.kernels.primitives.lanes import GPU_LANES, least_of_lanes, wait_for_lanes
@@ -351,7 +351,7 @@ def build_in_frame(
     # The meshes' numbers are above the curve's codes.
     all_bits = 3 * bits + (0 if fillers else (meshes - 1).bit_length())
     kernel: Any = _make_keys
-    if short_keys(total, all_bits, device.is_cuda):
+    if short_keys(total, all_bits) if device.is_cuda else all_bits <= SHORT_BITS:
         kernel, keys = _make_short_keys, array_at(keys.ptr, (2 * total,), wp.int32, device.alias)
     inputs = [tree, vertices, faces, bounds, bits, int(not fillers), keys, slots]
     launch(kernel, total, inputs, device, smallest=LIGHT_SHARE)

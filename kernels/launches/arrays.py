@@ -77,12 +77,10 @@ SHORT_BITS = 31
 _ONE_LONG_BLOCK, _ONE_SHORT_BLOCK, _MANY = 2304, 4864, 600_000
 
 
-def short_keys(count: int, bits: int, on_gpu: bool) -> bool:
-    """True if so many keys of so many bits are sorted more quickly as int32 than as int64.
+def short_keys(count: int, bits: int) -> bool:
+    """True if a GPU sorts so many keys of so many bits more quickly as int32 than as int64.
 
-    Between a block and many keys a GPU has more blocks of the longer ones, which take a tenth less for it
+    Between a block and many keys it has more blocks of the longer ones, which take a tenth less for it
     (bench/decisions/0049-kernels-of-meshes-alike.md).
     """
-    if bits > SHORT_BITS:
-        return False
-    return not on_gpu or _ONE_LONG_BLOCK < count <= _ONE_SHORT_BLOCK or count >= _MANY
+    return bits <= SHORT_BITS and (_ONE_LONG_BLOCK < count <= _ONE_SHORT_BLOCK or count >= _MANY)

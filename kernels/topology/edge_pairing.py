@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from sdm.kernels.launch import LIGHT_SHARE, launch
-from sdm.kernels.launches.arrays import array_at, short_keys
+from sdm.kernels.launches.arrays import SHORT_BITS, array_at, short_keys
 from sdm.kernels.primitives.atomics import fetch_add, keep_least
 
 wp.set_module_options({"enable_backward": False})
@@ -216,7 +216,7 @@ def pair_edges(
     keys, edges, owned = empty(2 * total, wp.int64), empty(2 * total, wp.int32), empty(total, wp.int32)
     clamped = [0, faces] if within is None else [1, within]
     make, pair = _make_keys, _pair
-    if short_keys(total, 2 * bits, device.is_cuda):
+    if short_keys(total, 2 * bits) if device.is_cuda else 2 * bits <= SHORT_BITS:
         make, pair = _make_short_keys, _pair_short
         keys = array_at(keys.ptr, (2 * total,), wp.int32, device.alias)
     inputs = [faces, vertices, bits, keys, edges, first, flags, *clamped]

@@ -19,7 +19,7 @@ def test_same_bits_by_long_and_by_short_keys(triangles, monkeypatch):
     found = []
     for short in (False, True):
         for module in (build, edge_pairing):
-            monkeypatch.setattr(module, "short_keys", lambda *_, short=short: short)
+            monkeypatch.setattr(module, "SHORT_BITS", SHORT_BITS if short else -1)
         index = sdm.MeshIndex(mesh, "cpu")
         tensors = dict(zip([(a.struct, a.name) for a in ARRAYS], index._structure.tensors, strict=True))
         found.append((tensors["tree", "face"].clone(), index.signed_distance_map(12).values))
@@ -29,16 +29,8 @@ def test_same_bits_by_long_and_by_short_keys(triangles, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("count", "gpu", "expected"),
-    [
-        (2304, True, False),
-        (2305, True, True),
-        (4864, True, True),
-        (4865, True, False),
-        (700_000, True, True),
-        (9, False, True),
-    ],
+    ("count", "expected"), [(2304, False), (2305, True), (4864, True), (4865, False), (700_000, True)]
 )
-def test_the_shorter_keys_where_they_are_quicker(count, gpu, expected):
-    assert short_keys(count, SHORT_BITS, gpu) is expected
-    assert not short_keys(count, SHORT_BITS + 1, gpu)
+def test_the_shorter_keys_where_they_are_quicker(count, expected):
+    assert short_keys(count, SHORT_BITS) is expected
+    assert not short_keys(count, SHORT_BITS + 1)
