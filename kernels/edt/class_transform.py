@@ -7,13 +7,22 @@ own class a voxel's nearest other one is the nearest voxel with another label.
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import warp as wp
 
+from sdm.kernels.edt.class_bundles import nearest_of_class_in_bundle, nearest_other_label_in_bundle
 from sdm.kernels.edt.class_lines import nearest_of_class_on_line, nearest_other_label_on_line
 from sdm.kernels.edt.class_rows import nearest_of_classes, nearest_other_label
 from sdm.kernels.edt.transform import BLOCK_DIM
 from sdm.kernels.launch import launch
 from sdm.kernels.primitives.lanes import GPU_LANES
+
+# Lines side by side from which on they are measured by bundles, of which a CPU's, of one line, gain nothing.
+FEWEST_IN_BUNDLE = {"cuda": 16, "cpu": math.inf}
+BUNDLE_BLOCK_DIM = 128
+MOST_THREADS = (1 << 31) - 1
 
 
 def own_distances(
@@ -24,7 +33,8 @@ def own_distances(
     spacing: tuple[float, float, float],
     half: float,
     missing: float,
-    unread: wp.array,
+    row_ends: wp.array,
+    slice_ends: wp.array,
     between: wp.array,
     own: wp.array,
 ) -> None:
@@ -38,19 +48,32 @@ def own_distances(
         spacing: Size of a voxel along each axis.
         half: 0 to measure to a voxel's centre, 0.5 to the nearest point of its box.
         missing: Distance where all labels are equal.
-        unread: int32, of any length.
+        row_ends: What `find_rows` has filled.
+        slice_ends: See there.
         between: Workspace, float32, a number a voxel.
         own: float32, flat.
     """
     nx, ny, nz = shape
     device, unit, weights = labels.device, max(spacing), _weights(spacing)
     lanes = GPU_LANES if device.is_cuda else 1
-    wanted = [labels, first_value, kinds]
     launch(nearest_other_label, nx * ny * lanes, [labels, nz, lanes, weights[2], half, own], device)
-    along_y = [*wanted, own, unread, ny, nz, weights[1], half, 0.0, missing, between]
-    along_x = [*wanted, between, unread, nx, ny * nz, weights[0], half, unit, missing, own]
-    launch(nearest_other_label_on_line, nx * nz, along_y, device, BLOCK_DIM)
-    launch(nearest_other_label_on_line, ny * nz, along_x, device, BLOCK_DIM)
+    passes = (
+        (nx, ny, nz, row_ends, own, weights[1], 0.0, between),
+        (1, nx, ny * nz, slice_ends, between, weights[0], unit, own),
+    )
+    for outers, length, stride, ends, heights, weight, scale, to in passes:
+        if stride >= FEWEST_IN_BUNDLE[_kind(device)]:
+            bundles = -(-stride // lanes)
+            places = [outers, length, stride, bundles, lanes, weight, half, scale, missing, to]
+            threads = outers * bundles * lanes
+            together = max(1, MOST_THREADS // threads)
+            for kind in range(0, kinds, together):
+                inputs = [labels, first_value + kind, heights, ends[2 * kind * outers :], *places]
+                count = min(together, kinds - kind) * threads
+                launch(nearest_other_label_in_bundle, count, inputs, device, BUNDLE_BLOCK_DIM)
+        else:
+            inputs = [labels, first_value, kinds, heights, row_ends, length, stride, weight, half, scale, missing, to]
+            launch(nearest_other_label_on_line, outers * stride, inputs, device, BLOCK_DIM)
 
 
 def find_rows(
@@ -115,11 +138,23 @@ def transform_classes(
     """
     kinds, nx, ny, nz = shape
     device, unit, weights = out.device, max(spacing), _weights(spacing)
-    along_y = [out, row_has, 1, row_ends, ny, nz, weights[1], half, 0.0, missing, 0, own, between]
-    sides = [missing, int(signed), own, out]
-    along_x = [between, row_ends, 2, slice_ends, nx, ny * nz, weights[0], half, unit, *sides]
-    launch(nearest_of_class_on_line, kinds * nx * nz, along_y, device, BLOCK_DIM)
-    launch(nearest_of_class_on_line, kinds * ny * nz, along_x, device, BLOCK_DIM)
+    lanes = GPU_LANES if device.is_cuda else 1
+    passes = (
+        (kinds * nx, out, row_has, 1, row_ends, ny, nz, weights[1], 0.0, 0, between),
+        (kinds, between, row_ends, 2, slice_ends, nx, ny * nz, weights[0], unit, int(signed), out),
+    )
+    for outers, heights, has, step, ends, length, stride, weight, scale, sides, to in passes:
+        line, places = [heights, has, step, ends, length, stride], [weight, half, scale, missing, sides, own, to]
+        if stride >= FEWEST_IN_BUNDLE[_kind(device)]:
+            bundles = -(-stride // lanes)
+            inputs = [*line, bundles, lanes, *places]
+            launch(nearest_of_class_in_bundle, outers * bundles * lanes, inputs, device, BUNDLE_BLOCK_DIM)
+        else:
+            launch(nearest_of_class_on_line, outers * stride, [*line, *places], device, BLOCK_DIM)
+
+
+def _kind(device: Any) -> str:
+    return "cuda" if device.is_cuda else "cpu"
 
 
 def _weights(spacing: tuple[float, float, float]) -> list[float]:

@@ -208,7 +208,7 @@ class Grid:
 
 def _resolution(wanted: int | Sequence[int] | np.ndarray) -> np.ndarray:
     numbers = _numbers(wanted)
-    fits = numbers is not None and numbers.shape in ((), (3,)) and not isinstance(wanted, str | bytes)
+    fits = numbers is not None and numbers.shape in ((), (3,)) and not isinstance(wanted, str | bytes | bool)
     if numbers is None or not fits or not ((numbers >= 1) & (numbers % 1 == 0)).all():
         raise GridError(
             f"the grid's resolution {wanted} must be a whole number of at least 1, or three, one for each axis"

@@ -72,7 +72,7 @@ def compute(
 
     Args:
         meshes: Mesh files (STL, PLY, OBJ, OFF, GLB, ...), or folders of them, nested as deep as they are.
-        out: File to write (by its ending .nii.gz, .nii, .npz, .nrrd, .mha, .vti, .zarr, .nvdb), or a folder.
+        out: File to write (by its ending .nii.gz, .nii, .npz, .nrrd, .mha, .mhd, .vti, .zarr, .nvdb), or a folder.
         resolution: Voxels along each axis: one number for a cube around the mesh, or three.
         spacing: Voxel size in the mesh's unit: one length, or one for each axis.
         grid_like: The grid of this NIfTI or NRRD image, or of another map.

@@ -24,8 +24,8 @@ def decode(
     """Turn a code of sdm encode into a mesh, a map or a picture, by how the output's name ends.
 
     .ply, .stl, .obj, .off, .glb, .vtk and .vtp are the surface, by marching cubes. .nii.gz, .nii, .npz, .nrrd, .mha,
-    .vti, .zarr and .nvdb are the learned signed distance map of the box around the shape's sphere, negative inside, in
-    the shape's unit. .png is a picture by sphere tracing.
+    .mhd, .vti, .zarr and .nvdb are the learned signed distance map of the box around the shape's sphere, negative
+    inside, in the shape's unit. .png is a picture by sphere tracing.
 
     Args:
         code: What sdm encode wrote.

@@ -33,7 +33,7 @@ def edt(
 
     Args:
         labels: A volume of whole numbers: NIfTI, NRRD, or another map.
-        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .mha, .vti, .zarr, .nvdb.
+        out: File to write; its ending is the format: .nii.gz, .nii, .npz, .nrrd, .mha, .mhd, .vti, .zarr, .nvdb.
         classes: Values to measure.
         surface: The surface of a class is made of its voxels' faces; or, with centres, distances end at the centre of
             the nearest voxel on the other side, as SciPy's do.

@@ -25,7 +25,8 @@ def view(
     Of a mesh the map is computed first. Needs the extra "viewer".
 
     Args:
-        file: A map (.nii.gz, .nii, .npz, .nrrd, .mha, .vti, .zarr, .nvdb), or a mesh (STL, PLY, OBJ, OFF, GLB, ...).
+        file: A map (.nii.gz, .nii, .npz, .nrrd, .mha, .mhd, .vti, .zarr, .nvdb), or a mesh (STL, PLY, OBJ, OFF,
+            GLB, ...).
         level: Distance of the surface shown, in the map's unit; 0 is the mesh's own.
         resolution: Voxels along each axis of a mesh's map.
         out: Draw a picture in place of opening a window; needs no display.

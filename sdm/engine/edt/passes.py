@@ -126,13 +126,14 @@ def _fill_kinds(
 
     with on_current_stream(labels, labels):
         source, inside = as_warp(labels.view(-1), wp.uint8), as_warp(own, wp.float32)
-        if signed:
-            room = as_warp(row_has, wp.int32), as_warp(between[:voxels], wp.float32)
-            class_transform.own_distances(source, value, kinds, (nx, ny, nz), sizes, half, missing, *room, inside)
         # Kernels count the voxels of their results in 32 bits.
         for begin, end in _parts(kinds, max(1, min(MOST_KINDS, MOST_VOXELS // voxels))):
             shape, found = (end - begin, nx, ny, nz), as_warp(out[begin:end].view(-1), wp.float32)
             class_transform.find_rows(source, value + begin, shape, sizes, half, *ends_from(begin), found)
+        if signed:
+            room = as_warp(between[:voxels], wp.float32)
+            ends = ends_from(0)[1:]
+            class_transform.own_distances(source, value, kinds, (nx, ny, nz), sizes, half, missing, *ends, room, inside)
         for begin, end in _parts(kinds, chunk):
             class_transform.transform_classes(
                 (end - begin, nx, ny, nz),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -11,6 +12,7 @@ import pytest
 import sdm
 from sdm.cli import COMMANDS, app, main
 from sdm.errors import GridError
+from sdm.io.maps.formats import FORMATS
 
 LIGHT = """
 import sys, types
@@ -62,6 +64,13 @@ def test_the_list_of_commands(capsys):
 def test_help_says_what_is_so(words, said, capsys):
     assert main([*words, "--help"]) == 0
     assert said in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("name", ["compute", "edt", "view", "decode"])
+def test_help_names_every_format_of_maps(name, capsys):
+    assert main([name, "--help"]) == 0
+    said = capsys.readouterr().out
+    assert [ending for ending in FORMATS if not re.search(rf"\.{re.escape(ending)}\b", said)] == []
 
 
 def test_help_tells_units_and_conventions(capsys):

@@ -151,6 +151,7 @@ def test_bad_grids_are_refused(origin, spacing, shape, direction, says):
         ({"resolution": 1.5}, "whole number"),
         ({"resolution": float("nan")}, "whole number"),
         ({"resolution": "128"}, "whole number"),
+        ({"resolution": True}, "whole number"),
         ({"spacing": 0}, "positive"),
         ({"spacing": -1.0}, "positive"),
         ({"spacing": (1.0, float("nan"), 1.0)}, "positive"),
